@@ -150,8 +150,7 @@ class MotionWorlds:
             world_toi[worlds] = result.world_toi[: len(worlds)]
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
-        found = result_of(self._mesh, world_toi, contacts, self.counts(), self.timings)
-        return replace(found, hidden_gaps=hidden)
+        return result_of(self._mesh, world_toi, contacts, self.counts(), self.timings, hidden)
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""

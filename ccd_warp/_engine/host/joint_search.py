@@ -8,7 +8,7 @@ touches where a window ends in contacts whose excess is of the size of rounding.
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,33 @@ _MOST_PASSES = 1000
 Array = NDArray[np.float64]
 # Contacts along paths, of bodies whose vertices are at these positions at both ends of a pass.
 Solve = Callable[[NDArray[np.float64], NDArray[np.float64], MeshPaths], MeshResult]
+
+
+class Windows(NamedTuple):
+    """Where a search is in the span of each world; shape [W] each.
+
+    Attributes:
+        begin: Up to where nothing touches.
+        longest: The length of a window at most.
+        length: That of the next one.
+        last: That of the last window that ended in a contact; 0 before.
+        excess: The largest excess in that; inf before.
+    """
+
+    begin: Array
+    longest: Array
+    length: Array
+    last: Array
+    excess: Array
+
+    @classmethod
+    def of(cls, begin: Array, longest: Array) -> Self:
+        """At the begin of spans."""
+        return cls(begin.copy(), longest.copy(), longest.copy(), np.zeros(len(begin)), np.full(len(begin), np.inf))
+
+    def of_worlds(self, worlds: Any) -> Self:
+        """Those of some worlds."""
+        return type(self)(*(x[worlds] for x in self))
 
 
 class Links:
@@ -84,6 +111,7 @@ class JointSearch:
 
     Attributes:
         world_toi: Toi of each world, inf where it is free, shape [W].
+        at: Where the search is.
         is_open: Worlds whose toi is not known yet, shape [W].
         found: Contacts at the tois, with their points.
         num_passes: Number of passes.
@@ -132,11 +160,9 @@ class JointSearch:
             )
         self.world_toi = np.full(num_worlds, np.inf)
         self.num_passes = 0
-        self._begin, self._end = (x.copy() for x in span)
+        begin, self._end = span
         self._slices = slices_of_worlds(links.motion, *span) if num_slices is None else num_slices
-        self._longest = (self._end - self._begin) / self._slices
-        self._length = self._longest.copy()
-        self._last = np.zeros(num_worlds)  # of the last window that ended in a contact
+        self.at = Windows.of(begin, (self._end - begin) / self._slices)
         self.is_open = np.ones(num_worlds, dtype=bool) if is_searched is None else is_searched.copy()
         self.found: list[Contacts] = []
 
@@ -147,12 +173,6 @@ class JointSearch:
             given, excess = self._links.paths(begin, end)
             yield self._positions(begin), self._positions(end), MeshPaths.of(self._mesh, given, excess)
 
-    def go_on(self, search: "JointSearch", worlds: NDArray[np.intp]) -> None:
-        """Let the worlds be at the windows that some worlds of another search are at."""
-        for name in ("_begin", "_end", "_longest", "_length", "_last"):
-            setattr(self, name, getattr(search, name)[worlds].copy())
-        self.num_passes = search.num_passes
-
     def run(self, solve: Solve, *, leave: int = 0) -> None:
         """Make passes until all worlds are settled, or no more than some are left."""
         most = int(self._slices.max(initial=0.0)) + _MOST_PASSES
@@ -161,9 +181,10 @@ class JointSearch:
 
     def make_pass(self, solve: Solve, *, is_last: bool = False) -> MeshResult:
         """Search a window of each open world; the result is that of the pass, with times of the windows."""
-        mesh, is_open, begin = self._mesh, self.is_open, self._begin
-        end = begin + self._length
-        end = np.where(begin + (1.0 + 2.0**-20) * self._length >= self._end, self._end, end)  # no rest of rounding
+        mesh, is_open = self._mesh, self.is_open
+        begin, longest, wanted, last, least = self.at
+        end = begin + wanted
+        end = np.where(begin + (1.0 + 2.0**-20) * wanted >= self._end, self._end, end)  # no rest of rounding
         end = np.where(is_open, end, begin)
         given, excess = self._links.paths(begin, end)
         paths = replace(MeshPaths.of(mesh, given, excess), active=is_open[self._world_of_body])
@@ -175,18 +196,24 @@ class JointSearch:
         reached = np.where(is_free, end, np.clip((begin + np.where(is_free, 0.0, local) * length) * _DOWN, begin, end))
         most = np.zeros(mesh.num_worlds)
         np.maximum.at(most, self._world_of_link, excess)
-        is_sharp = (most <= self._sharp) | (length <= _SHORTEST) | is_last
+        # as the excess falls with the square of the window, one that has hardly fallen is rounding
+        is_rounding = (length <= last / 4.0) & (most >= least / 4.0)
+        is_sharp = (most <= self._sharp) | (length <= _SHORTEST) | is_rounding | is_last
         touches = is_open & ~is_free & is_sharp
         self.world_toi[touches] = reached[touches]
         self._keep(result.contacts, touches, begin, length)
         self.is_open = is_open & ~touches & ~(is_free & (end >= self._end))
-        gain, last = reached - begin, np.maximum(self._last, length)
-        ratio = np.divide(length, last, out=np.ones_like(length), where=last > 0.0)
+        gain, larger = reached - begin, np.maximum(last, length)
+        ratio = np.divide(length, larger, out=np.ones_like(length), where=larger > 0.0)
         ahead = np.maximum(_GROWTH * gain * ratio**2, _LEAST * length)
-        shorter = np.where(self._last > 0.0, np.minimum(length / 8.0, ahead), length / 8.0)
-        self._length = np.where(is_free, np.minimum(_GROWTH * length, self._longest), shorter)
-        self._last = np.where(is_free, self._last, length)
-        self._begin = reached
+        shorter = np.where(last > 0.0, np.minimum(length / 8.0, ahead), length / 8.0)
+        self.at = Windows(
+            reached,
+            longest,
+            np.where(is_free, np.minimum(_GROWTH * length, longest), shorter),
+            np.where(is_free, last, length),
+            np.where(is_free, least, most),
+        )
         return result
 
     def _positions(self, t: NDArray[np.float64]) -> NDArray[np.float64]:

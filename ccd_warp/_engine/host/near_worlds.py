@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
-from ccd_warp._engine.host.near_parts import NearParts, ranges, spans
+from ccd_warp._engine.host.near_parts import NearParts, distinct, ranges, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._runtime.launch import Execution
@@ -52,7 +52,7 @@ class NearWorlds:
         slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach, execution)
         count = len(self.parts.body)
         of_pair = of_slice[slices] * count
-        self._world, self._part = np.divmod(np.unique(np.concatenate([of_pair + a, of_pair + b])), count)
+        self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
 
     def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
         """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""

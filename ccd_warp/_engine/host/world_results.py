@@ -18,12 +18,37 @@ _NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, widt
 )
 
 
+class WorldsResult(MeshResult):
+    """A result whose arrays of vertices and bodies are made at their first use: of many worlds they are large."""
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        owner, _, kind = name.partition("_")
+        if owner not in ("vertex", "body") or kind not in ("toi", "contact"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        contacts, num_worlds = self.contacts, len(self.world_toi)
+        mesh = contacts._known().mesh
+        size, owners = {
+            "vertex": (mesh.num_vertices, contacts.vertices),
+            "body": (mesh.num_bodies, contacts.bodies),
+        }[owner]
+        if mesh.num_worlds < num_worlds:
+            world = contacts.world[:, None].astype(np.int64)
+            least, first = firsts(contacts.toi, world * size + owners, num_worlds * size)
+            least, first = least.reshape(-1, size), first.reshape(-1, size)
+        else:
+            least, first = firsts(contacts.toi, owners, size)
+        vars(self).update({f"{owner}_toi": least, f"{owner}_contact": first})
+        found: NDArray[Any] = vars(self)[name]
+        return found
+
+
 def result_of(
     mesh: CollisionMesh,
     world_toi: NDArray[np.float64],
     found: list[Contacts],
     counts: Counts,
     timings: dict[str, float],
+    hidden_gaps: str = "",
 ) -> MeshResult:
     """The result of worlds with these tois and contacts.
 
@@ -36,18 +61,7 @@ def result_of(
     contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
     keys = (*contacts.primitives.T[::-1], contacts.kind)
     contacts = contacts[np.lexsort((*keys, contacts.world) if has_axis else keys)]
-    world = contacts.world[:, None].astype(np.int64)
-    arrays: dict[str, Any] = {}
-    for name, size, owners in (
-        ("vertex", mesh.num_vertices, contacts.vertices),
-        ("body", mesh.num_bodies, contacts.bodies),
-        ("world", num_worlds, world),
-    ):
-        if has_axis and name != "world":
-            least, first = firsts(contacts.toi, world * size + owners, num_worlds * size)
-            arrays |= {f"{name}_toi": least.reshape(-1, size), f"{name}_contact": first.reshape(-1, size)}
-        else:
-            arrays[f"{name}_toi"], arrays[f"{name}_contact"] = firsts(contacts.toi, owners, size)
+    world_contact = firsts(contacts.toi, contacts.world[:, None], num_worlds)[1]
     of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
     of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
     counts = replace(
@@ -56,8 +70,18 @@ def result_of(
         num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
         num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
     )
-    arrays["world_toi"] = world_toi
-    return MeshResult(toi=float(world_toi.min()), contacts=contacts, counts=counts, timings=timings, **arrays)
+    result = object.__new__(WorldsResult)
+    vars(result).update(
+        toi=float(world_toi.min()),
+        contacts=contacts,
+        counts=counts,
+        timings=timings,
+        world_toi=world_toi,
+        world_contact=world_contact,
+        start=None,
+        hidden_gaps=hidden_gaps,
+    )
+    return result
 
 
 def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:
