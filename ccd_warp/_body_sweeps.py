@@ -75,4 +75,6 @@ class BodySweeps:
             reach = (reach * _UP).reshape(n, count, 6)
             first, second = (reach[:, [pair[k] for pair in pairs]] for k in (0, 1))
             lengths = first[..., :2] + second[..., :2]
-        return Sweeps(*fields, reach, np.concatenate([lengths, first[..., 2:4], second[..., 2:4]], axis=2))
+        relative = np.concatenate([lengths, first[..., 2:4], second[..., 2:4]], axis=2)
+        position, rotation, velocity, omega = fields
+        return Sweeps(position, rotation, velocity, omega, reach, relative)

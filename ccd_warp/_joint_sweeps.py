@@ -93,7 +93,9 @@ def sweeps(
                 for field, values in zip(fields, moving[link], strict=True):
                     field[:, k, row] = values.T
         steps = {link: _step(courses[link], window) for link in order if courses[link].parent >= 0}
-        return Sweeps(*fields, _reach(courses, order, rows, window, steps), _relative(courses, pairs, window, steps))
+        reach, relative = _reach(courses, order, rows, window, steps), _relative(courses, pairs, window, steps)
+    position, rotation, velocity, omega = fields
+    return Sweeps(position, rotation, velocity, omega, reach, relative)
 
 
 def _moving(

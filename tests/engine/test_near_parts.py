@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp._engine.host import near_parts
 from ccd_warp._engine.host.near_parts import NearParts
+from ccd_warp._engine.host.near_worlds import _OfWorlds
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.threads import StopFlag
 
 HEIGHT = (0, 0, 0.3, 0, 0, 0, 1)
 # A slide and a turn carry an arm, and a second one branches off; a link floats.
@@ -20,7 +24,7 @@ JOINTS = [
     ccd.Joint("float", "base", "free", "free"),
 ]
 LINKS = ["trunk", "upper", "lower", "hand", "left", "free"]
-SAMPLES, SLICES = 9, 8
+SAMPLES, SLICES = 5, 8
 
 
 @pytest.fixture(scope="module")
@@ -41,47 +45,107 @@ def scene():
     return mesh, ccd.JointMotion(JOINTS, q0, q1, links=LINKS)
 
 
-@pytest.mark.parametrize("reach", [0.05, 0.2])
-def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene, reach, monkeypatch):
+def near(parts, motion, begin, end, reach, halvings):
+    execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
+    return parts.near(motion, np.arange(SLICES), begin, end, reach, execution, halvings)
+
+
+@pytest.mark.parametrize(("reach", "halvings"), [(0.05, 0), (0.2, 0), (0.05, 2)])
+def test_parts_that_come_near_in_a_window_are_found_and_most_others_are_not(scene, reach, halvings, monkeypatch):
     mesh, motion = scene
     parts = NearParts(mesh, mesh.vertices)
-    leaves = parts.levels[-1]
-    assert np.bincount(leaves.body)[0] > 8  # so that there are groups of them
-    monkeypatch.setattr(near_parts, "_MOST_SLICES", 5)
+    assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
+    # slices in several launches, and more pairs than there is room for at first
+    monkeypatch.setattr(near_parts, "_MOST_ITEMS", 5 * len(parts.pairs))
+    monkeypatch.setattr(near_parts, "_ROOM", 16)
     rng = np.random.default_rng(5)
     begin = rng.uniform(0, 0.7, SLICES)
     end = begin + rng.uniform(0.01, 0.3, SLICES)
-    row, a, b = parts.near(motion, np.arange(SLICES), begin, end, reach)
-    is_near = np.zeros((SLICES, len(leaves.body), len(leaves.body)), dtype=bool)
-    is_near[row, a, b] = True
+    window, a, b = near(parts, motion, begin, end, reach, halvings)
+    each = 1 << halvings
+    is_near = np.zeros((SLICES * each, len(parts.body), len(parts.body)), dtype=bool)
+    is_near[window, a, b] = True
     may = np.zeros_like(is_near[0])
     for x, y in parts.pairs:
-        may |= (leaves.body[:, None] == x) & (leaves.body == y)
-    assert not is_near[:, ~may].any() and is_near.sum() < 0.5 * may.sum() * SLICES
-    # middles of faces that come within the distance, in parts that were not found
-    part = np.repeat(np.arange(len(leaves.body)), np.diff(leaves.first))
-    middles = mesh.vertices[parts.primitives].mean(axis=1)
-    body = leaves.body[part]
+        may |= (parts.body[:, None] == x) & (parts.body == y)
+    assert not is_near[:, ~may].any() and is_near.sum() < 0.4 * may.sum() * SLICES * each
+    # corners of faces that come within the distance, in parts that were not found
+    part = np.repeat(np.arange(len(parts.body)), np.diff(parts.begins))
+    part, points = np.repeat(part, 3), mesh.vertices[parts.primitives].reshape(-1, 3)
+    chosen = np.unique(np.column_stack([part, points]), axis=0, return_index=True)[1]
+    part, points = part[chosen], points[chosen]
+    body = parts.body[part]
     num_near = 0
-    for t in np.linspace(0, 1, SAMPLES):
-        poses = motion.at(begin + t * (end - begin))
-        for k in range(SLICES):
-            x = middles.copy()
-            for link, pose in enumerate(poses[k]):
-                turn = trimesh.transformations.quaternion_matrix(pose[[6, 3, 4, 5]])[:3, :3]
-                x[body == link] = x[body == link] @ turn.T + pose[:3]
-            squares = (x * x).sum(axis=1)
-            touching = np.argwhere(squares[:, None] + squares - 2.0 * x @ x.T <= (reach - 1e-6) ** 2)
-            first, second = part[touching].T
-            allowed = may[first, second]
-            assert is_near[k, first[allowed], second[allowed]].all()
-            num_near += int(allowed.sum())
-    assert num_near > 500
+    for n in range(each):
+        for t in np.linspace(n / each, (n + 1) / each, SAMPLES):
+            poses = motion.at(begin + t * (end - begin))
+            for k in range(SLICES):
+                x = points.copy()
+                for link, pose in enumerate(poses[k]):
+                    turn = trimesh.transformations.quaternion_matrix(pose[[6, 3, 4, 5]])[:3, :3]
+                    x[body == link] = x[body == link] @ turn.T + pose[:3]
+                squares = (x * x).sum(axis=1)
+                touching = np.argwhere(squares[:, None] + squares - 2.0 * x @ x.T <= (reach - 1e-6) ** 2)
+                first, second = part[touching].T
+                allowed = may[first, second]
+                assert is_near[k * each + n, first[allowed], second[allowed]].all()
+                num_near += int(allowed.sum())
+    assert num_near > 5000
 
 
 def test_what_stands_still_is_near_no_more_than_it_is(scene):
     mesh, motion = scene
     parts = NearParts(mesh, mesh.vertices)
     times = np.zeros(SLICES)
-    counts = [len(parts.near(motion, np.arange(SLICES), times, times + d, 0.0)[0]) for d in (0.0, 0.1, 0.3)]
+    counts = [len(near(parts, motion, times, times + d, 0.0, 0)[0]) for d in (0.0, 0.1, 0.3)]
     assert counts[0] < counts[1] < counts[2]
+
+
+def test_parts_with_coordinates_that_are_no_numbers_are_near_everything(scene):
+    mesh, motion = scene
+    vertices = mesh.vertices.copy()
+    vertices[5] = np.nan
+    parts = NearParts(mesh, vertices)
+    times = np.zeros(SLICES)
+    _, a, b = near(parts, motion, times, times + 0.1, 0.0, 1)
+    wrong = np.flatnonzero([np.isnan(vertices[x]).any() for x in np.split(parts.primitives, parts.begins[1:-1])])
+    partners = {y for x, y in parts.pairs.tolist() if x == 0} | {x for x, y in parts.pairs.tolist() if y == 0}
+    assert len(wrong) > 0
+    for part in wrong:
+        found = set(b[a == part].tolist()) | set(a[b == part].tolist())
+        assert found == set(np.flatnonzero(np.isin(parts.body, list(partners))).tolist())
+
+
+@pytest.mark.parametrize("both_move", [False, True])
+@pytest.mark.parametrize("arm", [0.0, 3.0])
+def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
+    """A triangle that turns about its middle, or far from it, with a pace of its own or none, and one beside it."""
+    count, rng = 60, np.random.default_rng(7)
+    sides = rng.normal(size=(2, 3, 3)) * [[[1.0], [1.0], [0.1]], [[1.0], [0.2], [0.1]]]
+    bodies = [(x - 0.5 * (x.min(axis=0) + x.max(axis=0)) + [arm, 0, 0], np.array([[0, 1, 2]])) for x in sides]
+    moving = [0, 1] if both_move else [0]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=moving, static=[] if both_move else [1], self_collision=False)
+    poses = np.concatenate([rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 4))], axis=2)
+    twist = 0.6 * rng.normal(size=(count, 2, 6)) * rng.choice([0.0, 1.0], (count, 1, 6))
+    motion = ccd.RigidMotion(poses[:, moving], twist=twist[:, moving])
+    parts = NearParts(mesh, mesh.vertices)
+    weights = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12
+    execution = Execution(wp.get_device("cpu"), 1, StopFlag(wp.get_device("cpu")))
+    rows, slack = len(moving) * np.arange(count), []
+    for t in np.linspace(0, 1, 33):
+        places = [weights @ np.broadcast_to(x, (count, 3, 3)) for x, _ in bodies]
+        for k in moving:
+            x = np.repeat(rows + k, len(weights))
+            own = motion._body_paths.positions(places[k].reshape(-1, 3), x, np.full(len(x), t))
+            places[k] = own.reshape(count, -1, 3)
+        slack.append(np.linalg.norm(places[0][:, :, None] - places[1][:, None], axis=3).min(axis=(1, 2)))
+    least = np.min(slack, axis=0)
+    begin, end = np.zeros(1), np.ones(1)
+    found = [
+        [
+            len(parts.near(_OfWorlds(motion), np.array([k]), begin, end, share * least[k], execution)[0])
+            for share in (1.0, 0.5)
+        ]
+        for k in range(count)
+    ]
+    assert [exact for exact, _ in found] == count * [1] and sum(half for _, half in found) < 0.8 * count

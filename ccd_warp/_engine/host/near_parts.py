@@ -200,7 +200,7 @@ class NearParts:
 
             moves = self.mesh.rigid[self.pairs[:, 1]]
             rows = np.where(moves, np.cumsum(moves) - 1, -1)
-            pairs = wp.array(np.column_stack([self.pairs, rows]), dtype=wp.vec3i, device=device)
+            pairs: wp.array = wp.array(np.column_stack([self.pairs, rows]), dtype=wp.vec3i, device=device)
             trees = kernels.PartTrees()
             for name, values in self.tree._asdict().items():
                 dtype = wp.int32 if values.dtype == np.int32 else (wp.float64, wp.vec3d, wp.mat33d)[values.ndim - 1]
@@ -296,8 +296,8 @@ def _nodes(
     places, starts = vertices[corners], np.cumsum(counts) - counts
     from_mean = places - np.repeat(np.add.reduceat(places, starts) / counts[:, None], counts, axis=0)
     spread = np.add.reduceat(from_mean[:, :, None] * from_mean[:, None], starts)
-    spread = np.where(np.isfinite(spread).all(axis=(1, 2))[:, None, None], spread, 0.0)
-    best: list[NDArray[np.float64]] = []
+    spread[~np.isfinite(spread).all(axis=(1, 2))] = 0.0
+    best: list[Any] = []
     for axes in (np.broadcast_to(np.eye(3), spread.shape), np.linalg.eigh(spread)[1].transpose(0, 2, 1)):
         own = np.einsum("nij,nj->ni", np.repeat(axes, counts, axis=0), places)
         lower, upper = (f.reduceat(own, starts) for f in (np.minimum, np.maximum))
@@ -307,10 +307,12 @@ def _nodes(
         half = np.maximum.reduceat(sides, starts) * _UP
         radius = np.maximum.reduceat(np.linalg.norm(from_centre, axis=1), starts) * _UP
         surface = half[:, 0] * half[:, 1] + half[:, 1] * half[:, 2] + half[:, 2] * half[:, 0]
-        found = [centre, np.linalg.norm(centre, axis=1) * _UP, radius, axes, half, surface]
+        found: list[Any] = [centre, np.linalg.norm(centre, axis=1) * _UP, radius, axes, half, surface]
         if best:
-            is_less = found[-1] < best[-1]
-            found = [np.where(is_less.reshape(-1, *[1] * (x.ndim - 1)), x, y) for x, y in zip(found, best, strict=True)]
+            is_less = np.less(found[-1], best[-1])
+            found = [
+                np.where(np.reshape(is_less, (-1, *[1] * (x.ndim - 1))), x, y) for x, y in zip(found, best, strict=True)
+            ]
         best = found
     thickness = np.zeros(len(begin)) if mesh.radius is None else np.maximum.reduceat(mesh.radius[corners], starts)
     return *best[:-1], thickness

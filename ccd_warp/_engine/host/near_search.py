@@ -30,8 +30,8 @@ from ccd_warp._status import PairKind
 if TYPE_CHECKING:
     from ccd_warp._joint_motion import JointMotion
 
-# Primitives, and windows, of a mesh of parts: enough to fill a pass, and not much memory.
-_MOST_ROWS, _MOST_WINDOWS = 1 << 18, 1 << 10
+# Primitives, and windows, of a mesh of parts, and worlds at a time: enough to fill a pass, and not much memory.
+_MOST_ROWS, _MOST_WINDOWS, _MOST_WORLDS = 1 << 18, 1 << 10, 1 << 12
 _FEW_WORLDS = 32  # of which it does not pay to leave out those that are settled
 _HALVINGS = 2  # of a slice
 # Slices, and windows, of each world at a time, and of all: what lies after a contact is not looked at.
@@ -116,13 +116,15 @@ class NearSearch:
         count = len(self.world_toi)
         self._begin, self._end = np.zeros(count), np.zeros(count)  # of the last window of each world
         self._at = Windows.of(self._begin, self._end)
-        is_open = np.ones(count, dtype=bool)
-        while is_open.any():
-            touching = self._first_windows(is_open, solver, reach)
-            worlds = np.array(sorted(touching), dtype=np.intp)
-            self.world_toi[worlds] = self._to_the_end(worlds, touching, solver)
+        for first in range(0, count, _MOST_WORLDS):
             is_open = np.zeros(count, dtype=bool)
-            is_open[worlds] = (self.world_toi[worlds] == np.inf) & (self._end[worlds] < self._t_max)
+            is_open[first : first + _MOST_WORLDS] = True
+            while is_open.any():
+                touching = self._first_windows(is_open, solver, reach)
+                worlds = np.array(sorted(touching), dtype=np.intp)
+                self.world_toi[worlds] = self._to_the_end(worlds, touching, solver)
+                is_open[:] = False
+                is_open[worlds] = (self.world_toi[worlds] == np.inf) & (self._end[worlds] < self._t_max)
 
     def _first_windows(
         self, is_open: NDArray[np.bool_], solver: Callable[[PartMesh], Solve], reach: float
