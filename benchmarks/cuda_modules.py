@@ -14,7 +14,7 @@ _FILES = [
     *("boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
     *("step.contacts", "step.device_step", "step.contact_place", "step.place_bodies", "step.shorten_paths"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
-    *("at_one_time.device_hold", "at_one_time.start_holds"),
+    *("at_one_time.device_hold", "at_one_time.start_holds", "search.near_parts"),
 ]
 
 

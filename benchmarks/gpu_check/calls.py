@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import trimesh
 import warp as wp
 from ccd_warp.benchmarks.gpu_check.outputs import Outputs, outputs_of
 
@@ -134,7 +135,29 @@ def on_arcs(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
         written = _on_device(end, "float64", device)
         shortened = pipeline.launch_line_search(_on_device(start, "float64", device), written, per=per, motion=motion)
         found |= outputs_of({"vertices": written, "bodies": shortened.body_fraction}, f"launch_line_search {per}")
+    found |= outputs_of(_on_joints(options), "joints")
     return found | outputs_of(candidates, "find_candidates") | outputs_of(tois, "launch")
+
+
+def _on_joints(options: dict[str, Any]) -> ccd.MeshResult:
+    """An arm of two links beside a ball that stands, in three worlds of a mesh of one."""
+    box = trimesh.creation.box([0.5, 0.1, 0.1])
+    bodies = [box.copy().apply_translation([0.25, 0, 0]) for _ in range(2)]
+    bodies.append(trimesh.creation.icosphere(subdivisions=2, radius=0.2).apply_translation([0.7, 0.7, 0.05]))
+    mesh = ccd.CollisionMesh.from_trimesh(
+        bodies,
+        rigid=[0, 1],
+        static=[2],
+        self_collision=False,
+        body_pairs=np.array([[0, 0, 1], [0, 0, 1], [1, 1, 0]], dtype=bool),
+    )
+    joints = [
+        ccd.Joint("turn", "base", "arm", "revolute", (0, 0, 1)),
+        ccd.Joint("bend", "arm", "hand", "revolute", (0, 1, 0), (0.5, 0, 0, 0, 0, 0, 1)),
+    ]
+    end = [[1.0, 0.2], [0.5, -0.5], [0.4, 1.5]]
+    motion = ccd.JointMotion(joints, np.zeros((3, 2)), end, links=["arm", "hand"])
+    return ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, **options)
 
 
 def searches_with_radii(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
