@@ -27,7 +27,6 @@ MOST_HALVINGS = 6  # of a slice
 _STACK = wp.constant(64)
 _TWO = wp.constant(wp.float64(2.0))
 _ZERO = wp.constant(wp.float64(0.0))
-_ONE = wp.constant(wp.float64(1.0))
 _HALF = wp.constant(wp.float64(0.5))
 # Of places, lengths and distances, relative to the coordinates of both.
 _ERROR = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
@@ -49,7 +48,7 @@ class PartTrees:
     centre: wp.array[wp.vec3d]  # of each node
     arm: wp.array[wp.float64]  # its length
     radius: wp.array[wp.float64]  # of a sphere around the node
-    axes: wp.array[wp.mat33d]  # directions of the sides of a box around it, row by row
+    axes: wp.array2d[wp.vec3d]  # directions of the sides of a box around it
     half: wp.array[wp.vec3d]  # half of each side
     thickness: wp.array[wp.float64]  # the largest radius of its vertices, around both
 
@@ -84,13 +83,36 @@ class NearPairs:
 
 
 @wp.struct
+class Axes:
+    """Three directions."""
+
+    x: wp.vec3d
+    y: wp.vec3d
+    z: wp.vec3d
+
+
+@wp.struct
 class PlacedNode:
     """A node in the world, in the middle of a window."""
 
     centre: wp.vec3d
     velocity: wp.vec3d  # of the centre
-    axes: wp.mat33d
+    axes: Axes
     bend: wp.float64  # how far points may be from where the velocity of the centre takes it
+
+
+@wp.func
+def turned(q: wp.vec4d, x: wp.vec3d) -> wp.vec3d:
+    """A vector turned by a unit quaternion."""
+    axis = wp.vec3d(q[0], q[1], q[2])
+    twice = _TWO * wp.cross(axis, x)
+    return x + q[3] * twice + wp.cross(axis, twice)
+
+
+@wp.func
+def in_axes(axes: Axes, x: wp.vec3d) -> wp.vec3d:
+    """A vector along each of three directions."""
+    return wp.vec3d(wp.dot(axes.x, x), wp.dot(axes.y, x), wp.dot(axes.z, x))
 
 
 @wp.func
@@ -100,31 +122,22 @@ def placed(
     """Node n of a link, or of a body that stands."""
     r = PlacedNode()
     r.centre = trees.centre[n]
-    r.axes = trees.axes[n]
+    r.axes.x = trees.axes[n, 0]
+    r.axes.y = trees.axes[n, 1]
+    r.axes.z = trees.axes[n, 2]
     if link >= 0:
         k = (window - 1) * motion.num_links + link
-        turn = rotation_of(motion.rotation[row, k])
+        q = motion.rotation[row, k]
         reach = motion.reach[row, link]
-        arm = turn * r.centre
+        arm = turned(q, r.centre)
         r.centre = motion.position[row, k] + arm
         r.velocity = motion.velocity[row, k] + wp.cross(motion.omega[row, k], arm)
-        r.axes = r.axes * wp.transpose(turn)
+        r.axes.x = turned(q, r.axes.x)
+        r.axes.y = turned(q, r.axes.y)
+        r.axes.z = turned(q, r.axes.z)
         bent = (reach[4] + reach[5] * trees.arm[n]) * (share * share) + (reach[2] * share + reach[3]) * trees.radius[n]
         r.bend = bent + reach[1] + reach[3] * trees.arm[n]
     return r
-
-
-@wp.func
-def rotation_of(q: wp.vec4d) -> wp.mat33d:
-    """The matrix of a unit quaternion."""
-    x = _TWO * q[0]
-    y = _TWO * q[1]
-    z = _TWO * q[2]
-    return wp.mat33d(
-        _ONE - y * q[1] - z * q[2], x * q[1] - z * q[3], x * q[2] + y * q[3],
-        x * q[1] + z * q[3], _ONE - x * q[0] - z * q[2], y * q[2] - x * q[3],
-        x * q[2] - y * q[3], y * q[2] + x * q[3], _ONE - x * q[0] - y * q[1],
-    )  # fmt: skip
 
 
 @wp.func
@@ -191,23 +204,27 @@ def separation(
     r.of_a = radius_a
     r.of_b = radius_b
     most += turns
-    apart_a = a.axes * apart
-    apart_b = b.axes * apart
-    speed_a = a.axes * speed
-    speed_b = b.axes * speed
+    apart_a = in_axes(a.axes, apart)
+    apart_b = in_axes(b.axes, apart)
+    speed_a = in_axes(a.axes, speed)
+    speed_b = in_axes(b.axes, speed)
     if distance > _ZERO:
         moves = wp.min(most, wp.abs(wp.dot(apart, speed)) / distance + bend)
-        of_a = wp.min(radius_a, along(half_a, apart_a) / distance)
-        of_b = wp.min(radius_b, along(half_b, apart_b) / distance)
-        r = better(r, distance, moves, of_a, of_b)
-    cosines = a.axes * wp.transpose(b.axes)
+        towards_a = wp.min(radius_a, along(half_a, apart_a) / distance)
+        towards_b = wp.min(radius_b, along(half_b, apart_b) / distance)
+        r = better(r, distance, moves, towards_a, towards_b)
+    # the axes of a in those of b, and the other way round
+    x = in_axes(b.axes, a.axes.x)
+    y = in_axes(b.axes, a.axes.y)
+    z = in_axes(b.axes, a.axes.z)
+    of_b = wp.vec3d(along(half_b, x), along(half_b, y), along(half_b, z))
+    x = wp.abs(x)
+    y = wp.abs(y)
+    z = wp.abs(z)
+    of_a = half_a[0] * x + half_a[1] * y + half_a[2] * z
     for k in range(3):
-        of_b = wp.min(radius_b, along(half_b, cosines[k]))
-        r = better(r, wp.abs(apart_a[k]), wp.min(most, wp.abs(speed_a[k]) + bend), half_a[k], of_b)
-    cosines = wp.transpose(cosines)
-    for k in range(3):
-        of_a = wp.min(radius_a, along(half_a, cosines[k]))
-        r = better(r, wp.abs(apart_b[k]), wp.min(most, wp.abs(speed_b[k]) + bend), of_a, half_b[k])
+        r = better(r, wp.abs(apart_a[k]), wp.min(most, wp.abs(speed_a[k]) + bend), half_a[k], wp.min(radius_b, of_b[k]))
+        r = better(r, wp.abs(apart_b[k]), wp.min(most, wp.abs(speed_b[k]) + bend), wp.min(radius_a, of_a[k]), half_b[k])
     return r
 
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 # An excess below this share of the size of the scene is rounding, and a window below this share of the step ends.
 _SHARP = 2.0**-46
 _SHORTEST = 2.0**-44
+_SHORT = 2.0**-38  # so short a window may end where its excess is the rounding of the paths
 _DOWN = 1.0 - 2.0**-50
 _GROWTH, _LEAST = 4.0, 2.0**-10
 # Passes beyond those that the slices of a step need, after which open worlds have the toi that is proved.
@@ -197,7 +198,7 @@ class JointSearch:
         most = np.zeros(mesh.num_worlds)
         np.maximum.at(most, self._world_of_link, excess)
         # as the excess falls with the square of the window, one that has hardly fallen is rounding
-        is_rounding = (length <= last / 4.0) & (most >= least / 4.0)
+        is_rounding = (length <= np.minimum(last / 4.0, _SHORT)) & (most >= least / 4.0)
         is_sharp = (most <= self._sharp) | (length <= _SHORTEST) | is_rounding | is_last
         touches = is_open & ~is_free & is_sharp
         self.world_toi[touches] = reached[touches]

@@ -203,7 +203,7 @@ class NearParts:
             pairs: wp.array = wp.array(np.column_stack([self.pairs, rows]), dtype=wp.vec3i, device=device)
             trees = kernels.PartTrees()
             for name, values in self.tree._asdict().items():
-                dtype = wp.int32 if values.dtype == np.int32 else (wp.float64, wp.vec3d, wp.mat33d)[values.ndim - 1]
+                dtype = wp.int32 if values.dtype == np.int32 else wp.float64 if values.ndim == 1 else wp.vec3d
                 setattr(trees, name, wp.array(values, dtype=dtype, device=device))
             link = np.where(self.mesh.rigid, self.link_of, -1)
             trees.link = wp.array(link, dtype=wp.int32, device=device)
