@@ -30,9 +30,9 @@ class BodySweeps:
         t_begin: NDArray[np.float64],
         t_end: NDArray[np.float64],
         middles: NDArray[np.float64],
-        pairs: list[tuple[int, int]],
+        pairs: NDArray[np.intp],
     ) -> Sweeps:
-        """Bodies against the world, and pairs of them, of which each goes as far as against the world.
+        """Bodies against the world; nothing else is known of pairs of them.
 
         The origin of a body moves by no more than |velocity| + |turning| + |ω| |pivot| in all of the step, and the
         acceleration of a point is no more than |ω| |turning| + |ω|² times its distance from the pivot.
@@ -73,8 +73,5 @@ class BodySweeps:
                 axis=1,
             )
             reach = (reach * _UP).reshape(n, count, 6)
-            first, second = (reach[:, [pair[k] for pair in pairs]] for k in (0, 1))
-            lengths = first[..., :2] + second[..., :2]
-        relative = np.concatenate([lengths, first[..., 2:4], second[..., 2:4]], axis=2)
         position, rotation, velocity, omega = fields
-        return Sweeps(position, rotation, velocity, omega, reach, relative)
+        return Sweeps(position, rotation, velocity, omega, reach, np.zeros((n, 0, 6)))

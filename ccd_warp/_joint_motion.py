@@ -307,9 +307,9 @@ class JointMotion(ReadOnly):
         window = self._window(t_begin, t_end)
         return slices(self._courses, self._tree.order, self._rows, window, reaches, centres)
 
-    def _sweeps(self, t_begin: ArrayLike, t_end: ArrayLike, middles: Any, pairs: list[tuple[int, int]]) -> Sweeps:
+    def _sweeps(self, t_begin: ArrayLike, t_end: ArrayLike, middles: Any, pairs: NDArray[np.intp]) -> Sweeps:
         """Where links are in the middles of windows of a slice of each world, and how far they go (`sweeps`)."""
-        links = [(self._rows[a], self._rows[b]) for a, b in pairs]
+        links = [(self._rows[a], self._rows[b]) for a, b in pairs.tolist()]
         window = self._window(t_begin, t_end)
         return sweeps(self._courses, self._tree.order, self._rows, window, middles, links)
 

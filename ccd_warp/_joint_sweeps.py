@@ -50,7 +50,7 @@ class Sweeps(NamedTuple):
             velocity in the middle, and what an arm adds to that, times its length.
         relative: Of pairs of bodies, shape [n, p, 6]: points at arms a and b come by no more than the length, the first
             turn times |a| and the second one times |b| nearer to each other than they are in the middle; each is
-            followed by what rounding adds.
+            followed by what rounding adds. None where each of them goes as far as it goes against the world.
     """
 
     position: Array

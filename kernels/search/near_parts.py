@@ -68,7 +68,8 @@ class PartMotion:
     # radians: points go as far as the first and the turn times their arm. Then how far the path of the origin bends
     # from its velocity in the middle at most, and what an arm adds to that, times its length.
     reach: wp.array2d[vec6d]
-    # The first four of a pair of links against each other, with the turns that go with the arms of both.
+    # The first four of a pair of links against each other, with the turns that go with the arms of both; none where
+    # they go as far as both go.
     relative_reach: wp.array2d[vec6d]
 
 
@@ -253,8 +254,10 @@ def find_near_parts(
     inner_b = trees.num_parts[pair[1]] - 1
     last = wp.int32(1) << motion.num_halvings  # the first of the shortest windows
     goes = motion.reach[row, link_a]
-    goes[4] = _ZERO
-    goes[5] = _ZERO
+    goes_b = vec6d()
+    if link_b >= 0:
+        goes_b = motion.reach[row, link_b]
+    goes = vec6d(goes[0] + goes_b[0], goes[1] + goes_b[1], goes[2], goes[3], goes_b[2], goes_b[3])
     if pair[2] >= 0:
         goes = motion.relative_reach[row, pair[2]]
     nodes_a = vec64i()

@@ -35,7 +35,7 @@ class Bodies:
         self.count, self.pairs, self.size = 2, [(0, 1)], scale
 
     def sweeps(self, begin, end, middles):
-        return BodySweeps(self._paths, COUNT)._sweeps(begin, end, middles, self.pairs)
+        return BodySweeps(self._paths, COUNT)._sweeps(begin, end, middles, np.array(self.pairs))
 
     def places(self, points, t):
         rows = np.arange(2 * COUNT)
@@ -58,7 +58,7 @@ class Chain:
         self.count, self.pairs, self.size = len(LINKS), PAIRS, 1.0
 
     def sweeps(self, begin, end, middles):
-        return self._motion._sweeps(begin, end, middles, self.pairs)
+        return self._motion._sweeps(begin, end, middles, np.array(self.pairs))
 
     def places(self, points, t):
         poses = self._motion.at(t)
@@ -97,7 +97,11 @@ def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, t
         origin, error, turns, wrong, bend, bend_of_arm = np.moveaxis(found.reach, 2, 0)
         goes = origin * short + error + (turns * short + wrong) * arm
         bends = (bend + bend_of_arm * arm) * short**2 + error + wrong * arm
-        length, off, of_a, off_a, of_b, off_b = np.moveaxis(found.relative, 2, 0)
+        relative = found.relative
+        if relative.shape[1] == 0:
+            a, b = found.reach[:, first], found.reach[:, second]
+            relative = np.concatenate([a[..., :2] + b[..., :2], a[..., 2:4], b[..., 2:4]], axis=2)
+        length, off, of_a, off_a, of_b, off_b = np.moveaxis(relative, 2, 0)
         comes = length * short + off + (of_a * short + off_a) * arm[:, first] + (of_b * short + off_b) * arm[:, second]
 
         def at(tau, share=share, short=short):

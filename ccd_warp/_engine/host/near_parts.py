@@ -1,57 +1,32 @@
 """Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
-The faces of a body are halved until a part has a dozen of them; a part has a sphere in the frame of its body, which
-goes with it, or stands in a box. Two parts cannot touch in a window of time if in the middle of it they are farther
-apart than their points can come nearer in half of it (`_joint_sweeps`). Trees of the parts of two bodies are tested
-from the top, and a slice is halved into windows where that separates more (`kernels.search.near_parts`).
+A part has a sphere and a box in the frame of its body, which go with it (`part_trees`). Two parts cannot touch in a
+window of time if in the middle of it they are farther apart than their points can come nearer in half of it
+(`_joint_sweeps`). Trees of the parts of two bodies are tested from the top, and a slice is halved into windows where
+that separates more (`kernels.search.near_parts`).
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.part_trees import PartTrees
 from ccd_warp._joint_courses import EPS
+from ccd_warp._rotations import rotated
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
     from ccd_warp._runtime.launch import Execution
 
-# Primitives of a part at most.
-PART = 12
-_UP = 1.0 + 64.0 * EPS
 # Tests of pairs of bodies in a launch, links in windows, and pairs of parts for which there is room at first.
 _MOST_ITEMS, _MOST_POSES, _ROOM = 1 << 22, 1 << 17, 1 << 16
 _LONG = 1 << 14  # items from which an interrupt would have to wait
-
-
-class PartTree(NamedTuple):
-    """The trees of the parts of all bodies, node by node, those of a body one after another (`near_parts`).
-
-    Attributes:
-        first: The first node of each body, shape [B].
-        num_parts: The number of its parts, a power of two; 0 of one without primitives, shape [B].
-        first_part: The first of its parts, shape [B + 1].
-        centre: Centre of a sphere around each node, in the frame of its body, shape [N, 3].
-        arm: Length of that, shape [N].
-        radius: Radius of the sphere, shape [N].
-        axes: Directions of the sides of a box around the same centre, shape [N, 3, 3].
-        half: Half of each side, shape [N, 3].
-        thickness: The largest radius of its vertices, shape [N].
-    """
-
-    first: NDArray[np.int32]
-    num_parts: NDArray[np.int32]
-    first_part: NDArray[np.int32]
-    centre: NDArray[np.float64]
-    arm: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    axes: NDArray[np.float64]
-    half: NDArray[np.float64]
-    thickness: NDArray[np.float64]
+_MANY = 1 << 12  # pairs of bodies from which boxes say first which meet at all
+_ERROR = 1024.0 * EPS  # of these boxes, relative to their coordinates
 
 
 def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
@@ -60,11 +35,6 @@ def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArr
     number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
     begin, end = (t_max * (number + k) / each[world] for k in (0, 1))
     return world, begin, np.where(number + 1 == each[world], t_max, end)
-
-
-def ranges(first: NDArray[np.intp], counts: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The numbers from each first one on, so many of each."""
-    return np.repeat(first - np.cumsum(counts) + counts, counts) + np.arange(counts.sum())
 
 
 def distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -77,13 +47,9 @@ class NearParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
     Attributes:
-        tree: The trees of the bodies.
         mesh: The mesh.
         body: The body of each part, shape [P].
-        begins: The first primitive of each part, shape [P + 1].
-        primitives: Vertices of all primitives in the order of the parts, one of fewer than three repeated, [n, 3].
-        kind: 0 of a face, 1 of a codimensional edge, 2 of a codimensional point, shape [n].
-        number: The number of each among those of its kind, shape [n].
+        begins: The first primitive of each part, shape [P + 1], in the order of the parts.
         link_of: The row of a motion that a rigid body is, shape [B].
         pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is a link.
     """
@@ -91,15 +57,27 @@ class NearParts:
     def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
         """Divide the bodies of a mesh whose vertices, of links in their own frames, are at these places."""
         self.mesh = mesh
-        self.primitives, order, self.begins, counts = _halved(mesh, vertices)
+        trees = self._trees = PartTrees(mesh, vertices)
+        counts = trees.num_parts[trees.of_body]
+        self._first_part = np.append(0, np.cumsum(counts))
         self.body = np.repeat(np.arange(mesh.num_bodies), counts)
-        bounds = np.cumsum([0, mesh.num_faces, len(mesh.codimensional_edges)])
-        self.kind = np.searchsorted(bounds, order, side="right") - 1
-        self.number = order - bounds[self.kind]
-        self.tree = _tree(mesh, vertices, self.primitives, self.begins, counts)
+        number = np.arange(len(self.body)) - self._first_part[self.body]
+        of_tree = trees.first_part[trees.of_body[self.body]] + number
+        self.begins = np.append(0, np.cumsum(np.diff(trees.begins)[of_tree]))
+        self._first_row = self.begins[self._first_part]  # of each body
         self.link_of = np.cumsum(mesh.rigid) - 1
         self.pairs = _pairs(mesh)
-        self._on_device: dict[str, tuple[Any, Any]] = {}
+        self._on_device: dict[str, Any] = {}
+
+    def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Some primitives in the order of the parts.
+
+        Returns:
+            Their vertices, one of fewer than three repeated, shape [n, 3]; their kinds, 0 of a face, 1 of a
+            codimensional edge, 2 of a codimensional point; the number of each among those of its kind.
+        """
+        body = np.searchsorted(self._first_row, row, side="right") - 1
+        return self._trees.primitives(body, row - self._first_row[body])
 
     def num_bodies(self, group: NDArray[np.intp], part: NDArray[np.intp], count: int) -> NDArray[np.intp]:
         """Of how many bodies the parts of each of so many groups are."""
@@ -137,13 +115,12 @@ class NearParts:
         found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
         if len(self.pairs):
             num_links = int(self.mesh.rigid.sum())
-            most = min(_MOST_ITEMS // len(self.pairs), (_MOST_POSES >> halvings) // num_links)
+            each = max(1, min(_MOST_ITEMS // len(self.pairs), (_MOST_POSES >> halvings) // num_links))
             room = _ROOM
-            for first in range(0, len(world), max(1, most)):
-                some = slice(first, first + max(1, most))
-                part, room = self._near(
-                    motion._of_worlds(world[some]), begin[some], end[some], reach, execution, halvings, room
-                )
+            for first in range(0, len(world), each):
+                some = slice(first, first + each)
+                of_slices = motion._of_worlds(world[some])
+                part, room = self._near(of_slices, begin[some], end[some], reach, execution, halvings, room)
                 found.append((part[0] + (first << halvings), *part[1:]))
         window, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
         return window, a, b
@@ -154,10 +131,10 @@ class NearParts:
         """The pairs in some slices, and for how many there is room now."""
         from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
 
-        pairs, trees, links = self._arrays(execution.device)
+        moves = self.mesh.rigid[self.pairs[:, 1]]
         counts = 1 << np.arange(halvings + 1)
         share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
-        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), links)
+        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), self.link_of[self.pairs[moves]])
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
             rows = np.ascontiguousarray(values).reshape(len(begin), -1, values.shape[-1])
@@ -169,16 +146,19 @@ class NearParts:
             on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
         )
         given.rotation = on_device(swept.rotation, wp.vec4d)
-        given.reach = on_device(swept.reach, kernels.vec6d)
-        given.relative_reach = on_device(swept.relative, kernels.vec6d)
-        num_items = len(begin) * len(self.pairs)
+        given.reach, given.relative_reach = (on_device(x, kernels.vec6d) for x in (swept.reach, swept.relative))
+        rows = np.where(moves & (swept.relative.shape[1] > 0), np.cumsum(moves) - 1, -1)
+        chosen = np.column_stack([self.pairs, rows])
+        if len(chosen) > _MANY:
+            chosen = chosen[self._meet(swept, reach)]
+        pairs: wp.array = wp.array(chosen, dtype=wp.vec3i, device=execution.device)
+        num_items, trees, stop = len(begin) * len(chosen), self._trees_on(execution.device), execution.flag
+        assert stop is not None
         while True:
             near = kernels.NearPairs()
             near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
             near.window = wp.empty(room, dtype=wp.int64, device=execution.device)
             near.a, near.b = (wp.empty(room, dtype=wp.int32, device=execution.device) for _ in range(2))
-            stop = execution.flag
-            assert stop is not None
             execution.launch(
                 kernels.find_near_parts,
                 num_items,
@@ -193,23 +173,50 @@ class NearParts:
                 return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], room
             room = found + found // 8
 
-    def _arrays(self, device: Any) -> tuple[Any, Any, list[tuple[int, int]]]:
-        """Pairs of bodies and trees on a device, and the pairs of links among the former."""
+    def _meet(self, swept: Any, reach: float) -> NDArray[np.bool_]:
+        """Which pairs of bodies meet by the boxes around them in all slices."""
+        trees, count = self._trees, self.mesh.num_bodies
+        root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
+        centre, arm, size = trees.nodes.centre[root], trees.nodes.arm[root], trees.nodes.radius[root]
+        size = size + trees.nodes.thickness[root] + 0.5 * reach
+        lower, upper = np.empty((count, 3)), np.empty((count, 3))
+        rigid = np.flatnonzero(self.mesh.rigid)
+        with np.errstate(all="ignore"):
+            lower[:], upper[:] = centre - size[:, None], centre + size[:, None]
+            rotation, position, goes = swept.rotation[:, 0], swept.position[:, 0], swept.reach
+            num_slices = len(position)
+            places = rotated(rotation.reshape(-1, 4), np.tile(centre[rigid], (num_slices, 1))).reshape(position.shape)
+            places = places + position
+            moved = goes[..., 0] + goes[..., 1] + (goes[..., 2] + goes[..., 3]) * arm[rigid] + size[rigid]
+            lower[rigid] = (places - moved[..., None]).min(axis=0)
+            upper[rigid] = (places + moved[..., None]).max(axis=0)
+            wide = _ERROR * (np.abs(lower) + np.abs(upper) + arm[:, None] + size[:, None])
+            lower, upper = lower - wide, upper + wide
+            a, b = self.pairs.T
+            found = np.ones(len(a), dtype=bool)
+            for k in range(3):  # what is no number meets all
+                found &= ~((lower[a, k] > upper[b, k]) | (lower[b, k] > upper[a, k]))
+        return found
+
+    def _trees_on(self, device: Any) -> Any:
+        """The trees on a device."""
         if str(device) not in self._on_device:
             from ccd_warp.kernels.search import near_parts as kernels
 
-            moves = self.mesh.rigid[self.pairs[:, 1]]
-            rows = np.where(moves, np.cumsum(moves) - 1, -1)
-            pairs: wp.array = wp.array(np.column_stack([self.pairs, rows]), dtype=wp.vec3i, device=device)
-            trees = kernels.PartTrees()
-            for name, values in self.tree._asdict().items():
-                dtype = wp.int32 if values.dtype == np.int32 else wp.float64 if values.ndim == 1 else wp.vec3d
-                setattr(trees, name, wp.array(values, dtype=dtype, device=device))
-            link = np.where(self.mesh.rigid, self.link_of, -1)
-            trees.link = wp.array(link, dtype=wp.int32, device=device)
-            self._on_device[str(device)] = pairs, trees
-        moving = self.pairs[self.mesh.rigid[self.pairs[:, 1]]]
-        return *self._on_device[str(device)], list(map(tuple, self.link_of[moving].tolist()))
+            trees = self._trees
+            arrays = {
+                "first": trees.first_node[trees.of_body],
+                "num_parts": trees.num_parts[trees.of_body],
+                "first_part": self._first_part,
+                "link": np.where(self.mesh.rigid, self.link_of, -1),
+                **trees.nodes._asdict(),
+            }
+            found = kernels.PartTrees()
+            for name, values in arrays.items():
+                dtype = wp.int32 if values.dtype == np.intp else wp.float64 if values.ndim == 1 else wp.vec3d
+                setattr(found, name, wp.array(values, dtype=dtype, device=device))
+            self._on_device[str(device)] = found
+        return self._on_device[str(device)]
 
 
 def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
@@ -224,95 +231,3 @@ def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
     swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]
     return pairs
-
-
-def _halved(mesh: CollisionMesh, vertices: NDArray[np.float64]) -> tuple[Any, Any, Any, Any]:
-    """Primitives in the order of parts, this order, where each part begins, and the number of parts of each body."""
-    lone, points = mesh.edges[mesh.codimensional_edges], mesh.codimensional_points
-    corners = np.concatenate([mesh.faces, lone[:, [0, 1, 1]], np.repeat(points[:, None], 3, axis=1)]).astype(np.int32)
-    body = mesh.vertex_body[corners[:, 0]]
-    middle = vertices[corners].mean(axis=1)
-    parts: list[NDArray[np.intp]] = []
-    counts = np.zeros(mesh.num_bodies, dtype=np.intp)
-    for each in np.unique(body).tolist():
-        own = [np.flatnonzero(body == each)]
-        while max(map(len, own)) > PART:
-            own = [half for rows in own for half in _halves(rows, middle)]
-        parts += own
-        counts[each] = len(own)
-    begins = np.cumsum([0, *map(len, parts)]).astype(np.intp)
-    order = np.concatenate([*parts, np.zeros(0, np.intp)])
-    return corners[order], order, begins, counts
-
-
-def _halves(rows: NDArray[np.intp], middle: NDArray[np.float64]) -> list[NDArray[np.intp]]:
-    """Both halves of primitives along the axis on which they extend most."""
-    places = middle[rows]
-    half = len(rows) // 2
-    sides = np.argpartition(places[:, int(np.ptp(places, axis=0).argmax())], half)
-    return [rows[sides[:half]], rows[sides[half:]]]
-
-
-def _tree(
-    mesh: CollisionMesh,
-    vertices: NDArray[np.float64],
-    primitives: NDArray[np.int32],
-    begins: NDArray[np.intp],
-    counts: NDArray[np.intp],
-) -> PartTree:
-    """The trees of all bodies, level by level; of a node without primitives the sphere means nothing."""
-    sizes = np.maximum(2 * counts - 1, 0)
-    first, first_part = np.cumsum(sizes) - sizes, np.append(0, np.cumsum(counts))
-    num_nodes = int(sizes.sum())
-    found = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (), (3, 3), (3,), ())]
-    size = 1
-    while size <= counts.max(initial=0):
-        bodies = np.flatnonzero(counts >= size)  # those with so many nodes on a level
-        number = np.tile(np.arange(size), len(bodies))
-        body = np.repeat(bodies, size)
-        step = counts[body] // size
-        from_part = first_part[body] + number * step
-        rows = _nodes(mesh, vertices, primitives, begins[from_part], begins[from_part + step])
-        for values, own in zip(found, rows, strict=True):
-            values[first[body] + size - 1 + number] = own
-        size *= 2
-    return PartTree(first.astype(np.int32), counts.astype(np.int32), first_part.astype(np.int32), *found)
-
-
-def _nodes(
-    mesh: CollisionMesh,
-    vertices: NDArray[np.float64],
-    primitives: NDArray[np.int32],
-    begin: NDArray[np.intp],
-    end: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], ...]:
-    """Centre, arm, radius, axes, half and thickness of nodes that have the primitives of these rows, at least one.
-
-    The sides of a box are along the axes of the frame, or along the principal axes of the corners, whichever box has
-    the smaller surface.
-    """
-    counts = 3 * (end - begin)
-    corners = primitives[ranges(begin, end - begin)].ravel()
-    places, starts = vertices[corners], np.cumsum(counts) - counts
-    from_mean = places - np.repeat(np.add.reduceat(places, starts) / counts[:, None], counts, axis=0)
-    spread = np.add.reduceat(from_mean[:, :, None] * from_mean[:, None], starts)
-    spread[~np.isfinite(spread).all(axis=(1, 2))] = 0.0
-    best: list[Any] = []
-    for axes in (np.broadcast_to(np.eye(3), spread.shape), np.linalg.eigh(spread)[1].transpose(0, 2, 1)):
-        own = np.einsum("nij,nj->ni", np.repeat(axes, counts, axis=0), places)
-        lower, upper = (f.reduceat(own, starts) for f in (np.minimum, np.maximum))
-        centre = np.einsum("nji,nj->ni", axes, 0.5 * lower + 0.5 * upper)
-        from_centre = places - np.repeat(centre, counts, axis=0)
-        sides = np.abs(np.einsum("nij,nj->ni", np.repeat(axes, counts, axis=0), from_centre))
-        half = np.maximum.reduceat(sides, starts) * _UP
-        radius = np.maximum.reduceat(np.linalg.norm(from_centre, axis=1), starts) * _UP
-        surface = half[:, 0] * half[:, 1] + half[:, 1] * half[:, 2] + half[:, 2] * half[:, 0]
-        found: list[Any] = [centre, np.linalg.norm(centre, axis=1) * _UP, radius, axes, half, surface]
-        if best:
-            is_less = np.less(found[-1], best[-1])
-            found = [
-                np.where(np.reshape(is_less, (-1, *[1] * (x.ndim - 1))), x, y) for x, y in zip(found, best, strict=True)
-            ]
-        best = found
-    thickness = np.zeros(len(begin)) if mesh.radius is None else np.maximum.reduceat(mesh.radius[corners], starts)
-    return *best[:-1], thickness

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
-from ccd_warp._engine.host.near_parts import NearParts, distinct, ranges, spans
+from ccd_warp._engine.host.near_parts import NearParts, distinct, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
+from ccd_warp._engine.host.part_trees import ranges
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._runtime.launch import Execution
 

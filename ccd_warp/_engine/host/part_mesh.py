@@ -118,7 +118,7 @@ class PartMesh:
     Attributes:
         mesh: The mesh; its rigid bodies are links in some slice, those of a slice in their order.
         slice_of_row: The slice of each primitive, ascending, shape [n].
-        row: The primitive, as a row of ``NearParts.primitives``, shape [n].
+        row: The primitive, as ``NearParts.primitives`` has them, shape [n].
         corners: Its vertices in the mesh, shape [n, 3].
         vertex: The vertex of the one world that each vertex is, shape [V].
         face: The face of the one world that each face is.
@@ -140,14 +140,14 @@ class PartMesh:
         """The mesh of primitives in so many slices."""
         world = parts.mesh
         size = world.num_vertices
-        keys = slice_of_row[:, None] * size + parts.primitives[row]
+        corners, kind, number = parts.primitives(row)
+        keys = slice_of_row[:, None] * size + corners
         unique, first, corners = np.unique(keys, return_index=True, return_inverse=True)
         corners = corners.reshape(keys.shape)
         of_slice, vertex = np.divmod(unique, size)
         body = world.vertex_body[vertex]
         body_keys, sizes = np.unique(of_slice * world.num_bodies + body, return_counts=True)
         slice_of_body, body = np.divmod(body_keys, world.num_bodies)
-        kind = parts.kind[row]
         rigid = world.rigid[body]
         is_used = np.zeros((count, int(world.rigid.sum())), dtype=bool)
         is_used[slice_of_body[rigid], parts.link_of[body[rigid]]] = True
@@ -157,7 +157,7 @@ class PartMesh:
             np.ones(len(body), dtype=bool), None if world.body_pairs is None else world.body_pairs[np.ix_(body, body)],
             of_slice, [world.names[b] for b in body.tolist()], None if world.radius is None else world.radius[vertex],
         )  # fmt: skip
-        return cls(mesh, slice_of_row, row, corners, vertex, parts.number[row[faces]], is_used, first // 3)
+        return cls(mesh, slice_of_row, row, corners, vertex, number[faces], is_used, first // 3)
 
     def rows_of(self, contacts: Contacts, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """The primitives with a vertex of a contact, in chosen slices: their slices and rows."""
