@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted, html_table, listed, shown_range
 from ccd_warp._half_space import HalfSpace, Planes
-from ccd_warp._input.arguments import check_items
+from ccd_warp._input.arguments import check_count, check_items
 from ccd_warp._input.arrays import as_positions, check_finite, validated_positions
 from ccd_warp._input.body_arrays import joined_bodies
 from ccd_warp._input.body_options import BodyOptions
@@ -31,7 +31,7 @@ from ccd_warp._input.mesh_checks import (
     vertices_without_primitive,
 )
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
-from ccd_warp._input.trimesh_bodies import trimesh_bodies
+from ccd_warp._input.trimesh_bodies import objects_of, trimesh_bodies
 from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._replicate import replicated
@@ -445,6 +445,55 @@ class CollisionMesh(ReadOnly):
         mesh = object.__new__(type(self))
         changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, given)}
         mesh.__setstate__(self.__getstate__() | changed)
+        return mesh
+
+    @classmethod
+    def from_instances(
+        cls,
+        shape: Any,
+        count: int,
+        others: Any = (),
+        static: Iterable[int | str] = (),
+        *,
+        rigid: Iterable[int | str] = (),
+        names: Sequence[str] | None = None,
+        body_pairs: ArrayLike | None = None,
+        exclude_pairs: Mapping[str, Any] | None = None,
+        radius: ArrayLike | None = None,
+    ) -> CollisionMesh:
+        """Build a mesh of many rigid bodies of one shape, such as dice or nuts, in a scene with others.
+
+        Args:
+            shape: An object of trimesh that is one body, in the frame of the bodies.
+            count: Number of bodies of this shape, which come first.
+            others: Further bodies, a table, say, as :meth:`from_trimesh` takes them; none collides with itself.
+            static: Those of them that stand, by their numbers among all bodies or their names.
+            rigid: Those of them that are rigid, too.
+            names: Names of all bodies, as of :meth:`from_trimesh`, as are the further arguments.
+
+        Returns:
+            The mesh, as of :meth:`from_trimesh` with all of these bodies. Where all that moves is rigid, there is no
+            half-space, and few parts of the bodies may touch, steps with a ``motion`` compute and keep boxes of those
+            parts alone; the shape is divided into them once.
+
+        Raises:
+            ValueError: If ``count`` is not a positive integer, ``shape`` is several bodies, or as :meth:`from_trimesh`.
+        """
+        count = check_count("count", count, np.iinfo(np.int32).max)
+        num_bodies = len(trimesh_bodies(objects_of(shape, "shape")))
+        if num_bodies != 1:
+            raise ValueError(f"shape is {num_bodies} bodies; expected an object of trimesh that is one")
+        mesh = cls.from_trimesh(
+            [*[shape] * count, *objects_of(others)],
+            static,
+            self_collision=False,
+            rigid=[*range(count), *check_items("rigid", rigid, "numbers or names of bodies")],
+            names=names,
+            body_pairs=body_pairs,
+            exclude_pairs=exclude_pairs,
+            radius=radius,
+        )
+        vars(mesh)["_is_of_instances"] = True
         return mesh
 
     def replicate(self, count: int) -> CollisionMesh:

@@ -24,6 +24,7 @@ from ccd_warp._joint_motion import JointMotion
 from ccd_warp._mesh_paths import MeshPaths, check_rest, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Counts, MeshResult
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind, primitives_of
 
 _T = TypeVar("_T")
@@ -31,6 +32,8 @@ _T = TypeVar("_T")
 _PRIMITIVES = 1 << 19
 # Faces from which, and bodies up to which, it pays to look for parts that may touch.
 _LARGE, _MOST_BODIES = 2000, 64
+# Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
+_MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
 
 
 class MotionWorlds:
@@ -131,7 +134,7 @@ class MotionWorlds:
                     break
             return least
 
-        parts, pipeline = self._near_worlds(), self._pipeline
+        parts, pipeline = self._near, self._pipeline
         if parts is not None:
             found = parts.each(self._on_parts(lambda step: step.least_toi(any_suffices=any_suffices)))
             least = least_of(toi for *_, toi in found)
@@ -154,7 +157,7 @@ class MotionWorlds:
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
-        parts = self._near_worlds()
+        parts = self._near
         if parts is None:
             for worlds, result in self._each(type(self._pipeline)._contacts):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
@@ -163,10 +166,18 @@ class MotionWorlds:
         for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts())):
             yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
 
-    def _near_worlds(self) -> NearWorlds | None:
+    @property
+    def is_sparse(self) -> bool:
+        """Whether parts are looked for, and few of the primitives are in those that may touch."""
+        num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
+        return self._near is not None and self._near.num_primitives < _FEW * num_primitives
+
+    @lazy_property
+    def _near(self) -> NearWorlds | None:
         """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
         mesh, pipeline = self._mesh, self._pipeline
-        if isinstance(self._motion, JointMotion) or mesh.num_faces < _LARGE or mesh.num_bodies > _MOST_BODIES:
+        most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
+        if isinstance(self._motion, JointMotion) or mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
         parts = pipeline._near_parts(*self._given)
         if parts is None:

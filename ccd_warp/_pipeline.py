@@ -60,6 +60,8 @@ if TYPE_CHECKING:
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
+# Faces from which the parts of rigid bodies that may touch are looked for in one world.
+_LARGE_SCENE = 1 << 15
 
 
 _T = TypeVar("_T")
@@ -688,18 +690,32 @@ class CollisionPipeline:
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
     ) -> MotionWorlds | None:
-        """The worlds of a motion of several, for a mesh of one; None for any other motion."""
-        if not isinstance(motion, RigidMotion | JointMotion) or motion.num_worlds == 1 or self.mesh.num_worlds > 1:
+        """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
+        if not isinstance(motion, RigidMotion | JointMotion) or self.mesh.num_worlds > 1:
+            return None
+        is_one = motion.num_worlds == 1
+        if is_one and (isinstance(motion, JointMotion) or not self._looks_for_parts()):
             return None
         from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
 
         check_options_on_arcs(self._options)
-        if check_start:
+        if check_start and not is_one:
             raise ValueError(
                 f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
                 f"mesh.replicate({motion.num_worlds}), or False"
             )
-        return MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
+        worlds = MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
+        return worlds if not is_one or worlds.is_sparse else None
+
+    def _looks_for_parts(self) -> bool:
+        """Whether it may pay to divide rigid bodies of one world: not in a first step, which takes less time itself.
+
+        Bodies that are copies are divided once.
+        """
+        kept = MeshCache.of(self.mesh).parts
+        is_later = kept.get("is later", False)
+        kept["is later"] = True
+        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or vars(self.mesh).get("_is_of_instances", False))
 
     def _joints_at(self, motion: JointMotion, t: ArrayLike) -> MeshPaths:
         """Paths on which links stay where joints have them at a time, one for all worlds or one a world."""

@@ -37,17 +37,8 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
         TypeError: If it is neither, or one of the list is no such object.
         ValueError: If a path is curved, or a scene is empty.
     """
-    if _is_shape(given) or _is_scene(given) or isinstance(given, HalfSpace):
-        objects = [given]
-    else:
-        if not isinstance(given, Iterable) or isinstance(given, (str, bytes, bytearray, memoryview, Mapping)):
-            raise TypeError(f"bodies is {shown(given)}; expected {_OBJECTS}, or a list of these")
-        try:
-            objects = list(given)
-        except Exception as error:  # an array without dimensions, or whatever an iterator of the caller raises
-            raise TypeError(f"bodies is {shown(given)}; expected {_OBJECTS}, or a list of these") from error
     bodies: list[TrimeshBody] = []
-    for index, each in enumerate(objects):
+    for index, each in enumerate(objects_of(given, "bodies")):
         if _is_scene(each):
             bodies += _bodies_of_scene(each, index)
         elif isinstance(each, HalfSpace):
@@ -58,6 +49,22 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
         names = distinct_names([body.name for body in bodies])
         bodies = [TrimeshBody(name, body.arrays, body.is_cloud) for name, body in zip(names, bodies, strict=True)]
     return bodies
+
+
+def objects_of(given: Any, name: str = "others") -> list[Any]:
+    """One object, or the objects of a list, of an argument.
+
+    Raises:
+        TypeError: If it is neither.
+    """
+    if _is_shape(given) or _is_scene(given) or isinstance(given, HalfSpace):
+        return [given]
+    if not isinstance(given, Iterable) or isinstance(given, (str, bytes, bytearray, memoryview, Mapping)):
+        raise TypeError(f"{name} is {shown(given)}; expected {_OBJECTS}, or a list of these")
+    try:
+        return list(given)
+    except Exception as error:  # an array without dimensions, or whatever an iterator of the caller raises
+        raise TypeError(f"{name} is {shown(given)}; expected {_OBJECTS}, or a list of these") from error
 
 
 def transformed(vertices: ArrayLike, matrix: ArrayLike) -> NDArray[np.float64]:

@@ -170,6 +170,12 @@ def every_call(folder):
             ccd.CollisionMesh.from_trimesh,
             BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
         ),
+        "from_instances": (
+            ccd.CollisionMesh.from_instances,
+            {name: BODIES[name] for name in ("rigid", "body_pairs", "exclude_pairs")}
+            | {"shape": trimesh.Trimesh(TRIANGLE, FACE), "count": 1, "others": [trimesh.PointCloud(CABLE)]}
+            | {name: BODIES[name] for name in ("static", "names", "radius")},
+        ),
         "HalfSpace": (_half_space, {"point": np.zeros(3), "normal": np.array([0.0, 0.0, 1.0])}),
         "RigidMotion": (ccd.RigidMotion, POSES | {"path": "linear", "pivot": np.array([[0.0, 5, 0], [1, 0, 2]])}),
         "RigidMotion of a twist": (

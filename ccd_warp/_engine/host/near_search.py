@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.joint_search import Array, JointSearch, Links, Solve, Windows, slices_of_worlds
-from ccd_warp._engine.host.near_parts import NearParts, distinct, spans
+from ccd_warp._engine.host.near_parts import NearParts, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
-from ccd_warp._engine.host.part_trees import ranges
+from ccd_warp._engine.host.part_trees import distinct, ranges
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths

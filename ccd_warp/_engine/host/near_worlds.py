@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
-from ccd_warp._engine.host.near_parts import NearParts, distinct, spans
+from ccd_warp._engine.host.near_parts import NearParts, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
-from ccd_warp._engine.host.part_trees import ranges
+from ccd_warp._engine.host.part_trees import distinct, ranges
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._runtime.launch import Execution
 
@@ -32,6 +32,7 @@ class NearWorlds:
 
     Attributes:
         parts: Those of the mesh.
+        num_primitives: The number of primitives of all parts that may touch.
     """
 
     def __init__(
@@ -54,11 +55,12 @@ class NearWorlds:
         count = len(self.parts.body)
         of_pair = of_slice[slices] * count
         self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
+        self._sizes = np.diff(self.parts.begins)[self._part]
+        self.num_primitives = int(self._sizes.sum())
 
     def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
         """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""
-        first = self.parts.begins
-        sizes = first[self._part + 1] - first[self._part]
+        first, sizes = self.parts.begins, self._sizes
         worlds, start = np.unique(self._world, return_index=True)
         bounds = np.append(start, len(self._world))
         before = np.append(0, np.cumsum(sizes))[bounds]
