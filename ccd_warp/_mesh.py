@@ -31,7 +31,7 @@ from ccd_warp._input.mesh_checks import (
     vertices_without_primitive,
 )
 from ccd_warp._input.names import body_label, is_default_name, of_body, validated_names
-from ccd_warp._input.trimesh_bodies import objects_of, trimesh_bodies
+from ccd_warp._input.trimesh_bodies import check_single_body, objects_of, trimesh_bodies
 from ccd_warp._input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._replicate import replicated
@@ -478,11 +478,10 @@ class CollisionMesh(ReadOnly):
 
         Raises:
             ValueError: If ``count`` is not a positive integer, ``shape`` is several bodies, or as :meth:`from_trimesh`.
+            TypeError: If ``shape`` is no object of trimesh.
         """
         count = check_count("count", count, np.iinfo(np.int32).max)
-        num_bodies = len(trimesh_bodies(objects_of(shape, "shape")))
-        if num_bodies != 1:
-            raise ValueError(f"shape is {num_bodies} bodies; expected an object of trimesh that is one")
+        check_single_body("shape", shape)
         mesh = cls.from_trimesh(
             [*[shape] * count, *objects_of(others)],
             static,

@@ -51,6 +51,20 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
     return bodies
 
 
+def check_single_body(name: str, given: Any) -> None:
+    """Check that an argument is an object of trimesh that is one body.
+
+    Raises:
+        TypeError: If it is none.
+        ValueError: If it is several.
+    """
+    if not (_is_shape(given) or _is_scene(given)):
+        raise TypeError(f"{name} is {shown(given)}; expected a trimesh.Trimesh, Path3D, PointCloud or Scene")
+    num_bodies = len(trimesh_bodies(given))
+    if num_bodies != 1:
+        raise ValueError(f"{name} is {num_bodies} bodies; expected an object of trimesh that is one")
+
+
 def objects_of(given: Any, name: str = "others") -> list[Any]:
     """One object, or the objects of a list, of an argument.
 
