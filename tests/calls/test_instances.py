@@ -34,19 +34,24 @@ def parts_alone(monkeypatch):
     return are
 
 
+GROUND = ccd.HalfSpace((0, 0, -0.4), (0.3, 0.1, 2))
+
+
+@pytest.mark.parametrize("ground", [[], [GROUND], [GROUND, ccd.HalfSpace((0, 3.4, 0), (0, -1, 0))]], ids=len)
 @pytest.mark.parametrize(
     "options", [{}, {"minimum_distance": 0.01}, {"t_max": 0.6}], ids=["plain", "distance", "t_max"]
 )
-def test_dice_touch_as_they_do_when_all_of_them_are_searched(options, parts_alone):
+def test_dice_touch_as_they_do_when_all_of_them_are_searched(options, ground, parts_alone):
     table = trimesh.creation.box([3, 3, 0.1]).apply_translation([0.9, 0.9, -0.45])
-    motion = throw(0.9)
+    motion = throw(0.95)
     found = []
     for wanted in (False, True):
         parts_alone(wanted)
-        mesh = ccd.CollisionMesh.from_instances(die(), COUNT, [table], static=[COUNT])
+        mesh = ccd.CollisionMesh.from_instances(die(), COUNT, [*ground, table], static=[COUNT + len(ground)])
         found.append(ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu", **options))
     whole, of_parts = found
     assert len(whole.contacts) > 20 and whole.counts.num_boxes > 2 * of_parts.counts.num_boxes > 0
+    assert (whole.counts.num_contacts.get(ccd.PairKind.VERTEX_PLANE, 0) > 0) == (len(ground) > 0)
     assert whole.toi == of_parts.toi and whole.counts.num_contacts == of_parts.counts.num_contacts
     for name in ("kind", "primitives", "toi", "status", "parameters", "normal", "points", "world"):
         np.testing.assert_array_equal(getattr(whole.contacts, name), getattr(of_parts.contacts, name))

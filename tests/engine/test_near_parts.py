@@ -151,3 +151,16 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
         for k in range(count)
     ]
     assert [exact for exact, _ in found] == count * [1] and sum(half for _, half in found) < 0.8 * count
+
+
+def test_many_bodies_meet_by_the_boxes_of_all_slices(scene, monkeypatch):
+    """Which pairs of bodies are tested at all leaves out no pair of parts."""
+    mesh, motion = scene
+    parts = NearParts(mesh, mesh.vertices)
+    begin = np.linspace(0, 0.7, SLICES)
+    found = []
+    for many in (1 << 20, 1):
+        monkeypatch.setattr(near_parts, "_MANY", many)
+        found.append(near(parts, motion, begin, begin + 0.1, 0.05, 1))
+    rows = [set(zip(*(x.tolist() for x in each), strict=True)) for each in found]
+    assert rows[0] == rows[1] and len(rows[0]) > 100

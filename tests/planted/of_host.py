@@ -103,6 +103,49 @@ PLANTED = [
         "counts = self.result.contacts.count, self._flag.array",
         ("calls/test_tumbling.py::test_launches_find_what_the_host_does",),
     ),
+    # --- parts that may touch ---
+    Fault(
+        "points of a box that turn no farther than its centre",
+        "kernels/search/near_parts.py",
+        "    most += turns\n",
+        "    most += _ZERO\n",
+        ("engine/test_near_parts.py::test_triangles_are_near_at_the_distance_to_which_they_come",),
+    ),
+    Fault(
+        "paths of nodes that do not bend",
+        "kernels/search/near_parts.py",
+        "bent = (reach[4] + reach[5] * trees.arm[n]) * (share * share) +",
+        "bent =",
+        ("engine/test_near_parts.py::test_triangles_are_near_at_the_distance_to_which_they_come",),
+    ),
+    Fault(
+        "boxes that do not turn about their centres",
+        "kernels/search/near_parts.py",
+        " + (reach[2] * share + reach[3]) * trees.radius[n]",
+        "",
+        ("engine/test_near_parts.py::test_triangles_are_near_at_the_distance_to_which_they_come",),
+    ),
+    Fault(
+        "nodes that come nearer at no speed",
+        "kernels/search/near_parts.py",
+        "speed = share * (b.velocity - a.velocity)",
+        "speed = _ZERO * (b.velocity - a.velocity)",
+        ("engine/test_near_parts.py::test_parts_that_come_near_in_a_window_are_found_and_most_others_are_not",),
+    ),
+    Fault(
+        "boxes of bodies in the first slice alone",
+        "ccd_warp/_engine/host/near_parts.py",
+        "upper[rigid] = (places + moved[..., None]).max(axis=0)",
+        "upper[rigid] = (places + moved[..., None])[0]",
+        ("engine/test_near_parts.py::test_many_bodies_meet_by_the_boxes_of_all_slices",),
+    ),
+    Fault(
+        "the first body's vertices in every copy of it",
+        "ccd_warp/_engine/host/part_trees.py",
+        "(self._first_vertex[body] - self._origin[tree])[:, None]",
+        "0",
+        ("calls/test_instances.py::test_copies_have_one_tree_and_others_their_own",),
+    ),
     # --- boxes ---
     Fault(
         "a world beyond its cell",

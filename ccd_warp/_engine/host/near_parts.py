@@ -14,7 +14,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.part_trees import PartTrees, distinct
+from ccd_warp._engine.host.part_trees import PartTrees, distinct, ranges
+from ccd_warp._half_space import unit_normals
 from ccd_warp._joint_courses import EPS
 from ccd_warp._rotations import rotated
 
@@ -103,7 +104,8 @@ class NearParts:
             The window and both parts of each pair, in no order; windows are numbered through all slices.
 
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
-        time of a window, on the trajectories of the motion in the mathematics of real numbers, are in such a pair. That
+        time of a window, on the trajectories of the motion in the mathematics of real numbers, are in such a pair; and
+        a primitive that comes so near to a half-space is in a pair of its part with itself. That
         holds for windows whose ends are off by a few units in the last place of 1.
         """
         found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
@@ -114,10 +116,60 @@ class NearParts:
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
                 of_slices = motion._of_worlds(world[some])
-                part, room = self._near(of_slices, begin[some], end[some], reach, execution, halvings, room)
-                found.append((part[0] + (first << halvings), *part[1:]))
+                near, room = self._near(of_slices, begin[some], end[some], reach, execution, halvings, room)
+                found.append((near[0] + (first << halvings), *near[1:]))
+        if len(self.mesh.planes):
+            rigid, num_links = np.flatnonzero(self.mesh.rigid), int(self.mesh.rigid.sum())
+            each = max(1, _MOST_POSES // num_links)
+            for first in range(0, len(world), each):
+                some = slice(first, first + each)
+                swept = motion._of_worlds(world[some])._sweeps(
+                    begin[some], end[some], (0.5 * begin + 0.5 * end)[None, some], np.zeros((0, 2), np.intp)
+                )
+                row, part = self._near_planes(swept, rigid, reach)
+                windows = ((first + row)[:, None] << halvings) + np.arange(1 << halvings)
+                part = np.repeat(part, 1 << halvings).astype(np.int32)
+                found.append((windows.ravel(), part, part))
         window, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
         return window, a, b
+
+    def _near_planes(
+        self, swept: Any, rigid: NDArray[np.intp], reach: float
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Slices, and parts of rigid bodies that may meet a half-space in them: bodies first, then their parts."""
+        trees = self._trees
+        root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
+        row, link = (x.ravel() for x in np.indices(swept.position.shape[:3:2]))
+        near = self._meets_plane(swept, row, link, root[rigid[link]], reach)
+        row, link = row[near], link[near]
+        body = rigid[link]
+        counts = trees.num_parts[trees.of_body[body]]
+        part = ranges(self._first_part[body], counts)
+        row, link = np.repeat(row, counts), np.repeat(link, counts)
+        leaf = part - np.repeat(self._first_part[body], counts) + np.repeat(root[body] + counts - 1, counts)
+        near = self._meets_plane(swept, row, link, leaf, reach)
+        return row[near], part[near]
+
+    def _meets_plane(
+        self, swept: Any, row: NDArray[np.intp], link: NDArray[np.intp], node: NDArray[np.intp], reach: float
+    ) -> NDArray[np.bool_]:
+        """Whether nodes of rigid bodies may come within a distance of the solid of a half-space in slices."""
+        nodes, found = self._trees.nodes, np.zeros(len(row), dtype=bool)
+        with np.errstate(all="ignore"):
+            rotation, origin = swept.rotation[row, 0, link], swept.position[row, 0, link]
+            centre = origin + rotated(rotation, nodes.centre[node])
+            goes, arm, radius = swept.reach[row, link], nodes.arm[node], nodes.radius[node]
+            moved = goes[:, 0] + goes[:, 1] + (goes[:, 2] + goes[:, 3]) * arm
+            turned = (goes[:, 2] + goes[:, 3]) * radius
+            back = rotation * [-1.0, -1.0, -1.0, 1.0]
+            for point, normal in zip(self.mesh.planes.points, unit_normals(self.mesh.planes.normals), strict=True):
+                height = ((centre - point) * normal).sum(axis=1)
+                sides = rotated(back, np.broadcast_to(normal, centre.shape))
+                box = (np.abs(np.einsum("nij,nj->ni", nodes.axes[node], sides)) * nodes.half[node]).sum(axis=1)
+                least = height - moved - np.minimum(radius, box + turned) - nodes.thickness[node] - reach
+                size = np.abs(centre).max(axis=1) + np.abs(point).max() + np.abs(height) + moved + radius
+                found |= ~(least > _ERROR * size)  # also where a number is none
+        return found
 
     def _near(
         self, motion: Any, begin: Any, end: Any, reach: float, execution: Execution, halvings: int, room: int

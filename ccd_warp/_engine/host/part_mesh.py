@@ -30,23 +30,31 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
     """The world that all worlds of a mesh, and their vertices at these positions, are copies of; None where none is.
 
     None also where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body.
+    Half-spaces stand as well, where all vertices, which meet them, are of a primitive.
     """
-    count, bodies = mesh.num_worlds, mesh.num_bodies
-    moves = ~mesh.static
-    if len(mesh.planes) or (moves & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
+    count, moves = mesh.num_worlds, ~mesh.static
+    if len(mesh.planes) and ((mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh)):
         return None
-    sizes = np.diff(mesh.body_vertex_range)
+    if (moves & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
+        return None
+    if count == 1 and positions is mesh.vertices and not mesh.exclude_pairs:
+        return mesh
+    # all worlds share the half-spaces, whose bodies come last where there are several
+    bodies = mesh.num_bodies - (len(mesh.planes) if count > 1 else 0)
+    if bodies % count or (count > 1 and (mesh.planes.bodies < bodies).any()):
+        return None
+    each = bodies // count
     arrays: list[NDArray[Any]] = [
         positions,
         mesh.faces,
         mesh.edges[mesh.codimensional_edges],
-        sizes,
-        mesh.static,
-        mesh.rigid,
+        np.diff(mesh.body_vertex_range)[:bodies],
+        mesh.static[:bodies],
+        mesh.rigid[:bodies],
     ]
     arrays += [mesh.codimensional_points, mesh.vertex_world]
     arrays += [] if mesh.radius is None else [mesh.radius]
-    if any(len(x) % count for x in arrays) or mesh.num_bodies % count:
+    if any(len(x) % count for x in arrays):
         return None
     copies = [x.reshape(count, len(x) // count, *x.shape[1:]) for x in arrays]
     first = np.arange(count)
@@ -55,22 +63,35 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
         copies[k] = copies[k] - shift.reshape(count, *[1] * (copies[k].ndim - 1))
     pairs = _allowed(mesh)
     if pairs is not None:
-        each = bodies // count
-        blocks = pairs.reshape(count, each, count, each).diagonal(axis1=0, axis2=2)
-        if (blocks != blocks[..., :1]).any():
+        blocks = pairs[:bodies, :bodies].reshape(count, each, count, each).diagonal(axis1=0, axis2=2)
+        shared = pairs[:bodies, bodies:].reshape(count, each, -1)
+        if (blocks != blocks[..., :1]).any() or (shared != shared[:1]).any():
             return None
-        pairs = blocks[..., 0].copy()
+        none = np.zeros((shared.shape[2],) * 2, dtype=bool)  # half-spaces do not meet each other
+        pairs = np.block([[blocks[..., 0], shared[0]], [shared[0].T, none]])
     if any((x != x[:1]).any() for x in copies) or (copies[7] != 0).any():
         return None
-    if count == 1 and positions is mesh.vertices and not mesh.exclude_pairs:
-        return mesh
     vertices, faces, edges, sizes, static, rigid, points = (x[0] for x in copies[:7])
+    others = mesh.num_bodies - bodies
+    sizes, static, rigid = (
+        np.append(x, np.full(others, value, dtype=x.dtype)) for x, value in ((sizes, 0), (static, True), (rigid, False))
+    )
     has_points = np.zeros(len(static), dtype=bool)
     has_points[mesh.vertex_body[points]] = True
+    names = (*mesh.names[:each], *mesh.names[bodies:])
+    planes = mesh.planes if count == 1 else replace(mesh.planes, bodies=mesh.planes.bodies - np.int32(bodies - each))
     return _mesh(
         vertices, faces, edges, sizes, static, rigid, has_points, pairs, np.zeros(len(vertices), np.int32),
-        mesh.names[: len(static)], None if mesh.radius is None else copies[8][0],
+        names, None if mesh.radius is None else copies[8][0], planes,
     )  # fmt: skip
+
+
+def _has_lone_vertices(mesh: CollisionMesh) -> bool:
+    """Whether a vertex is of no primitive."""
+    is_used = np.zeros(mesh.num_vertices, dtype=bool)
+    is_used[mesh.faces] = is_used[mesh.edges] = True
+    is_used[mesh.codimensional_points] = True
+    return not is_used.all()
 
 
 def _allowed(mesh: CollisionMesh) -> NDArray[np.bool_] | None:
@@ -86,10 +107,9 @@ def _allowed(mesh: CollisionMesh) -> NDArray[np.bool_] | None:
 
 def _mesh(
     vertices: Any, faces: Any, edges: Any, sizes: Any, static: Any, rigid: Any, has_points: Any, pairs: Any,
-    world: Any, names: Any, radius: Any,
+    world: Any, names: Any, radius: Any, planes: Planes,
 ) -> CollisionMesh:  # fmt: skip
     none = np.zeros(len(static), dtype=bool)
-    empty = np.zeros((0, 3))
     return CollisionMesh(
         vertices=np.array(vertices, dtype=np.float64),
         faces=np.array(faces, dtype=np.int32).reshape(-1, 3),
@@ -107,7 +127,7 @@ def _mesh(
         names=tuple(names),
         exclude_pairs=ExcludedPairs(),
         radius=None if radius is None else np.array(radius),
-        planes=Planes(empty, empty.copy(), np.zeros(0, np.int32), np.zeros(0, np.int32)),
+        planes=planes,
     )
 
 
@@ -148,6 +168,11 @@ class PartMesh:
         body = world.vertex_body[vertex]
         body_keys, sizes = np.unique(of_slice * world.num_bodies + body, return_counts=True)
         slice_of_body, body = np.divmod(body_keys, world.num_bodies)
+        planes = world.planes  # their bodies come last
+        num_own = len(body)
+        body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
+        slice_of_body = np.append(slice_of_body, np.zeros(len(planes), dtype=slice_of_body.dtype))
+        planes = replace(planes, bodies=(num_own + np.arange(len(planes))).astype(np.int32))
         rigid = world.rigid[body]
         is_used = np.zeros((count, int(world.rigid.sum())), dtype=bool)
         is_used[slice_of_body[rigid], parts.link_of[body[rigid]]] = True
@@ -156,6 +181,7 @@ class PartMesh:
             world.vertices[vertex], corners[faces], corners[kind == 1][:, :2], sizes, world.static[body], rigid,
             np.ones(len(body), dtype=bool), None if world.body_pairs is None else world.body_pairs[np.ix_(body, body)],
             of_slice, [world.names[b] for b in body.tolist()], None if world.radius is None else world.radius[vertex],
+            planes,
         )  # fmt: skip
         return cls(mesh, slice_of_row, row, corners, vertex, number[faces], is_used, first // 3)
 
@@ -182,6 +208,7 @@ class PartMesh:
                 number, count = {
                     "vertex": lambda own=own: (self.vertex[own], world.num_vertices),
                     "face": lambda own=own: (self.face[own], world.num_faces),
+                    "plane": lambda own=own: (own, 0),
                     "edge": lambda own=own: (_edges(world, self.vertex[self.mesh.edges[own]]), world.num_edges),
                 }[name]()
                 primitives[rows, column] = number + shifts[rows] * count
