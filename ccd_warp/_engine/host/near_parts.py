@@ -62,6 +62,8 @@ class NearParts:
         self._first_row = self.begins[self._first_part]  # of each body
         self.link_of = np.cumsum(mesh.rigid) - 1
         self.pairs = _pairs(mesh)
+        self._moving = np.flatnonzero(mesh.rigid[self.pairs[:, 1]])  # pairs of links
+        self._links = self.link_of[self.pairs[self._moving]]
         self._on_device: dict[str, Any] = {}
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -177,10 +179,9 @@ class NearParts:
         """The pairs in some slices, and for how many there is room now."""
         from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
 
-        moves = self.mesh.rigid[self.pairs[:, 1]]
         counts = 1 << np.arange(halvings + 1)
         share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
-        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), self.link_of[self.pairs[moves]])
+        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), self._links)
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
             rows = np.ascontiguousarray(values).reshape(len(begin), -1, values.shape[-1])
@@ -193,11 +194,11 @@ class NearParts:
         )
         given.rotation = on_device(swept.rotation, wp.vec4d)
         given.reach, given.relative_reach = (on_device(x, kernels.vec6d) for x in (swept.reach, swept.relative))
-        rows = np.where(moves & (swept.relative.shape[1] > 0), np.cumsum(moves) - 1, -1)
-        chosen = np.column_stack([self.pairs, rows])
-        if len(chosen) > _MANY:
-            chosen = chosen[self._meet(swept, reach)]
-        pairs: wp.array = wp.array(chosen, dtype=wp.vec3i, device=execution.device)
+        chosen = np.flatnonzero(self._meet(swept, reach)) if len(self.pairs) > _MANY else np.arange(len(self.pairs))
+        rows = np.full(len(self.pairs), -1)
+        rows[self._moving[: swept.relative.shape[1]]] = np.arange(swept.relative.shape[1])
+        given_pairs = np.column_stack([self.pairs[chosen], rows[chosen]])
+        pairs: wp.array = wp.array(given_pairs, dtype=wp.vec3i, device=execution.device)
         num_items, trees, stop = len(begin) * len(chosen), self._trees_on(execution.device), execution.flag
         assert stop is not None
         while True:
