@@ -472,9 +472,9 @@ class CollisionMesh(ReadOnly):
             names: Names of all bodies, as of :meth:`from_trimesh`, as are the further arguments.
 
         Returns:
-            The mesh, as of :meth:`from_trimesh` with all of these bodies. Where all that moves is rigid, there is no
-            half-space, and few parts of the bodies may touch, steps with a ``motion`` compute and keep boxes of those
-            parts alone; the shape is divided into them once.
+            The mesh, as of :meth:`from_trimesh` with all of these bodies. Where all that moves is rigid, and few parts
+            of the bodies may touch, steps with a ``motion`` compute and keep boxes of those parts alone; the shape is
+            divided into them once.
 
         Raises:
             ValueError: If ``count`` is not a positive integer, ``shape`` is several bodies, or as :meth:`from_trimesh`.
