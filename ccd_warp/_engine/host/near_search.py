@@ -109,7 +109,7 @@ class NearSearch:
         self._spheres = one.centre, one.reach
         self.world_toi = np.full(motion.num_worlds, np.inf)
         self._found: list[Contacts] = []
-        self._results: list[MeshResult] = []
+        self._passes: list[tuple[Counts, dict[str, float]]] = []
         self._seconds = 0.0
 
     def run(self, solver: Callable[[PartMesh], Solve], reach: float) -> None:
@@ -220,7 +220,7 @@ class NearSearch:
 
         def counted(begin: Array, end: Array, paths: MeshPaths) -> MeshResult:
             result = solve(begin, end, paths)
-            self._results.append(result)
+            self._passes.append((result.counts, result.timings))
             return result
 
         scale, one = self._mesh.length_scale, np.ones(len(worlds))
@@ -229,7 +229,7 @@ class NearSearch:
 
     def result(self) -> MeshResult:
         """The result of all passes, whose counts and times are sums."""
-        mesh, passes = self._mesh, [each.counts for each in self._results]
+        mesh, passes = self._mesh, [counts for counts, _ in self._passes]
         sums: dict[str, Any] = {
             name: sum(getattr(each, name) for each in passes)
             for name in ("num_active_bodies", "num_boxes", "num_sorted_sets", "num_batches")
@@ -238,7 +238,7 @@ class NearSearch:
             sums[name] = {kind: sum(getattr(each, name).get(kind, 0) for each in passes) for kind in self._kinds}
         counts = Counts(**sizes_of(mesh, len(self.world_toi)), **sums)
         timings: Counter[str] = Counter()
-        for each in self._results:
-            timings.update(each.timings)
+        for _, seconds in self._passes:
+            timings.update(seconds)
         times = {"near parts": self._seconds, **timings, "total": timings["total"] + self._seconds}
         return result_of(mesh, self.world_toi, self._found, counts, times)
