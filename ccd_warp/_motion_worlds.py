@@ -136,7 +136,12 @@ class MotionWorlds:
 
         parts, pipeline = self._near, self._pipeline
         if parts is not None:
-            found = parts.each(self._on_parts(lambda step: step.least_toi(any_suffices=any_suffices)))
+            holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
+
+            def of_parts(step: Step) -> float:
+                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
+
+            found = parts.each(self._on_parts(of_parts))
             least = least_of(toi for *_, toi in found)
             if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
                 return least
