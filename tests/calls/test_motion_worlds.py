@@ -271,3 +271,24 @@ def test_meshes_of_parts_hold_no_more_bodies_than_pairs_of_them_fit(large, monke
     toi = pipeline.collision_free_step(x, x, motion=ccd.RigidMotion(poses, twist=twist))
     assert toi == result.toi and pipeline.counts is not result.counts
     assert pipeline.counts.num_faces == WORLDS * 36 and pipeline.timings["total"] > 0.0
+
+
+WALL = (np.array([[-1.0, 2, -1], [1, 2, -1], [0, 2, 1]]), np.array([[0, 1, 2]]))
+LOOSE = np.array([[0.0, 1, 0]])
+
+
+@pytest.mark.parametrize("is_alone", [False, True], ids=["beside a ball", "alone"])
+def test_vertex_of_no_face_flies_into_a_wall(is_alone):
+    """It is in no part of its body, and meets faces all the same."""
+    ball = trimesh.creation.icosphere(4, 0.1)
+    body = (LOOSE, np.zeros((0, 3), dtype=int)) if is_alone else (np.vstack([ball.vertices, LOOSE]), ball.faces)
+    far = (ball.vertices + 50.0, ball.faces)
+    mesh = ccd.CollisionMesh.from_arrays([body, WALL, far], rigid=[0], static=[1, 2], self_collision=False)
+    start = np.tile([0, 0, 0, 0, 0, 0, 1.0], (2, 1, 1))
+    slide = ccd.Joint("slide", "base", "link", "prismatic", (0, 1, 0))
+    for motion in (
+        ccd.RigidMotion(start, twist=np.tile([0, 1.5, 0, 0, 0, 0], (2, 1, 1))),
+        ccd.JointMotion([slide], np.zeros((2, 1)), np.full((2, 1), 1.5), links=["link"]),
+    ):
+        result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu")
+        np.testing.assert_allclose(result.world_toi, 2 / 3, atol=1e-12)

@@ -52,7 +52,8 @@ class NearParts:
     def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
         """Divide the bodies of a mesh whose vertices, of links in their own frames, are at these places."""
         self.mesh = mesh
-        trees = self._trees = PartTrees(mesh, vertices)
+        with np.errstate(all="ignore"):  # what is no number, or too large for its square, is near
+            trees = self._trees = PartTrees(mesh, vertices)
         counts = trees.num_parts[trees.of_body]
         self._first_part = np.append(0, np.cumsum(counts))
         self.body = np.repeat(np.arange(mesh.num_bodies), counts)
@@ -61,7 +62,8 @@ class NearParts:
         self.begins = np.append(0, np.cumsum(np.diff(trees.begins)[of_tree]))
         self._first_row = self.begins[self._first_part]  # of each body
         self.link_of = np.cumsum(mesh.rigid) - 1
-        self.pairs = _pairs(mesh)
+        pairs = _pairs(mesh)
+        self.pairs = pairs[(counts[pairs] > 0).all(axis=1)]
         self._moving = np.flatnonzero(mesh.rigid[self.pairs[:, 1]])  # pairs of links
         self._links = self.link_of[self.pairs[self._moving]]
         self._on_device: dict[str, Any] = {}
@@ -267,13 +269,11 @@ class NearParts:
 
 
 def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
-    """Pairs of bodies with vertices that may collide, of which the first is a link; some links stand where they are."""
-    filled = np.zeros(mesh.num_bodies, dtype=bool)
-    filled[mesh.vertex_body] = True
+    """Pairs of bodies that may collide, of which the first is a link; some links stand where they are."""
     may = np.triu(np.ones((mesh.num_bodies, mesh.num_bodies), dtype=bool), 1)
     if mesh.body_pairs is not None:
         may &= mesh.body_pairs
-    may &= filled & filled[:, None] & ~(mesh.static & mesh.static[:, None])
+    may &= ~(mesh.static & mesh.static[:, None])
     pairs = np.argwhere(may)
     swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]

@@ -135,11 +135,12 @@ class NearSearch:
         world, begin, end = spans(each, self._t_max)
         number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
         begin = np.maximum(begin, self._end[world])
-        first, is_open = 0, is_open.copy()
+        is_left = is_open[world] & (end > self._end[world])
+        first, is_open = int(number[is_left].min(initial=each.max(initial=0))), is_open.copy()
         found: dict[int, NDArray[np.intp]] = {}
         while first < each.max(initial=0) and is_open.any():
             last = first + max(_LEAST_SLICES, _SLICES // int(is_open.sum()))
-            some = np.flatnonzero(is_open[world] & (number >= first) & (number < last) & (end > self._end[world]))
+            some = np.flatnonzero(is_left & is_open[world] & (number >= first) & (number < last))
             since = time.perf_counter()
             near = _NearWindows(self._parts, self._motion, world[some], begin[some], end[some], reach, self._execution)
             self._seconds += time.perf_counter() - since

@@ -30,10 +30,10 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
     """The world that all worlds of a mesh, and their vertices at these positions, are copies of; None where none is.
 
     None also where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body.
-    Half-spaces stand as well, where all vertices, which meet them, are of a primitive.
+    A vertex of no primitive, which meets faces and half-spaces as others do, is in no part.
     """
     count, moves = mesh.num_worlds, ~mesh.static
-    if len(mesh.planes) and ((mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh)):
+    if (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh):
         return None
     if (moves & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
         return None
@@ -87,8 +87,9 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
 
 
 def _has_lone_vertices(mesh: CollisionMesh) -> bool:
-    """Whether a vertex is of no primitive."""
+    """Whether a vertex that may collide is of no primitive."""
     is_used = np.zeros(mesh.num_vertices, dtype=bool)
+    is_used[mesh.inner_vertices] = True
     is_used[mesh.faces] = is_used[mesh.edges] = True
     is_used[mesh.codimensional_points] = True
     return not is_used.all()
