@@ -469,7 +469,10 @@ class CollisionMesh(ReadOnly):
             others: Further bodies, a table, say, as :meth:`from_trimesh` takes them; none collides with itself.
             static: Those of them that stand, by their numbers among all bodies or their names.
             rigid: Those of them that are rigid, too.
-            names: Names of all bodies, as of :meth:`from_trimesh`, as are the further arguments.
+            names: Names of all bodies, as of :meth:`from_trimesh`.
+            body_pairs: Which pairs of different bodies may collide, as of :meth:`from_arrays`.
+            exclude_pairs: Pairs of bodies or primitives that are never tested, as of :meth:`from_arrays`.
+            radius: Radius of each vertex of all bodies, as of :meth:`from_arrays`.
 
         Returns:
             The mesh, as of :meth:`from_trimesh` with all of these bodies. Where all that moves is rigid, and few parts
