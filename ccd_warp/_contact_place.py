@@ -14,6 +14,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._pairs import pair_corners
 from ccd_warp._status import PairKind
+from ccd_warp._touch import Touch
 
 # Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
 _CHUNK = 1 << 12
@@ -111,6 +112,7 @@ class ContactPlace:
         relative_velocity: Their relative velocities, once they are computed.
         vertices: Vertices of the contacts, once they are computed.
         world: Their worlds, once they are computed.
+        touch: What counts as touching in their step; None if it is not known.
     """
 
     mesh: CollisionMesh
@@ -119,6 +121,7 @@ class ContactPlace:
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
+    touch: Touch | None = None
 
     @property
     def has_points(self) -> bool:
@@ -127,8 +130,9 @@ class ContactPlace:
 
     def chosen(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
-        columns = (self.points, self.relative_velocity, self.vertices, self.world)
-        return ContactPlace(self.mesh, self.frames, *(None if each is None else each[index] for each in columns))
+        columns = {name: getattr(self, name) for name in ("points", "relative_velocity", "vertices", "world")}
+        chosen = {name: None if each is None else each[index] for name, each in columns.items()}
+        return replace(self, **chosen)
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
         """The points of the contacts to which this belongs; None if they are not known."""
@@ -149,15 +153,17 @@ def located(
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
     paths: MeshPaths | None = None,
+    touch: Touch | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
 
     The positions may be arrays of the caller, who changes them afterwards. They are therefore copied: all of them, or
     where there are few contacts theirs alone. Points and velocities are computed when they are asked for, and without
     positions stay unknown. Positions and normals have three columns, or of a mesh in the plane the positions two; of
-    such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames.
+    such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames;
+    ``touch`` is what counts as touching, without which there are no gradients.
     """
-    place = ContactPlace(mesh)
+    place = ContactPlace(mesh, touch=touch)
     if mesh.dimension == 2:
         contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
         start, end = (None if x is None else x[:, :2] for x in (start, end))

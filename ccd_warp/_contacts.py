@@ -14,6 +14,7 @@ from ccd_warp._texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._toi_gradient import ToiGradient
 
 
 class Placed:
@@ -33,6 +34,13 @@ class Placed:
         """The same table, which knows this place from now on."""
         object.__setattr__(self, "_place", place)
         return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_place": self._place}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for name, value in state.items():
+            object.__setattr__(self, name, value)
 
 
 @text_completed_by(ClosePairs)
@@ -91,13 +99,6 @@ class Contacts(Placed, ClosePairs):
             _ = self.vertices, self.points if self._place.has_points else None
         return (self[k] for k in range(len(self)))
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_place": self._place}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-
     def __repr__(self) -> str:
         return f"Contacts({counted(len(self), 'contact', 'contacts')}{_by_kind(self.kind)})"
 
@@ -132,6 +133,19 @@ class Contacts(Placed, ClosePairs):
         ``normal`` is negative where the two approach. The closest points are points of the bodies, with fixed (u, v).
         """
         return self._placed("relative_velocity", self._known().relative_velocity_of(self))
+
+    def toi_gradient(self) -> "ToiGradient":
+        """How the toi of each contact changes with the positions of its vertices at both ends of the step.
+
+        Nothing of it is computed before. The vertices move straight; of a call with a motion there is no gradient.
+
+        Raises:
+            ValueError: If the contacts do not know their step, as those of a line search do not, if bodies turned in
+                it, or with a number as ``start_gap_fraction``.
+        """
+        from ccd_warp._toi_gradient import of_contacts  # its kernels are loaded by those who ask for gradients
+
+        return of_contacts(self)
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.

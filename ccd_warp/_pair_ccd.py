@@ -3,12 +3,14 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from dataclasses import dataclass
-from typing import Any, Unpack
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
+from ccd_warp._contacts import Placed
 from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64, check_finite, is_device_array
 from ccd_warp._input.interop import as_warp
@@ -21,13 +23,18 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._texts import text_completed_by
+from ccd_warp._touch import Touch
 from ccd_warp.kernels.narrow_phase.sinks import TABLE
+from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.contacts import lift
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 
+if TYPE_CHECKING:
+    from ccd_warp._toi_gradient import ToiGradient
+
 
 @dataclass(frozen=True)
-class PairResult:
+class PairResult(Placed):
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
     For arrays of Warp, or of a library that supports DLPack (PyTorch, JAX, CuPy), the result holds Warp arrays on the
@@ -64,6 +71,33 @@ class PairResult:
         hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
         wp.map(wp.isfinite, self.toi, out=hit)
         return hit
+
+    def toi_gradient(self, points_t0: ArrayLike, points_t1: ArrayLike) -> ToiGradient:
+        """How each toi changes with the points of its pair at both ends of the step.
+
+        Nothing of it is computed before. A separation that is a multiple of the size of each pair is a fixed length in
+        it.
+
+        Args:
+            points_t0: Start positions, those of the call, of which the result holds no copy.
+            points_t1: End positions, those of the call.
+
+        Raises:
+            ValueError: If the positions are not such as the call takes, or not of as many pairs, if the result is of
+                arrays on a device or was made of arrays alone, or with a number as ``start_gap_fraction``.
+        """
+        from ccd_warp._toi_gradient import of_pairs  # its kernels are loaded by those who ask for gradients
+
+        if self._place is None or not isinstance(self.toi, np.ndarray):
+            raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")
+        kind, touch = self._place
+        ends = [_validated_points(kind, x, f"points_t{k}") for k, x in enumerate((points_t0, points_t1))]
+        for k, end in enumerate(ends):
+            if (len(end), end.shape) != (len(self.toi), ends[0].shape):
+                raise ValueError(
+                    f"points_t{k} has shape {end.shape}; expected those of the call, {len(self.toi)} pairs"
+                )
+        return of_pairs(touch, kind, (ends[0], ends[1]), self.toi, self.status)
 
     def __repr__(self) -> str:
         pairs = counted(len(self.toi), "pair", "pairs")
@@ -183,13 +217,21 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
         a, b = _in_3d(a), _in_3d(b)
         if device.is_cpu and 0 < len(a) <= CAPACITY:
-            return PairResult(*_solve_few(kind, a, b, options, device))
+            return PairResult(*_solve_few(kind, a, b, options, device))._of((kind, _touch(options)))
         device_t0, device_t1 = (
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         )
 
     out = _solve(kind, device_t0, device_t1, options, device)
-    return out if on_device else PairResult(**{name: array.numpy() for name, array in vars(out).items()})
+    if on_device:
+        return out
+    return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, _touch(options)))
+
+
+@lru_cache(maxsize=64)
+def _touch(options: Options) -> Touch:
+    """What counts as touching, kept as the options are."""
+    return Touch.of(options, options.length_scale, is_euclidean=is_ball(options.norm))
 
 
 def _solve_few(

@@ -32,6 +32,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._touch import Touch
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED
 
@@ -225,11 +226,21 @@ class DeviceStep(Plan):
         """
         if vertices_t0 is not None:
             given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
-            return located(contacts, self._mesh, *self._mesh.frames(*given))
+            start, end = self._mesh.frames(*given)
+            return located(contacts, self._mesh, start, end, touch=self._touch())
         last = self._last_positions()
         if last is None:
             return located(contacts, self._mesh)
-        return located(contacts, self._mesh, *(v.numpy().reshape(-1, 3) for v in last))
+        start, end = (v.numpy().reshape(-1, 3) for v in last)
+        return located(contacts, self._mesh, start, end, touch=self._touch())
+
+    def _touch(self) -> Touch | None:
+        """What counts as touching, with the radii that the array holds now; not one thing after a line search."""
+        if self._last is None or self._last.form.line_search is not None:
+            return None
+        radius = None if self._radius is None else self._radius.numpy().copy()
+        length_scale = length_scale_of(self._mesh, self._options)
+        return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.
