@@ -131,7 +131,7 @@ class ContactPlace:
     def chosen(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
         columns = {name: getattr(self, name) for name in ("points", "relative_velocity", "vertices", "world")}
-        chosen = {name: None if each is None else each[index] for name, each in columns.items()}
+        chosen: Any = {name: None if each is None else each[index] for name, each in columns.items()}
         return replace(self, **chosen)
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:

@@ -26,7 +26,7 @@ from ccd_warp._texts import text_completed_by
 from ccd_warp._touch import Touch
 from ccd_warp.kernels.narrow_phase.sinks import TABLE
 from ccd_warp.kernels.pair.norm import is_ball
-from ccd_warp.kernels.step.contacts import lift
+from ccd_warp.kernels.step.contacts import lift, mark_finite
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 
 if TYPE_CHECKING:
@@ -69,7 +69,8 @@ class PairResult(Placed):
         if isinstance(self.toi, np.ndarray):
             return np.isfinite(self.toi)
         hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
-        wp.map(wp.isfinite, self.toi, out=hit)
+        load(mark_finite, hit.device)
+        wp.launch(mark_finite, len(hit), inputs=[self.toi], outputs=[hit], device=hit.device, record_tape=False)
         return hit
 
     def toi_gradient(self, points_t0: ArrayLike, points_t1: ArrayLike) -> ToiGradient:
@@ -350,7 +351,8 @@ def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
         if points.dtype == wp.vec2d and 2 in dimensions:
             lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
             load(lift, points.device)
-            wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=points.device)
+            dim, device = points.shape, points.device
+            wp.launch(lift, dim=dim, inputs=[points], outputs=[lifted], device=device, record_tape=False)
             return lifted
     if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:
         return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=points.shape[:2], device=points.device, copy=False)

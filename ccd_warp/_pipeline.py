@@ -48,6 +48,7 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 
 if TYPE_CHECKING:
@@ -508,6 +509,13 @@ class CollisionPipeline:
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
+        given = vertices_t0, vertices_t1
+        is_taped = wants_gradient(*given, self._radius)
+        if is_taped and (motion is not None or "line_search" in arguments):
+            call = "launch_line_search" if motion is None else "launch with a motion"
+            raise ValueError(
+                f"{call} has no gradients, and an array on the tape requires one; expected launch, or no tape"
+            )
         with self._lock:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
@@ -532,6 +540,10 @@ class CollisionPipeline:
             step.launch(prepared)
             self._device_step = step
             self._interrupted, self._is_placing = None, False
+            if is_taped:
+                from ccd_warp._engine.device.toi_tape import TapedLaunch  # its kernels are loaded where they are needed
+
+                return TapedLaunch(step, prepared, given, self._radius).result
             return step.result
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:

@@ -149,7 +149,7 @@ class DeviceArcStep(DeviceLineSearch):
 
     def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
         """Contacts of the last launch that know their mesh, each pair once, and their points on the paths."""
-        last = self._last_positions()
+        last = self.last_positions()
         if last is None:
             return located(contacts, self._mesh)
         start, end = (v.numpy().reshape(-1, 3) for v in last)

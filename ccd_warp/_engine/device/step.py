@@ -227,14 +227,14 @@ class DeviceStep(Plan):
         if vertices_t0 is not None:
             given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
             start, end = self._mesh.frames(*given)
-            return located(contacts, self._mesh, start, end, touch=self._touch())
-        last = self._last_positions()
+            return located(contacts, self._mesh, start, end, touch=self.touch())
+        last = self.last_positions()
         if last is None:
             return located(contacts, self._mesh)
         start, end = (v.numpy().reshape(-1, 3) for v in last)
-        return located(contacts, self._mesh, start, end, touch=self._touch())
+        return located(contacts, self._mesh, start, end, touch=self.touch())
 
-    def _touch(self) -> Touch | None:
+    def touch(self) -> Touch | None:
         """What counts as touching, with the radii that the array holds now; not one thing after a line search."""
         if self._last is None or self._last.form.line_search is not None:
             return None
@@ -248,7 +248,7 @@ class DeviceStep(Plan):
         Raises:
             ValueError: If there was no launch.
         """
-        last = self._last_positions()
+        last = self.last_positions()
         if last is None:
             raise ValueError("contacts.points are not known, as no launch has read positions; expected a launch before")
         return self.contact_arrays.points("points", last)
@@ -266,7 +266,7 @@ class DeviceStep(Plan):
         check_same_dtype(start, end, "vertices_t1")
         return self.contact_arrays.points(f"points_at with {start.dtype.__name__}", (start, end))
 
-    def _last_positions(self) -> tuple[wp.array, wp.array] | None:
+    def last_positions(self) -> tuple[wp.array, wp.array] | None:
         """Positions of all vertices in the last launch, in float64; None before the first."""
         if self._last is None:
             return None
