@@ -19,6 +19,7 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
+from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
@@ -225,6 +226,12 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
 
     out = _solve(kind, device_t0, device_t1, options, device)
     if on_device:
+        if wants_gradient(points_t0, points_t1):
+            from ccd_warp._pair_tape import record_pairs  # its kernels are loaded where they are needed
+
+            execution = Execution(device, options.threads)
+            arrays, solved = [points_t0, points_t1], [device_t0, device_t1]
+            record_pairs(execution, _touch(options), kind, arrays, solved, out)
         return out
     return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, _touch(options)))
 

@@ -1,4 +1,4 @@
-"""The sums of a backward pass, added to the gradients of positions of either precision, in space or in the plane."""
+"""What a backward pass adds to the gradients of a mesh's positions, of either precision, in space or in the plane."""
 
 import warp as wp
 
