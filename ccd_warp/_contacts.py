@@ -1,5 +1,6 @@
 """Contacts of a step: their arrays, what follows from the mesh, and one contact at a time."""
 
+import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self, overload
@@ -143,9 +144,9 @@ class Contacts(Placed, ClosePairs):
             ValueError: If the contacts do not know their step, as those of a line search do not, if bodies turned in
                 it, or with a number as ``start_gap_fraction``.
         """
-        from ccd_warp._toi_gradient import of_contacts  # its kernels are loaded by those who ask for gradients
-
-        return of_contacts(self)
+        slopes = importlib.import_module("ccd_warp._toi_slopes")  # a part that is loaded when it is used
+        gradient: ToiGradient = slopes.of_contacts(self)
+        return gradient
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.

@@ -88,7 +88,7 @@ class PairResult(Placed):
             ValueError: If the positions are not such as the call takes, or not of as many pairs, if the result is of
                 arrays on a device or was made of arrays alone, or with a number as ``start_gap_fraction``.
         """
-        from ccd_warp._toi_gradient import of_pairs  # its kernels are loaded by those who ask for gradients
+        from ccd_warp._toi_slopes import of_pairs  # its kernels are loaded by those who ask for gradients
 
         if self._place is None or not isinstance(self.toi, np.ndarray):
             raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")

@@ -117,6 +117,9 @@ LAYERS = [
         "_body_paths",
         "_body_sweeps",
         "_mesh_paths",
+        "_toi_gradient",
+        "_toi_slopes",
+        "_touch",
     ],
     ["_engine", "_files"],
 ]

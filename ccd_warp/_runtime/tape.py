@@ -7,12 +7,10 @@ import warp as wp
 
 def active_tape() -> Any:
     """The ``wp.Tape`` whose block is entered, or None."""
-    runtime: Any = wp._src.context.runtime  # Warp has no public name for it
-    return runtime.tape
+    runtime: Any = wp._src.context.runtime  # Warp has no public name for it; None before it is initialised
+    return None if runtime is None else runtime.tape
 
 
 def wants_gradient(*arrays: Any) -> bool:
-    """Whether a tape is recording and one of these is an array of Warp that requires a gradient."""
-    if active_tape() is None:
-        return False
-    return any(isinstance(array, wp.array) and bool(array.requires_grad) for array in arrays)
+    """Whether one of these is an array of Warp that requires a gradient, and a tape is recording."""
+    return any(isinstance(x, wp.array) and bool(x.requires_grad) for x in arrays) and active_tape() is not None

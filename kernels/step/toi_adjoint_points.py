@@ -44,6 +44,6 @@ def add_points(
             p = c / 2
         along = (-adjoint[i] * slopes.weights[i][c]) * slopes.slope[i]
         if points_t0.shape[0] > 0:
-            points_t0[i, p] += of_columns((_ONE - t) * along)
+            points_t0[i, p] = points_t0[i, p] + of_columns((_ONE - t) * along)
         if points_t1.shape[0] > 0:
-            points_t1[i, p] += of_columns(t * along)
+            points_t1[i, p] = points_t1[i, p] + of_columns(t * along)

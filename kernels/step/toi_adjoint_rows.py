@@ -50,7 +50,7 @@ def add_rows(
     # out
     out: RowGradients,
 ):
-    """Add the contributions of all contacts to a vertex, in the order of the contacts."""
+    """Add the contributions of all contacts to a vertex, in the order of the contacts; no other item has its row."""
     v = begin + wp.tid()
     of_start = wp.vec3d()
     of_end = wp.vec3d()
@@ -74,8 +74,8 @@ def add_rows(
     if row_t1 < 0 or out.is_displacement != 0:  # the end is the start, or follows from it
         of_start += of_end
     if out.vertices_t0.shape[0] > 0 and row_t0 >= 0:
-        out.vertices_t0[row_t0] += rounded(of_start)
+        out.vertices_t0[row_t0] = out.vertices_t0[row_t0] + rounded(of_start)
     if out.vertices_t1.shape[0] > 0 and row_t1 >= 0:
-        out.vertices_t1[row_t1] += rounded(of_end)
+        out.vertices_t1[row_t1] = out.vertices_t1[row_t1] + rounded(of_end)
     if out.radius.shape[0] > 0:
-        out.radius[v] += of_radius
+        out.radius[v] = out.radius[v] + of_radius

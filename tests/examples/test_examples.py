@@ -27,6 +27,7 @@ def _number(text: str, label: str) -> float:
 
 def test_no_example_is_left_out():
     assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "bounce_gradient.py",
         "bullet_2d.py",
         "bullet_through_wall.py",
         "cloth_drop.py",
@@ -49,6 +50,14 @@ def test_bullet_through_wall(tmp_path):
     toi = _number(output, r"CCD over the whole step:\s+toi =")
     # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
     assert 0.5 - 1e-6 <= toi <= 0.5
+
+
+def test_bounce_gradient(tmp_path):
+    output = _run("bounce_gradient.py", tmp_path)
+    truth = _number(output, "true")
+    for steps, error in ((25, 0.02), (200, 0.005)):  # in proportion to the size of a step
+        assert _number(output, rf"\s+{steps}") == pytest.approx(truth, abs=error)
+        assert float(re.search(rf"^\s+{steps}\s+\S+\s+(\S+)", output, re.MULTILINE)[1]) == 1.0
 
 
 def test_bullet_2d(tmp_path):
