@@ -8,6 +8,7 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.tape import active_tape
 from ccd_warp._status import PairKind
+from ccd_warp._toi_slopes import query_of
 from ccd_warp._touch import Touch
 from ccd_warp.kernels.step import toi_slope
 from ccd_warp.kernels.template import specialised
@@ -26,14 +27,23 @@ def record_pairs(
         points: The same points as the solver has taken them, vec3d.
         result: The result, whose toi from now on requires a gradient.
     """
-    touch.check()
     count, device = len(result.toi), result.toi.device
     slopes = struct_of(
         toi_slope.Slopes,
         {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes_of(toi_slope.Slopes).items()},
     )
     is_planar = given[0].dtype is wp.vec2d
-    inputs = [touch.query(is_planar=is_planar), int(kind), None, *points, result.toi, result.status, None, None, None]
+    inputs = [
+        query_of(touch, is_planar=is_planar),
+        int(kind),
+        None,
+        *points,
+        result.toi,
+        result.status,
+        None,
+        None,
+        None,
+    ]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
     result.toi.requires_grad = True
     kernels = specialised("step.toi_adjoint_points", dimension=2 if is_planar else 3)

@@ -12,7 +12,7 @@ from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
 from ccd_warp._toi_gradient import ToiGradient
 from ccd_warp._touch import Touch
-from ccd_warp.kernels.step import toi_slope
+from ccd_warp.kernels.step import pair_gap, toi_slope
 
 _COLUMNS = dtypes_of(toi_slope.Slopes)
 # The columns that are the points of a pair function.
@@ -22,6 +22,20 @@ _POINTS = {
     PairKind.POINT_SEGMENT: [0, 2, 3],
     PairKind.POINT_POINT: [0, 2],
 }
+
+
+def query_of(touch: Touch, *, is_planar: bool) -> Any:
+    """What counts as touching as the struct of the kernels.
+
+    Raises:
+        ValueError: If the distance of a pair follows from its start.
+    """
+    touch.check()
+    query = toi_slope.Query()
+    query.norm = int(pair_gap.BALL if touch.is_euclidean else pair_gap.BOX)
+    query.separation, query.by_size = touch.separation, int(touch.is_by_size)
+    query.is_planar, query.t_max = int(is_planar), touch.t_max
+    return query
 
 
 def of_contacts(contacts: Any) -> ToiGradient:
@@ -106,7 +120,6 @@ def _slopes(
     is_planar: bool,
 ) -> dict[str, NDArray[Any]]:
     """The columns of ``Slopes`` for a table of pairs."""
-    touch.check()
     count, device = len(toi), wp.get_device("cpu")
     arrays: dict[str, wp.array] = {
         name: wp.empty(count, dtype=dtype, device=device) for name, dtype in _COLUMNS.items()
@@ -118,7 +131,7 @@ def _slopes(
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
 
     inputs = [
-        touch.query(is_planar=is_planar),
+        query_of(touch, is_planar=is_planar),
         int(kind) if isinstance(kind, PairKind) else -1,
         None if isinstance(kind, PairKind) else array(kind, wp.int32),
         *(array(end, wp.vec3d) for end in ends),

@@ -1,7 +1,7 @@
 """What counts as touching in a step: the distance of a pair and its norm, as gradients of its contacts need them."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,16 +58,6 @@ class Touch:
                 f"start_gap_fraction is {self.start_gap_share}; expected 'hold' or None for gradients, as otherwise "
                 "the distance of a pair changes with its start"
             )
-
-    def query(self, *, is_planar: bool) -> Any:
-        """The same as the struct of the kernels."""
-        from ccd_warp.kernels.step import pair_gap, toi_slope  # not before someone asks for gradients
-
-        query = toi_slope.Query()
-        query.norm = int(pair_gap.BALL if self.is_euclidean else pair_gap.BOX)
-        query.separation, query.by_size = self.separation, int(self.is_by_size)
-        query.is_planar, query.t_max = int(is_planar), self.t_max
-        return query
 
     def distances(
         self, mesh: "CollisionMesh", kind: NDArray[np.int32], vertices: NDArray[np.int32]
