@@ -2,8 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -92,14 +91,18 @@ class PairResult(Placed):
 
         if self._place is None or not isinstance(self.toi, np.ndarray):
             raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")
-        kind, touch = self._place
+        kind, options = self._place
         ends = [_validated_points(kind, x, f"points_t{k}") for k, x in enumerate((points_t0, points_t1))]
         for k, end in enumerate(ends):
             if (len(end), end.shape) != (len(self.toi), ends[0].shape):
                 raise ValueError(
                     f"points_t{k} has shape {end.shape}; expected those of the call, {len(self.toi)} pairs"
                 )
-        return of_pairs(touch, kind, (ends[0], ends[1]), self.toi, self.status)
+        return of_pairs(_touch(options), kind, (ends[0], ends[1]), self.toi, self.status)
+
+    def __getstate__(self) -> dict[str, Any]:
+        place = self._place and (self._place[0], replace(self._place[1], device=None))  # a device stays where it is
+        return {**vars(self), "_place": place}
 
     def __repr__(self) -> str:
         pairs = counted(len(self.toi), "pair", "pairs")
@@ -219,7 +222,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
         a, b = _in_3d(a), _in_3d(b)
         if device.is_cpu and 0 < len(a) <= CAPACITY:
-            return PairResult(*_solve_few(kind, a, b, options, device))._of((kind, _touch(options)))
+            return PairResult(*_solve_few(kind, a, b, options, device))._of((kind, options))
         device_t0, device_t1 = (
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         )
@@ -233,12 +236,11 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
             arrays, solved = [points_t0, points_t1], [device_t0, device_t1]
             record_pairs(execution, _touch(options), kind, arrays, solved, out)
         return out
-    return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, _touch(options)))
+    return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, options))
 
 
-@lru_cache(maxsize=64)
 def _touch(options: Options) -> Touch:
-    """What counts as touching, kept as the options are."""
+    """What counts as touching."""
     return Touch.of(options, options.length_scale, is_euclidean=is_ball(options.norm))
 
 
