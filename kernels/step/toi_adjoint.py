@@ -1,10 +1,11 @@
 """The gradient of the least times of impact on a device: which contact attains each, and sums over its points.
 
-In the forward pass all that the backward pass needs is kept: the slopes of the contacts (`toi_slope`), their vertices,
-their keys, which order them, and the least key among the contacts that attain the toi of each vertex, body and world,
-and of the scene. So positions and results may be overwritten.
+In the forward pass all that the backward pass needs is kept: the points of the contacts, their vertices, their keys,
+which order them, and the least key among the contacts that attain the toi of each vertex, body and world, and of the
+scene. So positions and results may be overwritten.
 
-In the backward pass each contact collects the adjoints of the minima that it attains. The contributions to a vertex are
+In the backward pass each contact collects the adjoints of the minima that it attains, and those that have some are
+differentiated (`toi_slope`). The contributions to a vertex are
 added in the order of the contacts' keys, whatever the order in which the contacts were listed: contacts are sorted by
 key, then their columns, stably, by vertex. So the sums are the same in every bit on each run, without an atomic
 operation but the minimum of keys, whose result has no order.
@@ -21,7 +22,6 @@ from .step import ContactList
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-_NO_VERTEX = wp.constant(2**31 - 1)
 _ZERO = wp.constant(wp.float64(0.0))
 
 
@@ -29,8 +29,12 @@ _ZERO = wp.constant(wp.float64(0.0))
 class Pairs:
     """The pairs of a list of contacts as a table: the columns of `toi_slope`, and what they belong to."""
 
+    kinds: wp.array[wp.int32]
     points_t0: wp.array2d[wp.vec3d]
     points_t1: wp.array2d[wp.vec3d]
+    toi: wp.array[wp.float64]
+    status: wp.array[wp.int32]
+    planes: wp.array[wp.vec3d]  # normals of those of pairs with planes
     distances: wp.array[wp.float64]  # empty without radii
     keys: wp.array[wp.int64]  # NO_KEY: there is no contact
     vertices: wp.array[wp.vec4i]  # whose positions the columns are, or which has the radius
@@ -85,6 +89,10 @@ def gather_pairs(
         return
     kind = contacts.kind[n]
     pairs.keys[n] = contact_key(contacts, n)
+    pairs.kinds[n] = kind
+    pairs.toi[n] = contacts.toi[n]
+    pairs.status[n] = contacts.status[n]
+    pairs.planes[n] = contacts.normal[n]
     v = vertices_of(contacts, n, edge_corners, face_corners)
     second_body = vertex_body[v[3]]
     for c in range(4):
@@ -135,7 +143,6 @@ def gather_pairs(
 def attain(
     begin: int,
     # in
-    contacts: ContactList,
     pairs: Pairs,
     vertex_world: wp.array[wp.int32],
     toi: Adjoints,
@@ -147,9 +154,9 @@ def attain(
     key = pairs.keys[n]
     if key == NO_KEY:
         return
-    t = contacts.toi[n]
+    t = pairs.toi[n]
     v = pairs.vertices[n]
-    is_plane = contacts.kind[n] == VERTEX_PLANE
+    is_plane = pairs.kinds[n] == VERTEX_PLANE
     for c in range(4):
         if c == 0 or not is_plane:
             if toi.vertex[v[c]] == t:
@@ -215,6 +222,7 @@ def list_columns(
     pairs: Pairs,
     adjoint: wp.array[wp.float64],
     order: wp.array[wp.int32],
+    num_vertices: int,
     # out
     column_vertex: wp.array[wp.int32],
     columns: wp.array[wp.int32],
@@ -223,7 +231,7 @@ def list_columns(
     m = begin + wp.tid()
     n = order[m]
     for c in range(4):
-        vertex = _NO_VERTEX
+        vertex = int(num_vertices)  # beyond all: it contributes to none
         if pairs.keys[n] != NO_KEY:
             v = pairs.vertices[n]
             if adjoint[n] != _ZERO and (c == 0 or v[c] != v[c - 1]):

@@ -177,7 +177,7 @@ def fill_slopes(
     status: wp.array[wp.int32],
     distances: wp.array[wp.float64],  # of each pair; empty: the separation of all
     planes: wp.array[vec3d],  # unit normal for pairs of vertices and planes; empty where there are none
-    count: wp.array[wp.int32],  # rows that mean anything; empty: all
+    adjoint: wp.array[wp.float64],  # rows where it is 0 are not wanted; empty: all are
     # out
     out: Slopes,
 ):
@@ -188,8 +188,8 @@ def fill_slopes(
     out.weights[i] = wp.vec4d()
     out.time[i] = _ZERO
     out.is_regular[i] = False
-    if count.shape[0] > 0:
-        if i >= count[0]:
+    if adjoint.shape[0] > 0:
+        if adjoint[i] == _ZERO:
             return
     if status[i] != STATUS_COLLISION or not wp.isfinite(toi[i]):
         return

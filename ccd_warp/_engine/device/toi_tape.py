@@ -39,7 +39,8 @@ class TapedLaunch:
         self._given = [x if isinstance(x, wp.array) and x.requires_grad else None for x in (*given, radius)]
         self._capacity = len(step.result.contacts.kind)
         self._moving_row = step.contact_arrays.moving_row("gradients")
-        self._keep(query_of(touch, is_planar=step.topology.mesh.dimension == 2), touch.separation, radius)
+        self._query = query_of(touch, is_planar=step.topology.mesh.dimension == 2)
+        self._keep(touch.separation, radius)
         self.result = self._new_result(step.result)
         self._attain(step.result)
         tois = {id(x): x for x in (getattr(self.result, name) for name in _TOIS)}
@@ -52,29 +53,22 @@ class TapedLaunch:
     def _full(self, count: int) -> wp.array:
         return wp.full(count, value=_NO_KEY, dtype=wp.int64, device=self._step.topology.device)
 
-    def _keep(self, query: Any, separation: float, radius: wp.array | None) -> None:
-        """Gather the pairs, and compute their slopes."""
-        step, launch, capacity = self._step, self._step.execution.launch, self._capacity
-        topology, planes, count = step.topology, planes_of(step.topology), (capacity, 4)
-        contacts = self._contacts = new_contact_list(vars(step.result.contacts))
+    def _keep(self, separation: float, radius: wp.array | None) -> None:
+        """Gather the pairs."""
+        step, capacity = self._step, self._capacity
+        topology, planes = step.topology, planes_of(step.topology)
         columns = dtypes_of(toi_adjoint.Pairs)
         if radius is None:
-            columns = {name: columns[name] for name in ("keys", "vertices", "bodies")}
-        points = [self._empty(wp.vec3d, count) for _ in range(2)]
-        kept = {name: self._empty(dtype) for name, dtype in columns.items()}
-        gathered = struct_of(toi_adjoint.Pairs, {"points_t0": points[0], "points_t1": points[1], **kept})
+            columns = {name: columns[name] for name in columns.keys() - {"distances", "radius_columns"}}
+        self._columns = {name: self._empty(dtype) for name, dtype in columns.items()}
+        self._columns |= {name: self._empty(wp.vec3d, (capacity, 4)) for name in ("points_t0", "points_t1")}
+        self._pairs = struct_of(toi_adjoint.Pairs, self._columns)
         positions = step.last_positions()
         assert positions is not None
-        corners = [topology.corners[kind] for kind in ("edge", "face")]
-        inputs = [contacts, *corners, *positions, topology.vertex_body, planes.point, planes.vertex, planes.body]
+        inputs = [new_contact_list(vars(step.result.contacts)), *(topology.corners[kind] for kind in ("edge", "face"))]
+        inputs += [*positions, topology.vertex_body, planes.point, planes.vertex, planes.body]
         inputs += [separation, radius, *(topology.neighbours if radius is not None else (None, None))]
-        launch(toi_adjoint.gather_pairs, capacity, inputs, [gathered])
-        self._pairs = struct_of(toi_adjoint.Pairs, kept)  # the points are needed no longer
-        self._slopes = struct_of(
-            toi_slope.Slopes, {name: self._empty(dtype) for name, dtype in dtypes_of(toi_slope.Slopes).items()}
-        )
-        inputs = [query, -1, contacts.kind, *points, contacts.toi, contacts.status, kept.get("distances")]
-        launch(toi_slope.fill_slopes, capacity, [*inputs, contacts.normal, contacts.count], [self._slopes])
+        step.execution.launch(toi_adjoint.gather_pairs, capacity, inputs, [self._pairs])
 
     def _new_result(self, result: LaunchResult) -> LaunchResult:
         """The result with copies of the tois, which require gradients."""
@@ -92,7 +86,7 @@ class TapedLaunch:
         self._attained = struct_of(
             toi_adjoint.Attained, {name: self._full(len(getattr(result, of))) for name, of in names.items()}
         )
-        inputs = [self._contacts, self._pairs, self._step.topology.vertex_world, tois]
+        inputs = [self._pairs, self._step.topology.vertex_world, tois]
         self._step.execution.launch(toi_adjoint.attain, self._capacity, inputs, [self._attained])
 
     def _backward(self) -> None:
@@ -107,9 +101,16 @@ class TapedLaunch:
         inputs = [self._pairs, step.topology.vertex_world, self._attained, struct_of(toi_adjoint.Adjoints, gradient)]
         launch(toi_adjoint.collect, capacity, inputs, [adjoint, order_keys, order])
         wp.utils.radix_sort_pairs(order_keys, order, capacity)
-        launch(toi_adjoint.list_columns, capacity, [self._pairs, adjoint, order], [column_vertex, columns])
-        wp.utils.radix_sort_pairs(column_vertex, columns, 4 * capacity)
         mesh = step.topology.mesh
+        inputs = [self._pairs, adjoint, order, mesh.num_vertices]
+        launch(toi_adjoint.list_columns, capacity, inputs, [column_vertex, columns])
+        wp.utils.radix_sort_pairs(column_vertex, columns, 4 * capacity, end_bit=mesh.num_vertices.bit_length())
+        slopes = struct_of(
+            toi_slope.Slopes, {name: self._empty(dtype) for name, dtype in dtypes_of(toi_slope.Slopes).items()}
+        )
+        of = self._columns
+        inputs = [self._query, -1, *(of[name] for name in ("kinds", "points_t0", "points_t1", "toi", "status"))]
+        launch(toi_slope.fill_slopes, capacity, [*inputs, of.get("distances"), of["planes"], adjoint], [slopes])
         rows = specialised("step.toi_adjoint_rows", real=self._form.real, dimension=mesh.dimension)
         out = rows.RowGradients()
         for name, array, count in zip(("vertices_t0", "vertices_t1"), self._given, self._rows, strict=False):
@@ -120,5 +121,5 @@ class TapedLaunch:
             out.radius = self._given[2].grad
         out.t0_by_vertex, out.t1_by_vertex = int(self._form.t0_by_vertex), int(self._form.t1_by_vertex)
         out.is_displacement = int(self._form.is_displacement)
-        inputs = [self._pairs, self._slopes, adjoint, column_vertex, columns, 4 * capacity, self._moving_row]
+        inputs = [self._pairs, slopes, adjoint, column_vertex, columns, 4 * capacity, self._moving_row]
         launch(rows.add_rows, mesh.num_vertices, inputs, [out])
