@@ -82,6 +82,45 @@ def test_gradients_of_a_launch_agree_with_differences(make):
         assert change == pytest.approx(sums[0] - sums[1], rel=1e-6)
 
 
+def random_scene(seed):
+    """Tetrahedra that are thrown into each other and deform, and the options of a call."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    places = 1.5 * rng.standard_normal((5, 3))
+    bodies = [(corners + 0.2 * rng.standard_normal((4, 3)) + place, faces) for place in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    throws = -0.8 * places + 0.3 * rng.standard_normal((5, 3))
+    end = mesh.vertices + throws[mesh.vertex_body] + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    options = [{}, {"minimum_distance": 0.02}, {"minimum_separation": 0.02, "length_scale": 1.0}][seed % 3]
+    return mesh, mesh.vertices.copy(), end, options
+
+
+@pytest.mark.long
+def test_many_scenes_agree_with_differences():
+    errors = []
+    for seed in range(200):
+        mesh, start, end, options = random_scene(seed)
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", tolerance=1e-12, **options)
+        given, weights = [array(start), array(end)], {}
+        tape, result = taped(lambda p=pipeline, g=given: p.launch(*g))
+        if not np.isfinite(weighted(result, weights)) or not weights["toi"].any():
+            continue
+        backward(tape, result, weights)
+        rng = np.random.default_rng(seed)
+        moves = [1e-8 * rng.standard_normal(start.shape) for _ in range(2)]
+        ends = [
+            [array(x + s * dx, requires_grad=False) for x, dx in zip((start, end), moves, strict=True)] for s in (1, -1)
+        ]
+        late, early = (weighted(pipeline.launch(*each), weights) for each in ends)
+        change = 2.0 * sum((x.grad.numpy() * dx).sum() for x, dx in zip(given, moves, strict=True))
+        if change != 0.0 or late != early:  # all that touches does so at the start
+            errors.append(abs(change / (late - early) - 1.0) if late != early else np.inf)
+    print(f"{len(errors)} scenes: median {np.median(errors):.1e}, worst {np.sort(errors)[-5:]}")
+    # differences of tois in float64 have some eight digits
+    assert len(errors) > 190 and np.median(errors) < 1e-7 and max(errors) < 1e-4
+
+
 def test_results_have_the_bits_of_a_launch_without_a_tape():
     mesh, start, end = scene()
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
