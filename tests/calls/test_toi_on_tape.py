@@ -167,11 +167,13 @@ def test_gradients_follow_the_form_of_the_input(dtype, form):
 
 
 def test_equal_tois_pass_their_gradient_to_the_first_contact():
-    falling = TRIANGLE + [0.0, 0.0, 1.0]  # all vertices and edges meet at once
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (falling, FACE)], self_collision=False)
-    end = mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
+    falling = [
+        (0.1 * TRIANGLE + [0.22 * k - 0.33, 0.0, 1.0], FACE) for k in range(4)
+    ]  # all their vertices meet the floor at once
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), *falling], self_collision=False)
+    end = mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body > 0)[:, None]
     given = [array(mesh.vertices), array(end)]
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.5, device="cpu")
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.01, device="cpu")
     tape, result = taped(lambda: pipeline.launch(*given))
     result.toi.grad.fill_(1.0)
     tape.backward()
