@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._pairs import pair_corners
 from ccd_warp._status import PairKind
-from ccd_warp._touch import Touch
+from ccd_warp._toi_gradient import ToiGradient
 
 # Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
 _CHUNK = 1 << 12
@@ -101,6 +101,13 @@ class MovingVertices:
         return self.start.take(rows, axis=0), self.end.take(rows, axis=0)
 
 
+class Touching(Protocol):
+    """What counts as touching in a step: a ``Touch`` of `ccd_warp._touch`, which knows the kernels and this module."""
+
+    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
+        """How the tois of contacts change with the positions of vertices that move so."""
+
+
 @dataclass
 class ContactPlace:
     """The mesh of some contacts, and what has been computed from it or can be.
@@ -121,7 +128,7 @@ class ContactPlace:
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
-    touch: Touch | None = None
+    touch: Touching | None = None
 
     @property
     def has_points(self) -> bool:
@@ -146,6 +153,24 @@ class ContactPlace:
             self.relative_velocity = _relative_velocities(self.frames, contacts)
         return self.relative_velocity
 
+    def toi_gradient_of(self, contacts: Contacts) -> ToiGradient:
+        """How their tois change.
+
+        Raises:
+            ValueError: If it is not known.
+        """
+        if len(contacts) == 0:
+            none = np.zeros((0, 4, self.mesh.dimension))
+            return ToiGradient(none, none, np.zeros(0), np.zeros(0, dtype=bool), contacts.vertices)
+        if self.frames is not None and self.frames.paths is not None:
+            raise ValueError("contacts are those of a call with a motion on arcs; expected vertices that move straight")
+        if self.frames is None or self.touch is None:
+            raise ValueError(
+                "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "
+                "or of a launch by to_host()"
+            )
+        return self.touch.toi_gradient(contacts, self.frames)
+
 
 def located(
     contacts: Contacts,
@@ -153,7 +178,7 @@ def located(
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
     paths: MeshPaths | None = None,
-    touch: Touch | None = None,
+    touch: Touching | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
 

@@ -1,6 +1,5 @@
 """Contacts of a step: their arrays, what follows from the mesh, and one contact at a time."""
 
-import importlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Self, overload
@@ -144,8 +143,7 @@ class Contacts(Placed, ClosePairs):
             ValueError: If the contacts do not know their step, as those of a line search do not, if bodies turned in
                 it, or with a number as ``start_gap_fraction``.
         """
-        slopes = importlib.import_module("ccd_warp._toi_slopes")  # a part that is loaded when it is used
-        gradient: ToiGradient = slopes.of_contacts(self)
+        gradient: ToiGradient = self._known().toi_gradient_of(self)
         return gradient
 
     def sorted_by_toi(self) -> "Contacts":

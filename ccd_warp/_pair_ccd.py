@@ -98,7 +98,8 @@ class PairResult(Placed):
                 raise ValueError(
                     f"points_t{k} has shape {end.shape}; expected those of the call, {len(self.toi)} pairs"
                 )
-        return of_pairs(_touch(options), kind, (ends[0], ends[1]), self.toi, self.status)
+        query = _touch(options).query(is_planar=ends[0].shape[2] == 2)
+        return of_pairs(query, kind, (ends[0], ends[1]), self.toi, self.status)
 
     def __getstate__(self) -> dict[str, Any]:
         place = self._place and (self._place[0], replace(self._place[1], device=None))  # a device stays where it is

@@ -8,7 +8,6 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.tape import active_tape
 from ccd_warp._status import PairKind
-from ccd_warp._toi_slopes import query_of
 from ccd_warp._touch import Touch
 from ccd_warp.kernels.step import toi_slope
 from ccd_warp.kernels.template import specialised
@@ -33,17 +32,8 @@ def record_pairs(
         {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes_of(toi_slope.Slopes).items()},
     )
     is_planar = given[0].dtype is wp.vec2d
-    inputs = [
-        query_of(touch, is_planar=is_planar),
-        int(kind),
-        None,
-        *points,
-        result.toi,
-        result.status,
-        None,
-        None,
-        None,
-    ]
+    unused = [None] * 3  # distances, normals and adjoints of each pair
+    inputs = [touch.query(is_planar=is_planar), int(kind), None, *points, result.toi, result.status, *unused]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
     result.toi.requires_grad = True
     kernels = specialised("step.toi_adjoint_points", dimension=2 if is_planar else 3)

@@ -6,13 +6,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._contact_place import MovingVertices
+from ccd_warp._contacts import Contacts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._status import PairKind
 from ccd_warp._toi_gradient import ToiGradient
-from ccd_warp._touch import Touch
-from ccd_warp.kernels.step import pair_gap, toi_slope
+from ccd_warp.kernels.step import toi_slope
 
 _COLUMNS = dtypes_of(toi_slope.Slopes)
 # The columns that are the points of a pair function.
@@ -24,39 +25,11 @@ _POINTS = {
 }
 
 
-def query_of(touch: Touch, *, is_planar: bool) -> Any:
-    """What counts as touching as the struct of the kernels.
-
-    Raises:
-        ValueError: If the distance of a pair follows from its start.
-    """
-    touch.check()
-    query = toi_slope.Query()
-    query.norm = int(pair_gap.BALL if touch.is_euclidean else pair_gap.BOX)
-    query.separation, query.by_size = touch.separation, int(touch.is_by_size)
-    query.is_planar, query.t_max = int(is_planar), touch.t_max
-    return query
-
-
-def of_contacts(contacts: Any) -> ToiGradient:
-    """The gradients of ``Contacts`` that know how their vertices move straight, and what counts as touching.
-
-    Raises:
-        ValueError: If they do not.
-    """
-    place = contacts._known()
-    if len(contacts) == 0:
-        none = np.zeros((0, 4, place.mesh.dimension))
-        return ToiGradient(none, none, np.zeros(0), np.zeros(0, dtype=bool), contacts.vertices)
-    frames, touch = place.frames, place.touch
-    if frames is not None and frames.paths is not None:
-        raise ValueError("contacts are those of a call with a motion on arcs; expected vertices that move straight")
-    if frames is None or touch is None:
-        raise ValueError(
-            "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "
-            "or of a launch by to_host()"
-        )
-    mesh, vertices = place.mesh, contacts.vertices.copy()
+def of_contacts(
+    query: Any, contacts: Contacts, frames: MovingVertices, distances: NDArray[np.float64] | None
+) -> ToiGradient:
+    """The gradients of contacts whose vertices move straight, with the distance of each pair where they have one."""
+    mesh, vertices = frames.mesh, contacts.vertices.copy()
     ends: Any = [np.zeros((len(contacts), 4, 3)) for _ in range(2)]
     planes = np.flatnonzero(contacts.kind == int(PairKind.VERTEX_PLANE))
     of_plane = mesh.planes.vertices[contacts.primitives[planes, 1]]
@@ -68,23 +41,15 @@ def of_contacts(contacts: Any) -> ToiGradient:
         end[rests, 3, : mesh.dimension] = mesh.planes.points[contacts.primitives[rests, 1]]
     normals = np.zeros((len(contacts), 3))
     normals[:, : mesh.dimension] = contacts.normal
-    slopes = _slopes(
-        touch,
-        contacts.kind,
-        ends,
-        contacts.toi,
-        contacts.status,
-        distances=touch.distances(mesh, contacts.kind, contacts.vertices),
-        planes=normals if len(planes) else None,
-        is_planar=mesh.dimension == 2,
-    )
+    columns = contacts.toi, contacts.status, distances, normals if len(planes) else None
+    slopes = _slopes(query, contacts.kind, ends, *columns)
     gradient = _expanded(slopes, list(range(4)), mesh.dimension)
     gradient[0][planes[~moves], 3] = gradient[1][planes[~moves], 3] = 0.0
     return ToiGradient(*gradient, slopes["distance"], slopes["is_regular"], vertices)
 
 
 def of_pairs(
-    touch: Touch,
+    query: Any,
     kind: PairKind,
     ends: tuple[NDArray[np.float64], NDArray[np.float64]],
     toi: NDArray[np.float64],
@@ -95,7 +60,7 @@ def of_pairs(
     in_space: Any = [np.zeros((*end.shape[:2], 3)) for end in ends]
     for points, end in zip(in_space, ends, strict=True):
         points[..., :dimension] = end
-    slopes = _slopes(touch, kind, in_space, toi, status, is_planar=dimension == 2)
+    slopes = _slopes(query, kind, in_space, toi, status)
     return ToiGradient(*_expanded(slopes, columns, dimension), slopes["distance"], slopes["is_regular"])
 
 
@@ -109,15 +74,13 @@ def _expanded(
 
 
 def _slopes(
-    touch: Touch,
+    query: Any,
     kind: PairKind | NDArray[np.int32],
     ends: list[NDArray[np.float64]],
     toi: NDArray[np.float64],
     status: NDArray[np.int32],
-    *,
     distances: NDArray[np.float64] | None = None,
     planes: NDArray[np.float64] | None = None,
-    is_planar: bool,
 ) -> dict[str, NDArray[Any]]:
     """The columns of ``Slopes`` for a table of pairs."""
     count, device = len(toi), wp.get_device("cpu")
@@ -131,7 +94,7 @@ def _slopes(
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
 
     inputs = [
-        query_of(touch, is_planar=is_planar),
+        query,
         int(kind) if isinstance(kind, PairKind) else -1,
         None if isinstance(kind, PairKind) else array(kind, wp.int32),
         *(array(end, wp.vec3d) for end in ends),

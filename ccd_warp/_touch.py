@@ -1,16 +1,17 @@
-"""What counts as touching in a step: the distance of a pair and its norm, as gradients of its contacts need them."""
+"""What counts as touching in a step: the distance of a pair and its norm, and the gradients of tois by them."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._contact_place import MovingVertices
+from ccd_warp._contacts import Contacts
+from ccd_warp._input.options import Options
+from ccd_warp._mesh import CollisionMesh
 from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
-    from ccd_warp._mesh import CollisionMesh
+from ccd_warp._toi_gradient import ToiGradient
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +37,7 @@ class Touch:
     @classmethod
     def of(
         cls,
-        options: "Options",
+        options: Options,
         length_scale: float | None,
         *,
         is_euclidean: bool,
@@ -47,20 +48,39 @@ class Touch:
         separation = options.minimum_separation if is_by_size else options.separation(length_scale or 0.0)
         return cls(is_euclidean, separation, options.t_max, options.start_gap_share, is_by_size, radius)
 
-    def check(self) -> None:
-        """Check that the distance of a pair does not follow from its start.
+    def query(self, *, is_planar: bool) -> Any:
+        """It as the struct of the kernels.
 
         Raises:
-            ValueError: If it does.
+            ValueError: If the distance of a pair follows from its start.
         """
+        from ccd_warp.kernels.step import pair_gap, toi_slope  # loaded by those who ask for gradients
+
         if self.start_gap_share > 0.0:
             raise ValueError(
                 f"start_gap_fraction is {self.start_gap_share}; expected 'hold' or None for gradients, as otherwise "
                 "the distance of a pair changes with its start"
             )
+        query = toi_slope.Query()
+        query.norm = int(pair_gap.BALL if self.is_euclidean else pair_gap.BOX)
+        query.separation, query.by_size = self.separation, int(self.is_by_size)
+        query.is_planar, query.t_max = int(is_planar), self.t_max
+        return query
+
+    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
+        """How the tois of contacts change whose vertices move so, on straight lines.
+
+        Raises:
+            ValueError: If the distance of a pair follows from its start.
+        """
+        from ccd_warp._toi_slopes import of_contacts  # loaded by those who ask for gradients
+
+        mesh = frames.mesh
+        distances = self.distances(mesh, contacts.kind, contacts.vertices)
+        return of_contacts(self.query(is_planar=mesh.dimension == 2), contacts, frames, distances)
 
     def distances(
-        self, mesh: "CollisionMesh", kind: NDArray[np.int32], vertices: NDArray[np.int32]
+        self, mesh: CollisionMesh, kind: NDArray[np.int32], vertices: NDArray[np.int32]
     ) -> NDArray[np.float64] | None:
         """The distance of each pair with these vertices; None where all have one."""
         if self.radius is None:

@@ -227,18 +227,17 @@ class DeviceStep(Plan):
         if vertices_t0 is not None:
             given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
             start, end = self._mesh.frames(*given)
-            return located(contacts, self._mesh, start, end, touch=self.touch())
-        last = self.last_positions()
-        if last is None:
-            return located(contacts, self._mesh)
-        start, end = (v.numpy().reshape(-1, 3) for v in last)
-        return located(contacts, self._mesh, start, end, touch=self.touch())
-
-    def touch(self) -> Touch | None:
-        """What counts as touching, with the radii that the array holds now; not one thing after a line search."""
-        if self._last is None or self._last.form.line_search is not None:
-            return None
+        else:
+            last = self.last_positions()
+            if last is None:
+                return located(contacts, self._mesh)
+            start, end = (v.numpy().reshape(-1, 3) for v in last)
+        is_searched = self._last is not None and self._last.form.line_search is not None  # pairs may have been held
         radius = None if self._radius is None else self._radius.numpy().copy()
+        return located(contacts, self._mesh, start, end, touch=None if is_searched else self.touch(radius))
+
+    def touch(self, radius: NDArray[np.float64] | None = None) -> Touch:
+        """What counts as touching where nothing is held, with the radii of vertices where they are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
         return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
 

@@ -13,7 +13,6 @@ from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.tape import active_tape
-from ccd_warp._toi_slopes import query_of
 from ccd_warp.kernels.step import toi_adjoint, toi_slope
 from ccd_warp.kernels.template import specialised
 
@@ -33,13 +32,12 @@ class TapedLaunch:
     def __init__(self, step: DeviceStep, prepared: PreparedLaunch, given: tuple[Any, Any], radius: Any) -> None:
         """Compute it for arguments of a launch and the radii, and record the backward pass on the active tape."""
         touch = step.touch()
-        assert touch is not None
         self._step, self._form = step, prepared.form
         self._rows = [len(prepared.vertices_t0), len(prepared.vertices_t1)]
         self._given = [x if isinstance(x, wp.array) and x.requires_grad else None for x in (*given, radius)]
         self._capacity = len(step.result.contacts.kind)
         self._moving_row = step.contact_arrays.moving_row("gradients")
-        self._query = query_of(touch, is_planar=step.topology.mesh.dimension == 2)
+        self._query = touch.query(is_planar=step.topology.mesh.dimension == 2)
         self._keep(touch.separation, radius)
         self.result = self._new_result(step.result)
         self._attain(step.result)
