@@ -541,9 +541,9 @@ class CollisionPipeline:
             self._device_step = step
             self._interrupted, self._is_placing = None, False
             if is_taped:
-                from ccd_warp._engine.device.toi_tape import TapedLaunch  # its kernels are loaded where they are needed
+                from ccd_warp._engine.device.toi_tape import record_launch  # few programs need it
 
-                return TapedLaunch(step, prepared, given, self._radius).result
+                return record_launch(step, prepared, given, self._radius)
             return step.result
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:

@@ -4,7 +4,7 @@ import warp as wp
 
 from ..parameters import dimension, real
 from . import in_space as positions
-from .toi_adjoint import Pairs, first_of
+from .toi_adjoint import Pairs
 from .toi_slope import Slopes
 
 _ZERO = wp.constant(wp.float64(0.0))
@@ -41,33 +41,37 @@ def add_rows(
     begin: int,
     # in
     pairs: Pairs,
-    slopes: Slopes,
-    adjoint: wp.array[wp.float64],
-    column_vertex: wp.array[wp.int32],
-    columns: wp.array[wp.int32],
     num_columns: int,
+    slopes: Slopes,
+    num_vertices: int,
     moving_row: wp.array[wp.int32],  # the place of each vertex among the moving ones; -1: it is static
     # out
     out: RowGradients,
 ):
-    """Add the contributions of all contacts to a vertex, in the order of the contacts; no other item has its row."""
-    v = begin + wp.tid()
+    """Add what all pairs contribute to a vertex, in their order, at the first of its columns; these are sorted."""
+    first = begin + wp.tid()
+    v = pairs.column_vertex[first]
+    if v == num_vertices:
+        return
+    if first > 0:
+        if pairs.column_vertex[first - 1] == v:
+            return
     of_start = wp.vec3d()
     of_end = wp.vec3d()
     of_radius = _ZERO
-    for k in range(first_of(column_vertex, num_columns, v), num_columns):
-        if column_vertex[k] != v:
+    for k in range(first, num_columns):
+        if pairs.column_vertex[k] != v:
             break
-        n = columns[k] / 4
-        c = columns[k] % 4
+        n = pairs.columns[k] / 4
+        c = pairs.columns[k] % 4
         t = slopes.time[n]
-        along = (-adjoint[n] * slopes.weights[n][c]) * slopes.slope[n]
+        along = (-pairs.toi_gradient[n] * slopes.weights[n][c]) * slopes.slope[n]
         of_start += (_ONE - t) * along
         of_end += t * along
         if pairs.radius_columns.shape[0] > 0:
             of_columns = pairs.radius_columns[n]
             if of_columns[0] == c or of_columns[1] == c:
-                of_radius += adjoint[n] * slopes.distance[n]
+                of_radius += pairs.toi_gradient[n] * slopes.distance[n]
     row = moving_row[v]
     row_t0 = wp.where(out.t0_by_vertex != 0, v, row)
     row_t1 = wp.where(out.t1_by_vertex != 0, v, row)

@@ -1,0 +1,189 @@
+"""A check of a step on the device, kept with all that the gradients of its minima need, and these gradients."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._engine.device.input import Form
+from ccd_warp._engine.device.step import DeviceStep
+from ccd_warp._engine.host.contacts import new_contact_list
+from ccd_warp._engine.mesh.planes import planes_of
+from ccd_warp._input.interop import as_positions, without_worlds
+from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp.kernels.step import toi_adjoint, toi_slope
+from ccd_warp.kernels.template import specialised
+
+_CONTACT_COLUMNS = ("count", "kind", "primitives", "toi", "status")
+_TOIS = ("vertex_toi", "body_toi", "world_toi", "toi")
+_NO_KEY = int(toi_adjoint.NO_KEY)
+# Below so many keys NumPy sorts them faster on the CPU, where Warp counts 2^16 digits several times.
+_FEW = 1 << 11
+
+
+@dataclass(frozen=True)
+class Given:
+    """The arrays of a caller that get gradients, None for those that do not require one, and what their rows are.
+
+    Attributes:
+        vertices_t0: Start positions.
+        vertices_t1: End positions or displacements.
+        radius: Radii of vertices.
+        form: The form of the launch that has read them.
+        rows: How many rows the positions have.
+    """
+
+    vertices_t0: wp.array | None
+    vertices_t1: wp.array | None
+    radius: wp.array | None
+    form: Form
+    rows: tuple[int, int]
+
+    @classmethod
+    def of(cls, given: tuple[Any, Any], radius: Any, form: Form, rows: tuple[int, int]) -> "Given":
+        """Of the arguments of a launch, and the radii."""
+        t0, t1, r = (x if isinstance(x, wp.array) and x.requires_grad else None for x in (*given, radius))
+        return cls(t0, t1, r, form, rows)
+
+    @property
+    def arrays(self) -> list[wp.array]:
+        """Those that get gradients."""
+        return [x for x in (self.vertices_t0, self.vertices_t1, self.radius) if x is not None]
+
+    def gradients(self, step: DeviceStep) -> tuple[wp.array | None, wp.array | None]:
+        """The gradients of the positions, with a row for each as a launch reads them."""
+        mesh, device = step.topology.mesh, step.topology.device
+        found: list[wp.array | None] = []
+        for name, count in zip(("vertices_t0", "vertices_t1"), self.rows, strict=True):
+            array = getattr(self, name)
+            if array is not None:
+                grad = without_worlds(array.grad, name, mesh.rows_by_world, mesh.dimension)
+                array = as_positions(grad, name, device, {count: "as given"}, mesh.dimension)
+            found.append(array)
+        return found[0], found[1]
+
+
+class KeptCheck:
+    """The contacts and the tois of a step that has been checked, and its input: copies, as all of it is overwritten.
+
+    Attributes:
+        start: Start positions of all vertices, float64.
+        end: Those at the end.
+        tois: Times of impact of vertices, bodies, worlds and the scene by the names of a result.
+    """
+
+    def __init__(
+        self, step: DeviceStep, positions: tuple[wp.array, wp.array], radius: wp.array | None, *, may_be_raised: bool
+    ) -> None:
+        """Keep what a step has now, which was checked between these positions.
+
+        With ``may_be_raised`` a toi near 0 may be one of a part of the gap, as in the first pass of a line search.
+        """
+        self._step, self._device = step, step.topology.device
+        result, mesh, planes = step.result, step.topology.mesh, planes_of(step.topology)
+        capacity = len(result.contacts.kind)
+        self._count = capacity
+        if self._is_read:
+            self._count = min(capacity, int(result.contacts.count.numpy()[0]))
+        names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
+        contacts = {name: self._copy(getattr(result.contacts, name), self._count) for name in names}
+        self.start, self.end = (self._copy(x) for x in positions)
+        self.tois = {name: self._copy(getattr(result, name)) for name in _TOIS}
+        touch = step.touch()
+        self._query = touch.query(is_planar=mesh.dimension == 2)
+        self._query.may_be_raised = int(may_be_raised)
+        self._is_thick = radius is not None
+        arrays = {"start": self.start, "end": self.end, **self.tois}
+        if radius is not None:
+            arrays["radius"] = self._copy(radius)
+        self._check = struct_of(toi_adjoint.Check, arrays)
+        self._check.contacts, self._check.separation = new_contact_list(contacts), touch.separation
+        topology = step.topology
+        of_mesh = {"edge_corners": topology.corners["edge"], "face_corners": topology.corners["face"]}
+        of_mesh |= {"vertex_body": topology.vertex_body, "vertex_world": topology.vertex_world}
+        of_mesh |= {"plane_point": planes.point, "plane_vertex": planes.vertex, "plane_body": planes.body}
+        if self._is_thick:
+            of_mesh |= dict(zip(("neighbour_begin", "neighbours"), topology.neighbours, strict=True))
+        self._mesh = struct_of(toi_adjoint.CheckedMesh, of_mesh)
+        self._mesh.num_vertices = mesh.num_vertices
+        self._moving_row = step.contact_arrays.moving_row("gradients")
+
+    @property
+    def _is_read(self) -> bool:
+        """Whether the host may read what a launch has written: on the CPU, where no graph is captured."""
+        return bool(self._device.is_cpu and not self._device.is_capturing)
+
+    def _copy(self, array: wp.array, count: int | None = None) -> wp.array:
+        count = len(array) if count is None else min(count, len(array))
+        copy = wp.empty(count, dtype=array.dtype, device=self._device)
+        if count:
+            wp.copy(copy, array, count=count)
+        return copy
+
+    def _empty(self, dtype: Any, count: int | tuple[int, int]) -> wp.array:
+        return wp.empty(count, dtype=dtype, device=self._device)
+
+    def _full(self, value: int, count: int, dtype: Any) -> wp.array:
+        return wp.full(count, value=value, dtype=dtype, device=self._device)
+
+    def add_gradients(
+        self, of_minima: Mapping[str, wp.array], given: Given, gradients: tuple[wp.array | None, wp.array | None]
+    ) -> None:
+        """Add the gradients of the input, from those of minima: of ``"vertex"``, ``"body"``, ``"world"``, ``"scene"``.
+
+        Where one array stands for two minima, it must be given once.
+        """
+        launch = self._step.execution.launch
+        attained = struct_of(
+            toi_adjoint.Attained, {name: self._full(_NO_KEY, len(x), wp.int64) for name, x in of_minima.items()}
+        )
+        num_listed = self._full(0, 1, wp.int32)
+        keys, listed = self._full(_NO_KEY, 2 * self._count, wp.int64), self._empty(wp.int32, 2 * self._count)
+        launch(toi_adjoint.attain, self._count, [self._check, self._mesh], [attained, num_listed, keys, listed])
+        count = int(num_listed.numpy()[0]) if self._is_read else self._count
+        if count == 0:
+            return
+        self._sort(keys, listed, count)
+        pairs, columns = self._new_pairs(count)
+        inputs = [self._check, self._mesh, keys, listed, attained, struct_of(toi_adjoint.MinimaGradients, of_minima)]
+        launch(toi_adjoint.gather_pairs, count, inputs, [pairs])
+        num_vertices = self._mesh.num_vertices
+        self._sort(columns["column_vertex"], columns["columns"], 4 * count, num_vertices.bit_length())
+        slopes = struct_of(
+            toi_slope.Slopes, {name: self._empty(dtype, count) for name, dtype in dtypes_of(toi_slope.Slopes).items()}
+        )
+        of = columns.get
+        inputs = [self._query, -1, *map(of, ("kinds", "points_t0", "points_t1", "toi", "status"))]
+        launch(toi_slope.fill_slopes, count, [*inputs, of("distances"), of("planes"), of("toi_gradient")], [slopes])
+        form = given.form
+        rows = specialised("step.toi_adjoint_rows", real=form.real, dimension=self._step.topology.mesh.dimension)
+        out = rows.RowGradients()
+        for name, array in zip(("vertices_t0", "vertices_t1"), gradients, strict=True):
+            if array is not None:
+                setattr(out, name, array)
+        if given.radius is not None:
+            out.radius = given.radius.grad
+        out.t0_by_vertex, out.t1_by_vertex = int(form.t0_by_vertex), int(form.t1_by_vertex)
+        out.is_displacement = int(form.is_displacement)
+        launch(rows.add_rows, 4 * count, [pairs, 4 * count, slopes, num_vertices, self._moving_row], [out])
+
+    def _new_pairs(self, count: int) -> tuple[Any, dict[str, wp.array]]:
+        """A table of so many pairs, and its columns by name."""
+        dtypes = dtypes_of(toi_adjoint.Pairs)
+        if not self._is_thick:
+            dtypes = {name: dtypes[name] for name in dtypes.keys() - {"distances", "radius_columns"}}
+        columns = {name: self._empty(dtype, count) for name, dtype in dtypes.items()}
+        columns |= {name: self._empty(wp.vec3d, (count, 4)) for name in ("points_t0", "points_t1")}
+        columns |= {name: self._empty(wp.int32, 8 * count) for name in ("column_vertex", "columns")}
+        return struct_of(toi_adjoint.Pairs, columns), columns
+
+    def _sort(self, keys: wp.array, values: wp.array, count: int, num_bits: int = 64) -> None:
+        """Sort the first values by their keys, stably; both arrays have space for twice as many."""
+        if self._is_read and count < _FEW:
+            of_keys, of_values = (x.numpy()[:count] for x in (keys, values))
+            order = np.argsort(of_keys, kind="stable")
+            of_keys[...], of_values[...] = of_keys[order], of_values[order]
+        else:
+            wp.utils.radix_sort_pairs(keys, values, count, end_bit=num_bits)
