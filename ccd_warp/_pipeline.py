@@ -53,6 +53,9 @@ from ccd_warp._runtime.threads import StopFlag
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
+    from ccd_warp._engine.device.line_search import DeviceLineSearch
+    from ccd_warp._engine.device.line_search_tape import TapedLineSearch
+    from ccd_warp._engine.device.toi_tape import TapedLaunch
     from ccd_warp._engine.host.joint_search import JointSearch
     from ccd_warp._engine.host.near_parts import NearParts
     from ccd_warp._engine.host.near_search import NearSearch
@@ -121,7 +124,7 @@ class CollisionPipeline:
         # A call takes these two out while it uses them and puts them back only if it succeeds, so that no inconsistent
         # state is used again.
         self._workspace: Workspace | None = workspace
-        self._device_step: DeviceStep | None = None
+        self._device_step: DeviceLineSearch | None = None
         self._arc_step: DeviceArcStep | None = None  # of launches with a motion
         self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
@@ -511,10 +514,9 @@ class CollisionPipeline:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         given = vertices_t0, vertices_t1
         is_taped = wants_gradient(*given, self._radius)
-        if is_taped and (motion is not None or "line_search" in arguments):
-            call = "launch_line_search" if motion is None else "launch with a motion"
+        if is_taped and motion is not None:
             raise ValueError(
-                f"{call} has no gradients, and an array on the tape requires one; expected launch, or no tape"
+                "motion has no gradients, and an array on the tape requires one; expected none, or no tape"
             )
         with self._lock:
             name_t1 = arguments.get("name_t1", "vertices_t1")
@@ -528,7 +530,8 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
-            prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
+            prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
+            taped = self._taped(step, prepared, given) if is_taped else None
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
                     "a launch was interrupted while it placed static bodies; "
@@ -537,14 +540,19 @@ class CollisionPipeline:
             self._check_places(step, prepared)
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
-            step.launch(prepared)
+            (step if taped is None else taped).launch(prepared)
             self._device_step = step
             self._interrupted, self._is_placing = None, False
-            if is_taped:
-                from ccd_warp._engine.device.toi_tape import record_launch  # few programs need it
+            return step.result if taped is None else taped.result
 
-                return record_launch(step, prepared, given, self._radius)
-            return step.result
+    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
+        """A launch, or a line search, that is recorded on the active tape."""
+        taped: Any
+        if prepared.form.line_search is None:
+            from ccd_warp._engine.device.toi_tape import TapedLaunch as taped  # few programs need them
+        else:
+            from ccd_warp._engine.device.line_search_tape import TapedLineSearch as taped
+        return taped(step, prepared, given, self._radius)
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
         """Find what is near at one time on the device, without waiting for the result.

@@ -257,10 +257,10 @@ def launches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
 
 
 def gradients(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
-    """Gradients of a launch on a tape by both ends and radii, for positions of both types."""
+    """Gradients of a launch and of a line search on a tape by both ends and radii, for positions of both types."""
     mesh, start, end = case.make()
     found: Outputs = {}
-    for dtype in ("float64", "float32"):
+    for dtype, per in (("float64", "body"), ("float32", "vertex")):
         pipeline = ccd.CollisionPipeline(mesh, **case.options, **case.capacities, precision=precision, device=device)
         t0, t1 = (_on_device(x, dtype, device) for x in (start, end))
         given = {"t0": t0, "t1": t1} | ({} if pipeline.radius is None else {"radius": pipeline.radius})
@@ -273,6 +273,13 @@ def gradients(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
             array.grad.assign(np.cos(np.arange(len(array)) + k))
         tape.backward()
         found |= outputs_of({name: array.grad.numpy() for name, array in given.items()}, f"gradients {dtype}")
+        tape = wp.Tape()
+        with tape:
+            pipeline.launch_line_search(t0, t1, per=per)
+        tape.zero()
+        t1.grad.assign(np.cos(np.arange(t1.numpy().size)).reshape(t1.numpy().shape))
+        tape.backward()
+        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()}, f"search {dtype}")
     return found
 
 

@@ -48,7 +48,6 @@ class Query:
     by_size: int  # whether it is a multiple of the longest side of the box around each pair's motion
     is_planar: int
     t_max: wp.float64
-    may_be_raised: int  # 1: a toi near 0 may be one of an eighth of the gap, which has no gradient
 
 
 @wp.struct
@@ -234,8 +233,6 @@ def fill_slopes(
     if not (t - uncertain > _ZERO and t + uncertain < query.t_max * (_ONE - _ROUNDINGS)):
         return
     if t < toi[i] - _FOUR * uncertain - _ROUNDINGS:
-        return
-    if query.may_be_raised != 0 and t > _FOUR * toi[i]:
         return
     if norm == TOUCH and kind != VERTEX_PLANE:
         if not wp.length(g.point) <= _FOUR * (noise + g.speed * uncertain):

@@ -4,23 +4,12 @@ import numpy as np
 import pytest
 import warp as wp
 from scenes import FACE, TRIANGLE
-from toi_scenes import SOLVE, scene
+from toi_scenes import SOLVE, array, random_scene, scene, taped, thick_scene
 
 import ccd_warp as ccd
 
 DISTANCE = 0.1
 TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
-
-
-def array(values, dtype=wp.vec3d, requires_grad=True):
-    return wp.array(values, dtype=dtype, device="cpu", requires_grad=requires_grad)
-
-
-def taped(call):
-    tape = wp.Tape()
-    with tape:
-        result = call()
-    return tape, result
 
 
 def weighted(result, weights):
@@ -46,10 +35,6 @@ def backward(tape, result, weights):
             values.grad.assign(weights[name])
         seen.add(id(values))
     tape.backward()
-
-
-def thick_scene(**options):
-    return scene(radius=np.linspace(0.0, 0.02, 17), **options)
 
 
 @pytest.mark.parametrize("make", [scene, thick_scene])
@@ -80,20 +65,6 @@ def test_gradients_of_a_launch_agree_with_differences(make):
             sums.append(weighted(pipeline.launch(*ends), weights))
         change = 2.0 * sum((g * dx).sum() for g, dx in zip(gradient, moves, strict=True))
         assert change == pytest.approx(sums[0] - sums[1], rel=1e-6)
-
-
-def random_scene(seed):
-    """Tetrahedra that are thrown into each other and deform, and the options of a call."""
-    rng = np.random.default_rng(seed)
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    places = 1.5 * rng.standard_normal((5, 3))
-    bodies = [(corners + 0.2 * rng.standard_normal((4, 3)) + place, faces) for place in places]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
-    throws = -0.8 * places + 0.3 * rng.standard_normal((5, 3))
-    end = mesh.vertices + throws[mesh.vertex_body] + 0.1 * rng.standard_normal(mesh.vertices.shape)
-    options = [{}, {"minimum_distance": 0.02}, {"minimum_separation": 0.02, "length_scale": 1.0}][seed % 3]
-    return mesh, mesh.vertices.copy(), end, options
 
 
 @pytest.mark.long
@@ -324,11 +295,9 @@ def test_calls_without_gradients_say_so_on_a_tape():
     mesh, start, end = scene()
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
     given = [array(start), array(end)]
-    with wp.Tape(), pytest.raises(ValueError, match="launch_line_search has no gradients"):
-        pipeline.launch_line_search(*given)
     shared = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, start_gap_fraction=0.5, device="cpu")
     with wp.Tape(), pytest.raises(ValueError, match="expected 'hold' or None for gradients"):
         shared.launch(*given)
     with wp.Tape(), pytest.raises(ValueError, match="vertices_t0 requires a gradient"):
         pipeline.mesh_ccd(*given)
-    pipeline.launch_line_search(array(start), array(end))  # without a tape nothing is asked for
+    pipeline.mesh_ccd(*(x.numpy() for x in given))

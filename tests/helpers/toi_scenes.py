@@ -1,6 +1,7 @@
-"""What gradients of times of impact are asked of: pair functions by kind, and a mesh with pairs of all kinds."""
+"""What gradients of times of impact are asked of: pair functions by kind, meshes, arrays on a tape."""
 
 import numpy as np
+import warp as wp
 from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
@@ -32,3 +33,35 @@ def scene(**options):
         + np.where(mesh.vertex_body < 2, 0.05, 0.0)[:, None] * rng.standard_normal((mesh.num_vertices, 3))
     )
     return mesh, mesh.vertices.copy(), end
+
+
+def thick_scene(**options):
+    """The same with radii."""
+    return scene(radius=np.linspace(0.0, 0.02, 17), **options)
+
+
+def random_scene(seed):
+    """Tetrahedra that are thrown into each other and deform, and the options of a call."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    places = 1.5 * rng.standard_normal((5, 3))
+    bodies = [(corners + 0.2 * rng.standard_normal((4, 3)) + place, faces) for place in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    throws = -0.8 * places + 0.3 * rng.standard_normal((5, 3))
+    end = mesh.vertices + throws[mesh.vertex_body] + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    options = [{}, {"minimum_distance": 0.02}, {"minimum_separation": 0.02, "length_scale": 1.0}][seed % 3]
+    return mesh, mesh.vertices.copy(), end, options
+
+
+def array(values, dtype=wp.vec3d, requires_grad=True):
+    """An array on the CPU that requires a gradient."""
+    return wp.array(values, dtype=dtype, device="cpu", requires_grad=requires_grad)
+
+
+def taped(call):
+    """A tape on which a call is recorded, and what it returns."""
+    tape = wp.Tape()
+    with tape:
+        result = call()
+    return tape, result

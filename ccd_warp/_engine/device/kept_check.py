@@ -75,14 +75,11 @@ class KeptCheck:
     """
 
     def __init__(
-        self, step: DeviceStep, positions: tuple[wp.array, wp.array], radius: wp.array | None, *, may_be_raised: bool
+        self, step: DeviceStep, query: Any, positions: tuple[wp.array, wp.array], radius: wp.array | None
     ) -> None:
-        """Keep what a step has now, which was checked between these positions.
-
-        With ``may_be_raised`` a toi near 0 may be one of a part of the gap, as in the first pass of a line search.
-        """
+        """Keep what a step has now, which was checked between these positions for what the query tells."""
         self._step, self._device = step, step.topology.device
-        result, mesh, planes = step.result, step.topology.mesh, planes_of(step.topology)
+        result, planes = step.result, planes_of(step.topology)
         capacity = len(result.contacts.kind)
         self._count = capacity
         if self._is_read:
@@ -91,15 +88,12 @@ class KeptCheck:
         contacts = {name: self._copy(getattr(result.contacts, name), self._count) for name in names}
         self.start, self.end = (self._copy(x) for x in positions)
         self.tois = {name: self._copy(getattr(result, name)) for name in _TOIS}
-        touch = step.touch()
-        self._query = touch.query(is_planar=mesh.dimension == 2)
-        self._query.may_be_raised = int(may_be_raised)
-        self._is_thick = radius is not None
+        self._query, self._is_thick = query, radius is not None
         arrays = {"start": self.start, "end": self.end, **self.tois}
         if radius is not None:
             arrays["radius"] = self._copy(radius)
         self._check = struct_of(toi_adjoint.Check, arrays)
-        self._check.contacts, self._check.separation = new_contact_list(contacts), touch.separation
+        self._check.contacts, self._check.separation = new_contact_list(contacts), query.separation
         topology = step.topology
         of_mesh = {"edge_corners": topology.corners["edge"], "face_corners": topology.corners["face"]}
         of_mesh |= {"vertex_body": topology.vertex_body, "vertex_world": topology.vertex_world}
@@ -107,13 +101,18 @@ class KeptCheck:
         if self._is_thick:
             of_mesh |= dict(zip(("neighbour_begin", "neighbours"), topology.neighbours, strict=True))
         self._mesh = struct_of(toi_adjoint.CheckedMesh, of_mesh)
-        self._mesh.num_vertices = mesh.num_vertices
+        self._mesh.num_vertices = topology.mesh.num_vertices
         self._moving_row = step.contact_arrays.moving_row("gradients")
 
     @property
     def _is_read(self) -> bool:
         """Whether the host may read what a launch has written: on the CPU, where no graph is captured."""
         return bool(self._device.is_cpu and not self._device.is_capturing)
+
+    @property
+    def may_touch(self) -> bool:
+        """Whether it may have a finite toi: on CUDA, and in a capture, always."""
+        return not self._is_read or bool(np.isfinite(self.tois["toi"].numpy()[0]))
 
     def _copy(self, array: wp.array, count: int | None = None) -> wp.array:
         count = len(array) if count is None else min(count, len(array))

@@ -267,11 +267,13 @@ class DeviceStep(Plan):
 
     def last_positions(self) -> tuple[wp.array, wp.array] | None:
         """Positions of all vertices in the last launch, in float64; None before the first."""
-        if self._last is None:
-            return None
-        if self._input.is_copied(self._last.form):
+        return None if self._last is None else self.positions_of(self._last)
+
+    def positions_of(self, prepared: PreparedLaunch) -> tuple[wp.array, wp.array]:
+        """Positions of all vertices in a launch, in float64."""
+        if self._input.is_copied(prepared.form):
             return self._input.start, self._input.end
-        return self._last.vertices_t0, self._last.vertices_t1
+        return prepared.vertices_t0, prepared.vertices_t1
 
     def _record(self, form: Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """A recording of all launches."""

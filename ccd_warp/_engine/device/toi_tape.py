@@ -14,33 +14,43 @@ from ccd_warp._runtime.tape import active_tape
 _MINIMA = {"vertex": "vertex_toi", "body": "body_toi", "world": "world_toi", "scene": "toi"}
 
 
-def record_launch(
-    step: DeviceStep, prepared: PreparedLaunch, given: tuple[Any, Any], radius: wp.array | None
-) -> LaunchResult:
-    """Record the backward pass of the last launch on the active tape.
+class TapedLaunch:
+    """A launch whose tois get gradients by the positions at both ends and by radii.
 
-    Args:
-        step: The step that was launched.
-        prepared: The arguments as they were launched.
-        given: The positions as the caller has given them.
-        radius: The radii of the pipeline.
-
-    Returns:
-        The result with tois of its own, which later launches do not overwrite, and which require gradients.
+    Attributes:
+        result: After the launch its result, with tois of its own that later launches do not overwrite.
     """
-    of_input = Given.of(given, radius, prepared.form, (len(prepared.vertices_t0), len(prepared.vertices_t1)))
-    positions = step.last_positions()
-    assert positions is not None
-    check = KeptCheck(step, positions, radius, may_be_raised=False)
-    tois: dict[str, Any] = {name: wp.empty_like(x, requires_grad=True) for name, x in check.tois.items()}
-    for name, array in tois.items():
-        wp.copy(array, check.tois[name])
-    if step.result.world_toi is step.result.toi:
-        tois["world_toi"] = tois["toi"]
-    minima = {name: tois[of] for name, of in _MINIMA.items() if name != "world" or tois[of] is not tois["toi"]}
 
-    def backward() -> None:
-        check.add_gradients({name: x.grad for name, x in minima.items()}, of_input, of_input.gradients(step))
+    result: LaunchResult
 
-    active_tape().record_func(backward, [*minima.values(), *of_input.arrays])
-    return replace(step.result, **tois)
+    def __init__(
+        self, step: DeviceStep, prepared: PreparedLaunch, given: tuple[Any, Any], radius: wp.array | None
+    ) -> None:
+        """Of the arguments of a launch, with the positions as the caller has given them.
+
+        Raises:
+            ValueError: If the distance of a pair follows from its start.
+        """
+        self._step, self._radius = step, radius
+        rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
+        self._given = Given.of(given, radius, prepared.form, rows)
+        self._query = step.touch().query(is_planar=step.topology.mesh.dimension == 2)
+
+    def launch(self, prepared: PreparedLaunch) -> None:
+        """Launch, keep what was found, and record the backward pass on the active tape."""
+        step = self._step
+        step.launch(prepared)
+        check = KeptCheck(step, self._query, step.positions_of(prepared), self._radius)
+        tois: dict[str, Any] = {name: wp.empty_like(x, requires_grad=True) for name, x in check.tois.items()}
+        for name, array in tois.items():
+            wp.copy(array, check.tois[name])
+        if step.result.world_toi is step.result.toi:
+            tois["world_toi"] = tois["toi"]
+        minima = {name: tois[of] for name, of in _MINIMA.items() if name != "world" or tois[of] is not tois["toi"]}
+
+        def backward() -> None:
+            of_minima = {name: x.grad for name, x in minima.items()}
+            check.add_gradients(of_minima, self._given, self._given.gradients(step))
+
+        active_tape().record_func(backward, [*minima.values(), *self._given.arrays])
+        self.result = replace(step.result, **tois)
