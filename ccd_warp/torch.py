@@ -8,19 +8,18 @@ functions, but calls them between two parts of its graph.
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 
 import warp as wp
 
-from ccd_warp._device_results import LaunchResult
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY, EVERY_PER, Per
 from ccd_warp._input.arguments import check_choice, check_instance
 from ccd_warp._input.interop import as_warp
+from ccd_warp._own_tape import TOIS, launched, play_back
 from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
-from ccd_warp._status import LaunchFlag
 
 try:
     import torch
@@ -28,8 +27,6 @@ except ImportError as error:
     raise ImportError("ccd_warp.torch needs PyTorch; install with: pip install 'ccd-warp[interop]'") from error
 
 __all__ = ["collision_free_step", "line_search", "toi"]
-
-_TOIS = {"scene": "toi", "world": "world_toi", "body": "body_toi", "vertex": "vertex_toi"}
 
 
 @torch.compiler.disable
@@ -123,8 +120,8 @@ class _Toi(torch.autograd.Function):
             ctx.arrays, needs = _arrays(vertices), ctx.needs_input_grad[2:]
             for array, needs_gradient in zip(ctx.arrays, needs, strict=True):
                 array.requires_grad = needs_gradient
-            ctx.tape, result = _launched(pipeline.launch, ctx.arrays, is_taped=any(needs))
-            ctx.toi = getattr(result, _TOIS[per])
+            ctx.tape, result = launched(pipeline.launch, ctx.arrays)
+            ctx.toi = getattr(result, TOIS[per])
             found = wp.to_torch(ctx.toi, requires_grad=False)
             return found if any(needs) else found.clone()  # which the next launch would overwrite
 
@@ -148,7 +145,7 @@ class _LineSearch(torch.autograd.Function):
             for array, needs_gradient in zip(ctx.arrays, (needs[0], any(needs)), strict=True):
                 array.requires_grad = needs_gradient
             launch = partial(pipeline.launch_line_search, **options)
-            ctx.tape, _ = _launched(launch, ctx.arrays, is_taped=any(needs))
+            ctx.tape, _ = launched(launch, ctx.arrays)
             return shortened
 
     @staticmethod
@@ -175,30 +172,9 @@ def _arrays(vertices: Sequence[Any]) -> list[Any]:
     return [as_warp(tensor.detach(), f"vertices_t{k}") for k, tensor in enumerate(vertices)]
 
 
-def _launched(launch: Callable[..., LaunchResult], arrays: list[Any], *, is_taped: bool) -> tuple[Any, LaunchResult]:
-    """A tape on which a launch is recorded, None without one, and its result, which is complete."""
-    tape = wp.Tape() if is_taped else None
-    with nullcontext() if tape is None else tape:
-        result = launch(*arrays)
-    device: Any = result.toi.device
-    if not (device.is_cuda and device.is_capturing):
-        flags = LaunchFlag(int(result.flags.numpy()[0]))
-        if flags & LaunchFlag.INVALID_INPUT:
-            raise ValueError("vertices_t0 or vertices_t1 hold coordinates that are not finite")
-        if flags & LaunchFlag.STATIC_MOVED:
-            raise ValueError("vertices_t1 moves vertices of static bodies; expected them where they are in vertices_t0")
-        needed = LaunchFlag.PAIRS_OVERFLOW | (LaunchFlag.CONTACTS_OVERFLOW if is_taped else LaunchFlag(0))
-        if flags & needed:
-            raise RuntimeError(f"the launch has {flags & needed!r}; expected larger capacities, of pipeline.reserve()")
-    return tape, result
-
-
 def _played_back(ctx: Any, result: wp.array, gradient: Any) -> list[Any]:
     """The gradients of the arrays of a launch from that of its result, in tensors that no later call writes to."""
-    for array in ctx.arrays:
-        if array.requires_grad:
-            array.grad = wp.zeros_like(array, requires_grad=False)
-    result.grad = wp.from_torch(gradient, dtype=result.dtype)
-    ctx.tape.backward()
+    of_result: Any = wp.from_torch(gradient, dtype=result.dtype)
+    play_back(ctx.tape, ctx.arrays, result, of_result)
     needs = ctx.needs_input_grad[2:]
     return [wp.to_torch(x.grad) if is_needed else None for x, is_needed in zip(ctx.arrays, needs, strict=True)]
