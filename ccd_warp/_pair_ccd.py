@@ -9,12 +9,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ccd_warp._contacts import Placed
 from ccd_warp._display import counted
 from ccd_warp._input.arrays import as_array, as_float64, check_finite, is_device_array
 from ccd_warp._input.interop import as_warp
 from ccd_warp._input.option_types import PairOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
+from ccd_warp._placed import Placed
 from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue

@@ -6,10 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import counted
+from ccd_warp._placed import Placed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ToiGradient:
+class ToiGradient(Placed):
     """How times of impact change with the points of their pairs at both ends of the step, to first order.
 
     To first order toi changes by the sum of ``start`` times the moves of the points at the start, ``end`` times those
@@ -28,7 +29,8 @@ class ToiGradient:
             distance.
         vertices: Vertices of the mesh whose positions the points are, int32, shape [n, 4]: the columns of
             ``contacts.vertices``; of a plane that moves the last is the vertex that is its point. Columns that repeat a
-            vertex are 0. None for pair functions.
+            vertex are 0, and so are vertices of rigid bodies, of whose poses a motion gives the gradients:
+            :meth:`ccd_warp.RigidMotion.gradient_by_poses`. None for pair functions.
     """
 
     start: NDArray[np.float64]

@@ -78,7 +78,7 @@ READ = {
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
-    "docs/gradients.md": "distance weights",
+    "docs/gradients.md": "bodies distance weights",
     "docs/method.md": "gap",
     "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
     "parameters point points primitives struck touching vertex_contact weights world_contact",

@@ -232,9 +232,13 @@ class DeviceStep(Plan):
             if last is None:
                 return located(contacts, self._mesh)
             start, end = (v.numpy().reshape(-1, 3) for v in last)
-        is_searched = self._last is not None and self._last.form.line_search is not None  # pairs may have been held
-        radius = None if self._radius is None else self._radius.numpy().copy()
-        return located(contacts, self._mesh, start, end, touch=None if is_searched else self.touch(radius))
+        return located(contacts, self._mesh, start, end, touch=self._touch_of_last())
+
+    def _touch_of_last(self) -> Touch | None:
+        """What counts as touching, with the radii that the array holds now; unknown of a line search, which holds."""
+        if self._last is None or self._last.form.line_search is not None:
+            return None
+        return self.touch(None if self._radius is None else self._radius.numpy().copy())
 
     def touch(self, radius: NDArray[np.float64] | None = None) -> Touch:
         """What counts as touching where nothing is held, with the radii of vertices where they are asked for."""
