@@ -126,6 +126,8 @@ def attain(
     if n >= check.contacts.count[0]:
         return
     t = check.contacts.toi[n]
+    if check.toi[0] != t and attained.vertex.shape[0] + attained.body.shape[0] + attained.world.shape[0] == 0:
+        return
     v = vertices_of(check.contacts, n, mesh.edge_corners, mesh.face_corners)
     # what attains the minimum of a body attains those of its vertices in it, which a plane has not
     if check.contacts.kind[n] != VERTEX_PLANE:

@@ -78,31 +78,38 @@ class KeptCheck:
         self, step: DeviceStep, query: Any, positions: tuple[wp.array, wp.array], radius: wp.array | None
     ) -> None:
         """Keep what a step has now, which was checked between these positions for what the query tells."""
-        self._step, self._device = step, step.topology.device
-        result, planes = step.result, planes_of(step.topology)
-        capacity = len(result.contacts.kind)
-        self._count = capacity
+        self._step, self._query, self._device = step, query, step.topology.device
+        result = step.result
+        self._count = len(result.contacts.kind)
         if self._is_read:
-            self._count = min(capacity, int(result.contacts.count.numpy()[0]))
+            self._count = min(self._count, int(result.contacts.count.numpy()[0]))
         names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
-        contacts = {name: self._copy(getattr(result.contacts, name), self._count) for name in names}
+        self._contacts = {name: self._copy(getattr(result.contacts, name), self._count) for name in names}
         self.start, self.end = (self._copy(x) for x in positions)
         self.tois = {name: self._copy(getattr(result, name)) for name in _TOIS}
-        self._query, self._is_thick = query, radius is not None
+        self._radius = None if radius is None else self._copy(radius)
+
+    def _check(self) -> Any:
+        """What is kept, as the struct of the kernels."""
         arrays = {"start": self.start, "end": self.end, **self.tois}
-        if radius is not None:
-            arrays["radius"] = self._copy(radius)
-        self._check = struct_of(toi_adjoint.Check, arrays)
-        self._check.contacts, self._check.separation = new_contact_list(contacts), query.separation
-        topology = step.topology
-        of_mesh = {"edge_corners": topology.corners["edge"], "face_corners": topology.corners["face"]}
-        of_mesh |= {"vertex_body": topology.vertex_body, "vertex_world": topology.vertex_world}
-        of_mesh |= {"plane_point": planes.point, "plane_vertex": planes.vertex, "plane_body": planes.body}
-        if self._is_thick:
-            of_mesh |= dict(zip(("neighbour_begin", "neighbours"), topology.neighbours, strict=True))
-        self._mesh = struct_of(toi_adjoint.CheckedMesh, of_mesh)
-        self._mesh.num_vertices = topology.mesh.num_vertices
-        self._moving_row = step.contact_arrays.moving_row("gradients")
+        if self._radius is not None:
+            arrays["radius"] = self._radius
+        check = struct_of(toi_adjoint.Check, arrays)
+        check.contacts, check.separation = new_contact_list(self._contacts), self._query.separation
+        return check
+
+    def _mesh(self) -> Any:
+        """What belongs to the primitives, as the struct of the kernels."""
+        topology = self._step.topology
+        planes = planes_of(topology)
+        arrays = {"edge_corners": topology.corners["edge"], "face_corners": topology.corners["face"]}
+        arrays |= {"vertex_body": topology.vertex_body, "vertex_world": topology.vertex_world}
+        arrays |= {"plane_point": planes.point, "plane_vertex": planes.vertex, "plane_body": planes.body}
+        if self._radius is not None:
+            arrays |= dict(zip(("neighbour_begin", "neighbours"), topology.neighbours, strict=True))
+        mesh = struct_of(toi_adjoint.CheckedMesh, arrays)
+        mesh.num_vertices = topology.mesh.num_vertices
+        return mesh
 
     @property
     def _is_read(self) -> bool:
@@ -134,21 +141,25 @@ class KeptCheck:
 
         Where one array stands for two minima, it must be given once.
         """
-        launch = self._step.execution.launch
+        if self._is_read:
+            of_minima = {name: x for name, x in of_minima.items() if x.numpy().any()}
+        if not of_minima or self._count == 0:
+            return
+        launch, check, mesh = self._step.execution.launch, self._check(), self._mesh()
         attained = struct_of(
             toi_adjoint.Attained, {name: self._full(_NO_KEY, len(x), wp.int64) for name, x in of_minima.items()}
         )
         num_listed = self._full(0, 1, wp.int32)
         keys, listed = self._full(_NO_KEY, 2 * self._count, wp.int64), self._empty(wp.int32, 2 * self._count)
-        launch(toi_adjoint.attain, self._count, [self._check, self._mesh], [attained, num_listed, keys, listed])
+        launch(toi_adjoint.attain, self._count, [check, mesh], [attained, num_listed, keys, listed])
         count = int(num_listed.numpy()[0]) if self._is_read else self._count
         if count == 0:
             return
         self._sort(keys, listed, count)
         pairs, columns = self._new_pairs(count)
-        inputs = [self._check, self._mesh, keys, listed, attained, struct_of(toi_adjoint.MinimaGradients, of_minima)]
+        inputs = [check, mesh, keys, listed, attained, struct_of(toi_adjoint.MinimaGradients, of_minima)]
         launch(toi_adjoint.gather_pairs, count, inputs, [pairs])
-        num_vertices = self._mesh.num_vertices
+        num_vertices = mesh.num_vertices
         self._sort(columns["column_vertex"], columns["columns"], 4 * count, num_vertices.bit_length())
         slopes = struct_of(
             toi_slope.Slopes, {name: self._empty(dtype, count) for name, dtype in dtypes_of(toi_slope.Slopes).items()}
@@ -166,12 +177,13 @@ class KeptCheck:
             out.radius = given.radius.grad
         out.t0_by_vertex, out.t1_by_vertex = int(form.t0_by_vertex), int(form.t1_by_vertex)
         out.is_displacement = int(form.is_displacement)
-        launch(rows.add_rows, 4 * count, [pairs, 4 * count, slopes, num_vertices, self._moving_row], [out])
+        moving_row = self._step.contact_arrays.moving_row("gradients")
+        launch(rows.add_rows, 4 * count, [pairs, 4 * count, slopes, num_vertices, moving_row], [out])
 
     def _new_pairs(self, count: int) -> tuple[Any, dict[str, wp.array]]:
         """A table of so many pairs, and its columns by name."""
         dtypes = dtypes_of(toi_adjoint.Pairs)
-        if not self._is_thick:
+        if self._radius is None:
             dtypes = {name: dtypes[name] for name in dtypes.keys() - {"distances", "radius_columns"}}
         columns = {name: self._empty(dtype, count) for name, dtype in dtypes.items()}
         columns |= {name: self._empty(wp.vec3d, (count, 4)) for name in ("points_t0", "points_t1")}
