@@ -69,10 +69,11 @@ def test_many_scenes_agree_with_differences(per):
     errors = []
     for seed in range(50):
         mesh, start, end, options = random_scene(seed)
-        errors.append(worst_error(pipeline_of(mesh, **options), start, end, size=1e-8, per=per))
-    print(f"{per}: median {np.median(errors):.1e}, worst {np.sort(errors)[-3:]}")
-    # differences of positions in float64 have some eight digits; where a pass begins to touch there is none
-    assert np.median(errors) < 1e-6 and np.mean(np.array(errors) < 1e-4) > 0.9
+        if not options or len(ccd.find_proximity(mesh, start, 0.02, device="cpu")) == 0:  # else pairs are held
+            errors.append(worst_error(pipeline_of(mesh, **options), start, end, per=per))
+    print(f"{len(errors)} scenes {per}: median {np.median(errors):.1e}, worst {np.sort(errors)[-3:]}")
+    # differences of positions in float64 have some eight digits
+    assert len(errors) > 40 and np.median(errors) < 1e-7 and max(errors) < 1e-4
 
 
 def falling(height=1.0, **options):
