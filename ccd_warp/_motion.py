@@ -227,7 +227,12 @@ class RigidMotion(ReadOnly):
             ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw
                 or has worlds.
         """
-        return self._turning_points(gradient).by_poses(self._body_paths, self._poses_t1[:, 3:])
+        points = self._turning_points(gradient)
+        if points is None:
+            return np.zeros((0, 2, 7)), np.zeros((0, 2, 7))
+        found: tuple[NDArray[np.float64], NDArray[np.float64]]
+        found = points.by_poses(self._body_paths, self._poses_t1[:, 3:])
+        return found
 
     def gradient_by_twist(self, gradient: ToiGradient) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How tois change with the poses at the start and with the twists, of contacts of a call with this motion.
@@ -244,13 +249,19 @@ class RigidMotion(ReadOnly):
         Raises:
             ValueError: As :meth:`gradient_by_poses` does.
         """
-        return self._turning_points(gradient).by_twist(self._body_paths)
+        points = self._turning_points(gradient)
+        if points is None:
+            return np.zeros((0, 2, 7)), np.zeros((0, 2, 6))
+        found: tuple[NDArray[np.float64], NDArray[np.float64]] = points.by_twist(self._body_paths)
+        return found
 
     def _turning_points(self, gradient: ToiGradient) -> Any:
-        """The points of contacts on bodies that this motion can have moved."""
+        """The points of contacts on bodies that this motion can have moved; None where there are no contacts."""
         check_instance("gradient", gradient, ToiGradient)
         if self._path != "linear" or self.num_worlds > 1:
             raise ValueError(f"there are gradients by poses of one world and path='linear'; this is {self!r}")
+        if len(gradient) == 0:
+            return None
         points: Any = gradient._place
         if points is None or points.num_bodies != self.num_bodies:
             found = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"

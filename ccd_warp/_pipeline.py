@@ -358,6 +358,9 @@ class CollisionPipeline:
 
         ``memory_limit`` is ignored here; the capacities are the limits.
 
+        Inside a ``wp.Tape``, where an array or ``radius`` requires a gradient, one function is recorded, and the tois
+        of the result, arrays of this launch alone, require one; without a motion.
+
         Args:
             vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
                 that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
@@ -427,6 +430,9 @@ class CollisionPipeline:
         What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``).
         Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
         pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+
+        Inside a ``wp.Tape``, ``vertices_t1`` has to require a gradient where anything does: the backward pass turns
+        that of the shortened positions, which stand there, into that of the desired ones.
 
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch. Kinematic bodies move
         as they are told. Where one meets vertices that stay, it passes through them: its world and the scene have
