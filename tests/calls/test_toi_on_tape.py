@@ -7,6 +7,7 @@ from scenes import FACE, TRIANGLE
 from toi_scenes import SOLVE, array, random_scene, scene, taped, thick_scene
 
 import ccd_warp as ccd
+from ccd_warp._engine.device.step import DeviceStep
 
 DISTANCE = 0.1
 TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
@@ -199,6 +200,31 @@ def test_sums_have_the_same_bits_for_every_number_of_threads():
         pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu", num_threads=threads)
         given, weights = [array(start), array(end)], {}
         tape, result = taped(lambda p=pipeline, g=given: p.launch(*g))
+        weighted(result, weights)
+        backward(tape, result, weights)
+        found.append([x.grad.numpy().copy() for x in given])
+    for each in found[1:]:
+        assert all(np.array_equal(x, y) for x, y in zip(each, found[0], strict=True))
+
+
+def test_sums_have_the_same_bits_for_every_order_of_the_list(monkeypatch):
+    mesh, start, end = scene()
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
+    given, weights, found = [array(start), array(end)], {}, []
+    launch = DeviceStep.launch
+
+    def launch_in_another_order(step, prepared):
+        launch(step, prepared)
+        contacts = step.result.contacts
+        count = int(contacts.count.numpy()[0])
+        order = np.random.default_rng(len(found)).permutation(count)
+        for name in ("kind", "primitives", "toi", "status", "normal"):
+            rows = getattr(contacts, name).numpy()
+            rows[:count] = rows[order]
+
+    monkeypatch.setattr(DeviceStep, "launch", launch_in_another_order)
+    for _ in range(4):
+        tape, result = taped(lambda: pipeline.launch(*given))
         weighted(result, weights)
         backward(tape, result, weights)
         found.append([x.grad.numpy().copy() for x in given])

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from ccd_warp import _turn_gradient
+from ccd_warp._rotations import arcs
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -98,6 +100,33 @@ def test_gradients_by_twists_agree_with_differences(turns):
     late, early = (thrown.contacts(thrown.poses[0] + s * moves[0], twist=twist + s * moves[1])[1] for s in (1, -1))
     found = errors(contacts, gradient, predicted, late, early)
     assert len(found) > 0.8 * len(contacts) > 10 and np.median(found) < 1e-7 and found.max() < 1e-4
+
+
+def test_tois_that_are_early_have_the_gradients_of_the_exact_ones():
+    thrown = Thrown(6)
+    motion, contacts = thrown.contacts(*thrown.poses)
+    options = {"motion": motion, "precision": "float32", "tolerance": 1e-4, "device": "cpu"}
+    early = ccd.mesh_ccd(thrown.pipeline.mesh, thrown.start, thrown.end, **options).contacts
+    places = {pair: k for k, pair in enumerate(by_pair(early))}
+    rows = [(k, places[pair]) for k, pair in enumerate(by_pair(contacts)) if pair in places]
+    ours, theirs = (np.array(x) for x in zip(*rows, strict=True))
+    assert len(ours) > 0.9 * len(contacts) and np.abs(contacts.toi[ours] - early.toi[theirs]).max() > 1e-6
+    expected, found = (motion.gradient_by_poses(c.toi_gradient()) for c in (contacts, early))
+    for x, y in zip(expected, found, strict=True):
+        np.testing.assert_allclose(y[theirs], x[ours], rtol=1e-7, atol=1e-10)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.999 * 2.0**-6, 1.001 * 2.0**-6, 1.0, 3.0, 6.0])
+def test_jacobians_of_rotations_are_inverse_and_those_of_differences(angle):
+    rng = np.random.default_rng(0)
+    axis, x = rng.standard_normal((2, 5, 3))
+    omega = angle * axis / np.linalg.norm(axis, axis=1, keepdims=True)
+    moved = _turn_gradient._jacobian(omega, x)
+    np.testing.assert_allclose(_turn_gradient._inverse_jacobian(omega, moved), x, rtol=1e-12, atol=1e-13)
+    # J(omega) x is the integral of Rot(s omega) x over s in [0, 1], here by Gauss and Legendre
+    points, weights = np.polynomial.legendre.leggauss(20)
+    turned = [x + arcs(omega, x, np.full(5, 0.5 + 0.5 * s)) for s in points]
+    np.testing.assert_allclose(moved, 0.5 * np.tensordot(weights, turned, 1), rtol=1e-12, atol=1e-13)
 
 
 def test_a_launch_with_a_motion_has_the_gradients_of_the_call():

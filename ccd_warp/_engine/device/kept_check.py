@@ -88,6 +88,7 @@ class KeptCheck:
         self.start, self.end = (self._copy(x) for x in positions)
         self.tois = {name: self._copy(getattr(result, name)) for name in _TOIS}
         self._radius = None if radius is None else self._copy(radius)
+        _ = step.contact_arrays.moving_row("gradients")  # made now, not in a capture of the backward pass
 
     def _check(self) -> Any:
         """What is kept, as the struct of the kernels."""

@@ -56,12 +56,14 @@ class DeviceLineSearch(DeviceStep):
 
     Attributes:
         on_pass: Called in a taped line search after each check, before anything is shortened.
+        groups: What taped line searches know of the vertices that move by one fraction, by the kind of line search.
     """
 
     def __init__(self, *arguments: Any) -> None:
         """Allocate everything but what line searches alone need; the arguments are those of a step."""
         super().__init__(*arguments)
         self.on_pass: Callable[[], None] | None = None
+        self.groups: dict[str, Any] = {}
         self._touched: wp.array | None = None
         self._hold: DeviceHold | None = None
 

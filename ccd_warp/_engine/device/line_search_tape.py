@@ -33,6 +33,7 @@ class TapedLineSearch:
         Raises:
             ValueError: If the end positions, to which the shortened ones are written, do not require a gradient, or the
                 distance of a pair follows from its start.
+            RuntimeError: If a graph is being captured, and there was no such line search before.
         """
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
         self._step, self._form, self._radius = step, prepared.form, radius
@@ -48,7 +49,13 @@ class TapedLineSearch:
         ]
         self._query = step.touch().query(is_planar=step.topology.mesh.dimension == 2)
         self._checks: list[KeptCheck] = []
-        self._groups = {per: _Groups.of(step, per) for per in dict(self._passes)}
+        for per in dict(self._passes):
+            if per not in step.groups:
+                if step.topology.device.is_capturing:  # memory of a capture is gone with its graph
+                    raise RuntimeError(
+                        f"a graph is being captured; call launch_line_search(per={per!r}) on a tape once before"
+                    )
+                step.groups[per] = _Groups.of(step, per)
 
     @property
     def result(self) -> LaunchResult:
@@ -83,7 +90,7 @@ class TapedLineSearch:
         self, check: KeptCheck, per: str, share: float, gradients: tuple[wp.array | None, wp.array | None]
     ) -> wp.array:
         """Turn the gradient of the end of a pass into that of its begin; returns that by the toi of each group."""
-        topology, form, groups = self._step.topology, self._form, self._groups[per]
+        topology, form, groups = self._step.topology, self._form, self._step.groups[per]
         launch, moving = self._step.execution.launch, topology.moving_vertices
         kernels = specialised("step.shorten_adjoint", real=form.real, dimension=topology.mesh.dimension)
         of_fraction, of_chunk, of_toi = (
