@@ -9,9 +9,6 @@ import warp as wp
 from ccd_warp._device_results import LaunchResult
 from ccd_warp._status import LaunchFlag
 
-# The field of a result for each part of the mesh of which a toi is asked.
-TOIS = {"scene": "toi", "world": "world_toi", "body": "body_toi", "vertex": "vertex_toi"}
-
 
 def launched(launch: Callable[..., LaunchResult], arrays: Sequence[wp.array]) -> tuple[Any, LaunchResult]:
     """A tape on which a launch with these arrays is recorded, None where none requires a gradient, and its result.

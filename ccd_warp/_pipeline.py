@@ -22,7 +22,6 @@ from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
-    Per,
     Solver,
     check_step_is_whole,
     search_step,
@@ -34,7 +33,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
-from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
+from ccd_warp._input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.names import body_label
 from ccd_warp._input.option_types import MeshOptions

@@ -17,9 +17,10 @@ from weakref import WeakKeyDictionary, ref
 
 import warp as wp
 
-from ccd_warp._engine.host.line_search import DEFAULT_SAFETY, EVERY_PER, Per
-from ccd_warp._input.arguments import check_choice, check_instance
-from ccd_warp._own_tape import TOIS, launched, play_back
+from ccd_warp._device_results import TOIS
+from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
+from ccd_warp._own_tape import launched, play_back
 from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 
 try:
@@ -27,7 +28,7 @@ try:
 except ImportError as error:
     raise ImportError("ccd_warp.jax needs JAX; install with: pip install 'ccd-warp[interop]'") from error
 
-__all__ = ["collision_free_step", "line_search", "toi"]
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
 
 _VECTORS = {
     ("float64", 3): wp.vec3d,
@@ -114,6 +115,59 @@ def line_search(
     return _line_search(pipeline, (per, safety, num_rounds), start, end).reshape(vertices_t1.shape)
 
 
+def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`toi`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: End positions.
+        per: Of which tois.
+
+    Returns:
+        An array of bool of the shape of the tois.
+
+    Raises:
+        ValueError: As :func:`toi`.
+    """
+    check_choice("per", per, EVERY_PER)
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    call = _callable(pipeline, _write_toi_is_regular, (per,), start, 1)
+    found = call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
+    return found[0] if per == "scene" else found
+
+
+def line_search_is_regular(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Which positions of :func:`line_search` have a derivative. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`line_search`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: Wished end positions.
+        per: What moves by one fraction.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        An array of bool for each vertex, shape [V], or within ``jax.vmap`` [V / W], as
+        :meth:`ccd_warp.LaunchResult.is_regular` says it.
+
+    Raises:
+        ValueError: As :func:`line_search`.
+    """
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    call = _callable(pipeline, _write_shortened_is_regular, (per, safety, num_rounds), start, 1)
+    return call(start, end, output_dims=len(end))[0]
+
+
 def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
     """Positions with one axis of rows, as they can be handed over."""
     check_instance("pipeline", pipeline, CollisionPipeline)
@@ -142,11 +196,14 @@ def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
 def _toi(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
+    call = _callable(pipeline, _write_toi, (per,), start, 1)
+    return call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
+
+
+def _num_tois(pipeline: CollisionPipeline, per: str, start: Any) -> int:
     mesh = pipeline.mesh
     count = {"scene": 1, "world": mesh.num_worlds, "body": mesh.num_bodies, "vertex": mesh.num_vertices}[per]
-    if len(start) < mesh.num_vertices and per != "scene":
-        count //= mesh.num_worlds
-    return _callable(pipeline, _write_toi, (per,), start, 1)(start, end, output_dims=count)[0]
+    return count // mesh.num_worlds if len(start) < mesh.num_vertices and per != "scene" else count
 
 
 def _toi_forward(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
@@ -188,7 +245,8 @@ def _callable(pipeline: CollisionPipeline, write: Any, options: tuple[Any, ...],
         positions: Any = wp.array(dtype=_VECTORS[key[2], pipeline.mesh.dimension])
         numbers: Any = wp.array(dtype=wp.float64)
         names = call.__code__.co_varnames[: call.__code__.co_argcount]
-        call.__annotations__ = {name: numbers if "toi" in name else positions for name in names}
+        types: Any = {"toi": numbers, "of_toi": numbers, "flags": wp.array(dtype=wp.bool)}
+        call.__annotations__ = {name: types.get(name, positions) for name in names}
         known[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
     return known[key]
 
@@ -212,9 +270,23 @@ def _write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
     return call
 
 
+def _write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
+    def call(start, end, flags):  # type: ignore[no-untyped-def]
+        start.requires_grad = end.requires_grad = True
+        _, result = launched(pipeline().launch, (start, end))
+        wp.copy(flags, result.is_regular(_asked(per, flags)))
+
+    return call
+
+
 def _tois_of(result: Any, per: str, like: wp.array) -> Any:
-    """The tois of a result; those of the scene are by world where all worlds are mapped."""
-    return getattr(result, TOIS["world" if per == "scene" and len(like) > 1 else per])
+    """The tois of a result of which an array of this length is asked."""
+    return getattr(result, TOIS[_asked(per, like)])
+
+
+def _asked(per: str, like: wp.array) -> Any:
+    """Of which tois an array of this length is asked: those of the scene are by world where all worlds are mapped."""
+    return "world" if per == "scene" and len(like) > 1 else per
 
 
 def _write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
@@ -235,5 +307,16 @@ def _write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: 
         play_back(tape, (start, shortened), shortened, wp.clone(gradient))
         wp.copy(of_start, start.grad)
         wp.copy(of_end, shortened.grad)
+
+    return call
+
+
+def _write_shortened_is_regular(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
+    def call(start, end, flags):  # type: ignore[no-untyped-def]
+        shortened = wp.clone(end)
+        start.requires_grad = shortened.requires_grad = True
+        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+        _, result = launched(launch, (start, shortened))
+        wp.copy(flags, result.is_regular("vertex"))
 
     return call

@@ -15,10 +15,11 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._engine.host.line_search import DEFAULT_SAFETY, EVERY_PER, Per
-from ccd_warp._input.arguments import check_choice, check_instance
+from ccd_warp._device_results import TOIS
+from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
 from ccd_warp._input.interop import as_warp
-from ccd_warp._own_tape import TOIS, launched, play_back
+from ccd_warp._own_tape import launched, play_back
 from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 
 try:
@@ -26,7 +27,7 @@ try:
 except ImportError as error:
     raise ImportError("ccd_warp.torch needs PyTorch; install with: pip install 'ccd-warp[interop]'") from error
 
-__all__ = ["collision_free_step", "line_search", "toi"]
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
 
 
 @torch.compiler.disable
@@ -108,6 +109,70 @@ def line_search(
     return _LineSearch.apply(
         pipeline, {"per": per, "safety": safety, "num_rounds": num_rounds}, vertices_t0, vertices_t1
     )
+
+
+def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`toi`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: End positions.
+        per: Of which tois.
+
+    Returns:
+        A tensor of bool of the shape of the tois.
+
+    Raises:
+        ValueError: As :func:`toi`.
+        RuntimeError: As :func:`toi`.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    found = _regular(pipeline.launch, per, pipeline, vertices_t0, vertices_t1)
+    return found[0] if per == "scene" else found
+
+
+def line_search_is_regular(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Which positions of :func:`line_search` have a derivative. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`line_search`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: Wished end positions.
+        per: What moves by one fraction.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        A tensor of bool for each vertex, shape [V], as :meth:`ccd_warp.LaunchResult.is_regular` says it.
+
+    Raises:
+        ValueError: As :func:`line_search`.
+        RuntimeError: As :func:`toi`.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    launch = partial(pipeline.launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+    end = vertices_t1.detach().clone() if isinstance(vertices_t1, torch.Tensor) else vertices_t1
+    return _regular(launch, "vertex", pipeline, vertices_t0, end)
+
+
+@torch.compiler.disable
+def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: Any) -> Any:
+    """The flags of a launch on a tape."""
+    with _stream(pipeline._topology.device):
+        arrays = _arrays(vertices)
+        for array in arrays:
+            array.requires_grad = True
+        _, result = launched(launch, arrays)
+        return wp.to_torch(result.is_regular(per), requires_grad=False)
 
 
 class _Toi(torch.autograd.Function):

@@ -4,6 +4,7 @@ import warp as wp
 
 from ..parameters import dimension, real
 from . import in_space as positions
+from .regularity import UNKNOWN
 
 _ZERO = wp.constant(wp.float64(0.0))
 
@@ -49,3 +50,20 @@ def shorten_back(
     if gradient_t0.shape[0] > 0:
         row_t0 = wp.where(t0_by_vertex != 0, v, k)
         gradient_t0[row_t0] = gradient_t0[row_t0] + (g - kept)
+
+
+@wp.kernel(module=module)
+def clear_unknown(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    vertex_rating: wp.array[wp.int32],
+    t1_by_vertex: int,
+    # in and out
+    gradient_t1: wp.array[vec],
+):
+    """Take the gradient from positions whose derivative is not known."""
+    k = begin + wp.tid()
+    v = vertices[k]
+    if vertex_rating[v] == UNKNOWN:
+        gradient_t1[wp.where(t1_by_vertex != 0, v, k)] = vec()

@@ -266,3 +266,24 @@ def gather_pairs(
     for c in range(4):
         if c == 0 or v[c] != v[c - 1]:
             pairs.column_vertex[4 * m + c] = v[c]
+
+
+@wp.kernel
+def change_gradients(
+    begin: int,
+    # in
+    check: Check,
+    mesh: CheckedMesh,
+    keys: wp.array[wp.int64],
+    listed: wp.array[wp.int32],
+    attained: Attained,
+    gradient: MinimaGradients,
+    # out
+    pairs: Pairs,
+):
+    """Replace the gradients by the tois of listed contacts that attain a minimum."""
+    m = begin + wp.tid()
+    if pairs.toi_gradient[m] == _ZERO:
+        return
+    v = vertices_of(check.contacts, listed[m], mesh.edge_corners, mesh.face_corners)
+    pairs.toi_gradient[m] = adjoint_of(check, mesh, listed[m], v, keys[m], attained, gradient)

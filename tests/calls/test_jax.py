@@ -67,6 +67,20 @@ def test_results_are_those_of_launches(ccd_jax, thrown):
     assert ccd_jax.collision_free_step(pipeline, start, start) == 1.0
 
 
+def test_flags_say_which_results_have_a_derivative(jax, ccd_jax, thrown, worlds):
+    found = ccd_jax.toi(*thrown, per="vertex")
+    np.testing.assert_array_equal(ccd_jax.toi_is_regular(*thrown, per="vertex"), np.isfinite(found))
+    assert ccd_jax.toi_is_regular(*thrown) and ccd_jax.line_search_is_regular(*thrown, per="body").all()
+    pipeline, start = worlds
+    speed = jax.numpy.array([2.0, 4.0, 0.5])
+    ends = start, start - FALL * speed[:, None, None]
+    mapped = jax.vmap(lambda x, y: ccd_jax.toi_is_regular(pipeline, x, y))(*ends)
+    np.testing.assert_array_equal(mapped, [True, True, False])  # the third does not touch
+    start = start.at[2, 3:, 2].set(0.0)  # touches from the start
+    flags = jax.vmap(lambda x, y: ccd_jax.line_search_is_regular(pipeline, x, y, per="world"))(start, ends[1])
+    np.testing.assert_array_equal(flags, [[True] * 6, [True] * 6, [False] * 6])
+
+
 def test_worlds_are_mapped(jax, ccd_jax, worlds):
     pipeline, start = worlds
     speed = jax.numpy.array([2.0, 4.0, 0.5])

@@ -158,6 +158,22 @@ def test_equal_tois_pass_their_gradient_to_the_first_contact():
     np.testing.assert_allclose(given[0].grad.numpy(), expected, atol=1e-14)
 
 
+def test_flags_say_which_tois_have_a_gradient():
+    bodies = [(TRIANGLE + [x, 0, z], FACE) for x in (0.0, 10.0, 20.0) for z in (0.0, 1.0)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    fall = np.array([0.0, 2.0, 0, 0.5, 0, 0.9])[mesh.vertex_body]
+    start, end = mesh.vertices.copy(), mesh.vertices - [0, 0, 1.0] * fall[:, None]
+    start[15:, 2] = 0.05  # the last pair is within its distance at the start
+    _, result = taped(
+        lambda: ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu").launch(array(start), array(end))
+    )
+    toi = result.body_toi.numpy()
+    assert toi[0] == toi[1] < 1.0 and np.isinf(toi[2:4]).all() and not toi[4:].any()
+    np.testing.assert_array_equal(result.is_regular("body").numpy(), [True, True, *[False] * 4])
+    np.testing.assert_array_equal(result.is_regular().numpy(), [True] * 6 + [False] * 12)
+    assert not result.is_regular("scene").numpy() and not result.is_regular("world").numpy()
+
+
 def test_what_is_overwritten_before_the_backward_pass_does_not_change_it():
     mesh, start, end = scene()
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")

@@ -67,6 +67,23 @@ def test_results_are_those_of_launches(torch, ccd_torch, thrown):
     assert apart.item() == 1.0 and not start.grad.any()
 
 
+def test_flags_say_which_results_have_a_derivative(torch, ccd_torch, thrown):
+    found = ccd_torch.toi(*thrown, per="vertex")
+    assert torch.equal(ccd_torch.toi_is_regular(*thrown, per="vertex"), torch.isfinite(found))
+    assert ccd_torch.toi_is_regular(*thrown).item() is True
+    given = [x.detach().clone() for x in thrown[1:]]
+    assert ccd_torch.line_search_is_regular(*thrown, per="vertex", safety=0.8).all()
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 0.05], FACE)])
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1, device="cpu")  # within it at the start
+    start = torch.tensor(mesh.vertices)
+    end = start - torch.tensor([[0, 0, 0.0]] * 3 + [[0, 0, 1.0]] * 3)
+    assert not ccd_torch.line_search_is_regular(pipeline, start, end).any()
+    assert not ccd_torch.toi_is_regular(pipeline, start, end, per="body").any()
+    assert all(torch.equal(x, y) for x, y in zip(thrown[1:], given, strict=True))
+    with pytest.raises(ValueError, match="vertices_t1 is a ndarray; expected a tensor"):
+        ccd_torch.line_search_is_regular(pipeline, start, end.numpy())
+
+
 def test_nothing_is_copied_and_everything_is_kept(torch, ccd_torch, thrown):
     _, start, end = thrown
     found = ccd_torch.toi(*thrown, per="vertex")

@@ -67,6 +67,11 @@ class DeviceLineSearch(DeviceStep):
         self._touched: wp.array | None = None
         self._hold: DeviceHold | None = None
 
+    @property
+    def hold(self) -> wp.array | None:
+        """The hold of each vertex in the last line search; None where nothing can be held."""
+        return None if self._hold is None else self._hold.hold
+
     def _begin(self) -> None:
         """Allocate what line searches need."""
         mesh, options, device = self._mesh, self._options, self.topology.device

@@ -1,20 +1,20 @@
 """A line search on a tape: its passes are kept, and one function is recorded that goes through them backwards."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
-from ccd_warp._device_results import LaunchResult
+from ccd_warp._device_results import TOIS, LaunchResult
 from ccd_warp._engine.device.input import SAFETY, PreparedLaunch
-from ccd_warp._engine.device.kept_check import Given, KeptCheck
+from ccd_warp._engine.device.kept_check import Attaining, Given, KeptCheck, as_flags
 from ccd_warp._engine.device.line_search import DeviceLineSearch, passes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.tape import active_tape
-from ccd_warp.kernels.step import ordered_sums
+from ccd_warp.kernels.step import ordered_sums, regularity
 from ccd_warp.kernels.template import specialised
 
-_TOIS = {"scene": "toi", "world": "world_toi", "body": "body_toi", "vertex": "vertex_toi"}
 _CHUNK = 256  # vertices whose contributions one item adds
 
 
@@ -49,6 +49,7 @@ class TapedLineSearch:
         ]
         self._query = step.touch().query(is_planar=step.topology.mesh.dimension == 2)
         self._checks: list[KeptCheck] = []
+        self._hold: wp.array | None = None
         for per in dict(self._passes):
             if per not in step.groups:
                 if step.topology.device.is_capturing:  # memory of a capture is gone with its graph
@@ -60,7 +61,7 @@ class TapedLineSearch:
     @property
     def result(self) -> LaunchResult:
         """The result of the line search."""
-        return self._step.result
+        return replace(self._step.result, _taped=self)
 
     def launch(self, prepared: PreparedLaunch) -> None:
         """Launch, keep all passes, and record the backward pass on the active tape."""
@@ -74,17 +75,50 @@ class TapedLineSearch:
             step.launch(prepared)
         finally:
             step.on_pass = None
+        self._hold = None if step.hold is None else wp.clone(step.hold)
         active_tape().record_func(self._backward, self._given.arrays)
+
+    def is_regular(self, per: str) -> wp.array:
+        """Whether the position of each vertex has a derivative, bool, shape [V].
+
+        Raises:
+            ValueError: If anything but vertices is asked for.
+        """
+        if per != "vertex":
+            raise ValueError(f"per is {per!r}; expected 'vertex', as a line search has positions")
+        return as_flags(self._step.execution, self._rated()[0])
 
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
-        gradients = self._given.gradients(self._step)
-        for check, (per, share) in zip(self._checks[::-1], self._passes[::-1], strict=True):
+        gradients, topology = self._given.gradients(self._step), self._step.topology
+        vertex_rating, attaining = self._rated()
+        kernels = specialised("step.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
+        moving = topology.moving_vertices
+        inputs = [moving, vertex_rating, int(self._form.t1_by_vertex)]
+        self._step.execution.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
+        for check, of_pass, (per, share) in zip(self._checks[::-1], attaining[::-1], self._passes[::-1], strict=True):
             if not check.may_touch:
                 continue
             of_toi = self._shorten_back(check, per, share, gradients)
-            if share > 0.0:
-                check.add_gradients({per: of_toi}, self._given, gradients)
+            if share > 0.0 and of_pass is not None:
+                check.change_gradients(of_pass, {per: of_toi})
+                check.add_rows(of_pass, self._given, gradients)
+
+    def _rated(self) -> tuple[wp.array, list[Attaining | None]]:
+        """The rating of each vertex (`regularity`), and of each pass the contacts that attain its tois."""
+        topology, launch = self._step.topology, self._step.execution.launch
+        rating = wp.full(
+            topology.mesh.num_vertices, value=int(regularity.REGULAR), dtype=wp.int32, device=topology.device
+        )
+        all_attaining: list[Attaining | None] = []
+        for check, (per, share) in zip(self._checks, self._passes, strict=True):
+            attaining = check.attaining(check.all_ones(per)) if check.may_touch else None
+            all_attaining.append(attaining)
+            if check.may_touch:
+                inputs = [topology.moving_vertices, self._step.groups[per].group, check.tois[TOIS[per]], share]
+                inputs.append(check.ratings(per, attaining, self._hold, rating))
+                launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
+        return rating, all_attaining
 
     def _shorten_back(
         self, check: KeptCheck, per: str, share: float, gradients: tuple[wp.array | None, wp.array | None]
@@ -97,7 +131,7 @@ class TapedLineSearch:
             wp.empty(n, dtype=wp.float64, device=topology.device)
             for n in (len(moving), groups.num_chunks, groups.num_groups)
         )
-        inputs = [moving, groups.group, check.tois[_TOIS[per]], share, check.start, check.end]
+        inputs = [moving, groups.group, check.tois[TOIS[per]], share, check.start, check.end]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex)]
         launch(kernels.shorten_back, len(moving), inputs, [*gradients, of_fraction])
         inputs = [of_fraction, groups.order, groups.chunk_begin]

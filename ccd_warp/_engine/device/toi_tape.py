@@ -5,13 +5,11 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._device_results import LaunchResult
+from ccd_warp._device_results import TOIS, LaunchResult
 from ccd_warp._engine.device.input import PreparedLaunch
-from ccd_warp._engine.device.kept_check import Given, KeptCheck
+from ccd_warp._engine.device.kept_check import Given, KeptCheck, as_flags
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._runtime.tape import active_tape
-
-_MINIMA = {"vertex": "vertex_toi", "body": "body_toi", "world": "world_toi", "scene": "toi"}
 
 
 class TapedLaunch:
@@ -46,11 +44,17 @@ class TapedLaunch:
             wp.copy(array, check.tois[name])
         if step.result.world_toi is step.result.toi:
             tois["world_toi"] = tois["toi"]
-        minima = {name: tois[of] for name, of in _MINIMA.items() if name != "world" or tois[of] is not tois["toi"]}
+        minima = {name: tois[of] for name, of in TOIS.items() if name != "world" or tois[of] is not tois["toi"]}
 
         def backward() -> None:
             of_minima = {name: x.grad for name, x in minima.items()}
             check.add_gradients(of_minima, self._given, self._given.gradients(step))
 
         active_tape().record_func(backward, [*minima.values(), *self._given.arrays])
-        self.result = replace(step.result, **tois)
+        self._check = check
+        self.result = replace(step.result, **tois, _taped=self)
+
+    def is_regular(self, per: str) -> wp.array:
+        """Whether each toi of the scene, of worlds, bodies or vertices has a gradient, bool."""
+        check = self._check
+        return as_flags(self._step.execution, check.ratings(per, check.attaining(check.all_ones(per))))
