@@ -140,10 +140,10 @@ def test_what_is_pressed_together_stays_where_it_starts_and_has_the_derivative_o
     assert not is_regular.any() and not found[1].any()
 
 
-def sliding():
+def sliding(height):
     """A triangle slides up from a floor, within its distance, to a wall; elsewhere one falls on another."""
     floor, wall = [[-10.0, -10, 0], [0.5, 0, 0], [-10, 10, 0]], [[1.0, -3, -1], [1, 3, -1], [1, 0, 3]]
-    slider = [[0.0, 0, 0.05], [-0.2, 0.1, 0.06], [-0.2, -0.1, 0.06]]
+    slider = [[0.0, 0, height], [-0.2, 0.1, height], [-0.2, -0.1, height]]
     far = TRIANGLE + [40.0, 0, 0]
     above = 0.5 * TRIANGLE + [[40.0, 0, 1], [40, 0, 1.1], [40, 0, 1.2]]
     mesh = ccd.CollisionMesh.from_arrays([(x, FACE) for x in (floor, wall, slider, far, above)])
@@ -152,16 +152,34 @@ def sliding():
 
 
 @pytest.mark.parametrize("per", ["body", "vertex"])
-def test_what_is_held_on_its_way_has_no_derivative_and_says_so_while_all_else_has(per):
-    mesh, start, end = sliding()
+@pytest.mark.parametrize("height", [0.05, 0.1 - 2.0**-52])  # which is within it by a rounding
+def test_what_is_held_on_its_way_has_no_derivative_and_says_so_while_all_else_has(per, height):
+    mesh, start, end = sliding(height)
     given, of_height = [array(start), array(end)], np.ones_like(start) * [0, 0, 1.0]
     pipeline = pipeline_of(mesh, minimum_distance=0.1)
     shortened, found, is_regular = gradients(pipeline, given, of_height, per=per)
-    np.testing.assert_allclose(shortened[6, 0], 0.9 * 0.95, rtol=1e-9)  # it keeps from the wall what it kept before
+    np.testing.assert_allclose(
+        shortened[6, 0], 0.9 * (1.0 - height), rtol=1e-9
+    )  # it keeps from the wall what it kept before
     np.testing.assert_allclose(shortened[12, 2], 0.19, rtol=1e-9)
     np.testing.assert_array_equal(is_regular[6:], mesh.vertex_body[6:] != 2)
     assert not any(x[mesh.vertex_body == 2].any() for x in found)
     assert worst_error(pipeline, start, end, per=per) < 1e-6
+
+
+@pytest.mark.parametrize("per", ["body", "vertex"])
+def test_what_meets_positions_without_a_derivative_has_none(per):
+    mesh, *ends, options = random_scene(23)
+    assert worst_error(pipeline_of(mesh, **options), *ends, per=per) < 1e-6
+
+
+def test_what_touches_at_the_end_of_the_step_has_no_derivative_and_says_so():
+    mesh, start, end = falling()
+    end[3:, 2] = 0.0
+    given = [array(start), array(end)]
+    shortened, found, is_regular = gradients(pipeline_of(mesh), given, np.ones_like(start))
+    np.testing.assert_allclose(shortened[3:, 2], 0.1, rtol=1e-9)
+    assert not is_regular.any() and not np.any(found)
 
 
 def test_who_asks_for_flags_of_what_was_not_recorded_or_is_not_there_is_told():
