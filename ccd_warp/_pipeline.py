@@ -574,7 +574,8 @@ class CollisionPipeline:
             ``max_contacts`` pairs, of ``max_pairs`` that the cull leaves of each kind.
 
         Raises:
-            ValueError: If the positions are not as described, or the distance is out of its range.
+            ValueError: If the positions are not as described, or the distance is out of its range; or if the positions
+                or ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
             RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
 
         Guarantee: as for :func:`ccd_warp.find_proximity`, where no flag is set; a flag says that pairs may be missing.
@@ -596,7 +597,8 @@ class CollisionPipeline:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
 
         Raises:
-            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described.
+            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described; or if they or
+                ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
             RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, whatever the flags. The vertices of a pair that exceeds
@@ -610,6 +612,12 @@ class CollisionPipeline:
 
     def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
         """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
+        for name, array in (("positions", positions), ("radius", self._radius)):
+            if wants_gradient(array):
+                raise ValueError(
+                    f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
+                    "which alone have gradients; expected an array that requires none, or no tape"
+                )
         with self._lock:
             step = self._at_one_time.get(kind)
             if step is None:

@@ -343,3 +343,19 @@ def test_calls_without_gradients_say_so_on_a_tape():
     with wp.Tape(), pytest.raises(ValueError, match="vertices_t0 requires a gradient"):
         pipeline.mesh_ccd(*given)
     pipeline.mesh_ccd(*(x.numpy() for x in given))
+    for launch in (pipeline.launch_proximity, pipeline.launch_displacement_bounds):
+        with wp.Tape(), pytest.raises(ValueError, match="positions requires a gradient .* finds no times of impact"):
+            launch(given[0], DISTANCE)
+    thick = ccd.CollisionPipeline(thick_scene()[0], device="cpu")
+    thick.radius.requires_grad = True
+    with wp.Tape(), pytest.raises(ValueError, match="radius requires a gradient .* finds no times of impact"):
+        thick.launch_proximity(array(start, requires_grad=False), DISTANCE)
+    integers = wp.zeros((len(start), 3), dtype=wp.int32, device="cpu")
+    with wp.Tape(), pytest.raises(ValueError, match="vertices_t0 has dtype int32"):
+        pipeline.launch(integers, integers)
+    with wp.Tape(), pytest.raises(ValueError, match="points_t0 has dtype int32"):
+        ccd.vertex_face_ccd(*2 * [wp.zeros((1, 4, 3), dtype=wp.int32, device="cpu")])
+    resting = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0])
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
+    with wp.Tape(), pytest.raises(ValueError, match="motion has no gradients"):
+        ccd.CollisionPipeline(resting, device="cpu").launch(*2 * [array(TRIANGLE)], motion=motion)
