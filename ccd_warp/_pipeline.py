@@ -431,7 +431,8 @@ class CollisionPipeline:
         pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
 
         Inside a ``wp.Tape``, ``vertices_t1`` has to require a gradient where anything does: the backward pass turns
-        that of the shortened positions, which stand there, into that of the desired ones.
+        that of the shortened positions, which stand there, into that of the desired ones. ``is_regular()`` of the
+        result says which of them have a derivative.
 
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch. Kinematic bodies move
         as they are told. Where one meets vertices that stay, it passes through them: its world and the scene have

@@ -272,14 +272,16 @@ def gradients(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
         for k, array in enumerate((result.vertex_toi, result.body_toi, result.world_toi, result.toi)):
             array.grad.assign(np.cos(np.arange(len(array)) + k))
         tape.backward()
-        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()}, f"gradients {dtype}")
+        flags = {f"is_regular {of}": result.is_regular(of).numpy() for of in ("scene", "world", "body", "vertex")}
+        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()} | flags, f"gradients {dtype}")
         tape = wp.Tape()
         with tape:
-            pipeline.launch_line_search(t0, t1, per=per)
+            result = pipeline.launch_line_search(t0, t1, per=per)
         tape.zero()
         t1.grad.assign(np.cos(np.arange(t1.numpy().size)).reshape(t1.numpy().shape))
         tape.backward()
-        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()}, f"search {dtype}")
+        flags = {"is_regular": result.is_regular().numpy()}
+        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()} | flags, f"search {dtype}")
     return found
 
 

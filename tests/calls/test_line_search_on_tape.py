@@ -210,17 +210,19 @@ def test_a_graph_holds_both_passes_of_a_line_search():
 
     def both():
         given[0].grad.zero_()
-        tape, _ = taped(lambda: pipeline.launch_line_search(*given, per="body"))
+        tape, result = taped(lambda: pipeline.launch_line_search(*given, per="body"))
         wp.copy(given[1].grad, weights)
         tape.backward()
-        kept.append(tape)
+        kept.extend([tape, result.is_regular()])
 
     with wp.ScopedCapture(device="cpu") as capture:
         both()
-    for values in (start + [0, 0, 3.0] * (mesh.vertex_body == 1)[:, None], start):
+    touching = start * [1.0, 1, 0]
+    for values, is_regular in ((touching, [False] * 6), (start, [True] * 6)):
         given[0].assign(values)
         given[1].assign(end)
         wp.capture_launch(capture.graph)
+        np.testing.assert_array_equal(kept[1].numpy(), is_regular)
     for x, gradient in zip(given, expected, strict=True):
         np.testing.assert_array_equal(x.grad.numpy(), gradient)
 

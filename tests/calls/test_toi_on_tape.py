@@ -344,11 +344,11 @@ def test_calls_without_gradients_say_so_on_a_tape():
         pipeline.mesh_ccd(*given)
     pipeline.mesh_ccd(*(x.numpy() for x in given))
     for launch in (pipeline.launch_proximity, pipeline.launch_displacement_bounds):
-        with wp.Tape(), pytest.raises(ValueError, match="positions requires a gradient .* finds no times of impact"):
+        with wp.Tape(), pytest.raises(ValueError, match=r"positions requires a gradient .* finds no times of impact"):
             launch(given[0], DISTANCE)
     thick = ccd.CollisionPipeline(thick_scene()[0], device="cpu")
     thick.radius.requires_grad = True
-    with wp.Tape(), pytest.raises(ValueError, match="radius requires a gradient .* finds no times of impact"):
+    with wp.Tape(), pytest.raises(ValueError, match=r"radius requires a gradient .* finds no times of impact"):
         thick.launch_proximity(array(start, requires_grad=False), DISTANCE)
     integers = wp.zeros((len(start), 3), dtype=wp.int32, device="cpu")
     with wp.Tape(), pytest.raises(ValueError, match="vertices_t0 has dtype int32"):
