@@ -63,6 +63,9 @@ class PairResult(Placed):
     width: Any
     iterations: Any
 
+    def __post_init__(self) -> None:
+        """Leave the slot empty until `_of` fills it: of few pairs one more assignment is 1 % of the call."""
+
     @property
     def hit(self) -> Any:
         """True where toi is finite, bool, shape [n]."""
@@ -89,9 +92,10 @@ class PairResult(Placed):
         """
         from ccd_warp._toi_slopes import of_pairs  # its kernels are loaded by those who ask for gradients
 
-        if self._place is None or not isinstance(self.toi, np.ndarray):
+        asked = getattr(self, "_place", None)
+        if asked is None or not isinstance(self.toi, np.ndarray):
             raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")
-        kind, options = self._place
+        kind, options = asked
         ends = [_validated_points(kind, x, f"points_t{k}") for k, x in enumerate((points_t0, points_t1))]
         for k, end in enumerate(ends):
             if (len(end), end.shape) != (len(self.toi), ends[0].shape):
@@ -102,7 +106,8 @@ class PairResult(Placed):
         return of_pairs(query, kind, (ends[0], ends[1]), self.toi, self.status)
 
     def __getstate__(self) -> dict[str, Any]:
-        place = self._place and (self._place[0], replace(self._place[1], device=None))  # a device stays where it is
+        asked = getattr(self, "_place", None)
+        place = asked and (asked[0], replace(asked[1], device=None))  # a device stays where it is
         return {**vars(self), "_place": place}
 
     def __repr__(self) -> str:

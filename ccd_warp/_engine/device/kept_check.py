@@ -1,18 +1,17 @@
 """A check of a step on the device, kept with all that the gradients of its minima need, and these gradients."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 
 from ccd_warp._device_results import TOIS
-from ccd_warp._engine.device.input import Form
+from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._engine.host.contacts import new_contact_list
 from ccd_warp._engine.mesh.planes import planes_of
-from ccd_warp._input.interop import as_positions, without_worlds
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.step import regularity, toi_adjoint, toi_slope
@@ -22,48 +21,6 @@ _CONTACT_COLUMNS = ("count", "kind", "primitives", "toi", "status")
 _NO_KEY = int(toi_adjoint.NO_KEY)
 # Below so many keys NumPy sorts them faster on the CPU, where Warp counts 2^16 digits several times.
 _FEW = 1 << 11
-
-
-@dataclass(frozen=True)
-class Given:
-    """The arrays of a caller that get gradients, None for those that do not require one, and what their rows are.
-
-    Attributes:
-        vertices_t0: Start positions.
-        vertices_t1: End positions or displacements.
-        radius: Radii of vertices.
-        form: The form of the launch that has read them.
-        rows: How many rows the positions have.
-    """
-
-    vertices_t0: wp.array | None
-    vertices_t1: wp.array | None
-    radius: wp.array | None
-    form: Form
-    rows: tuple[int, int]
-
-    @classmethod
-    def of(cls, given: tuple[Any, Any], radius: Any, form: Form, rows: tuple[int, int]) -> "Given":
-        """Of the arguments of a launch, and the radii."""
-        t0, t1, r = (x if isinstance(x, wp.array) and x.requires_grad else None for x in (*given, radius))
-        return cls(t0, t1, r, form, rows)
-
-    @property
-    def arrays(self) -> list[wp.array]:
-        """Those that get gradients."""
-        return [x for x in (self.vertices_t0, self.vertices_t1, self.radius) if x is not None]
-
-    def gradients(self, step: DeviceStep) -> tuple[wp.array | None, wp.array | None]:
-        """The gradients of the positions, with a row for each as a launch reads them."""
-        mesh, device = step.topology.mesh, step.topology.device
-        found: list[wp.array | None] = []
-        for name, count in zip(("vertices_t0", "vertices_t1"), self.rows, strict=True):
-            array = getattr(self, name)
-            if array is not None:
-                grad = without_worlds(array.grad, name, mesh.rows_by_world, mesh.dimension)
-                array = as_positions(grad, name, device, {count: "as given"}, mesh.dimension)
-            found.append(array)
-        return found[0], found[1]
 
 
 class Attaining(NamedTuple):
@@ -111,6 +68,7 @@ class KeptCheck:
         self._radius = None if radius is None else self._copy(radius)
         _ = step.contact_arrays.moving_row("gradients")  # made now, not in a capture of the backward pass
 
+    @cached_property
     def _check(self) -> Any:
         """What is kept, as the struct of the kernels."""
         arrays = {"start": self.start, "end": self.end, **self.tois}
@@ -120,6 +78,7 @@ class KeptCheck:
         check.contacts, check.separation = new_contact_list(self._contacts), self._query.separation
         return check
 
+    @cached_property
     def _mesh(self) -> Any:
         """What belongs to the primitives, as the struct of the kernels."""
         topology = self._step.topology
@@ -173,7 +132,7 @@ class KeptCheck:
         """The contacts that attain minima whose gradients are not 0; None if there is certainly none."""
         if not of_minima or self._count == 0:
             return None
-        launch, check, mesh = self._step.execution.launch, self._check(), self._mesh()
+        launch, check, mesh = self._step.execution.launch, self._check, self._mesh
         attained = struct_of(
             toi_adjoint.Attained, {name: self._full(_NO_KEY, len(x), wp.int64) for name, x in of_minima.items()}
         )
@@ -199,7 +158,7 @@ class KeptCheck:
     def change_gradients(self, attaining: Attaining, of_minima: Mapping[str, wp.array]) -> None:
         """Let these contacts have other gradients of the same minima."""
         gradient = struct_of(toi_adjoint.MinimaGradients, of_minima)
-        inputs = [self._check(), self._mesh(), attaining.keys, attaining.listed, attaining.attained, gradient]
+        inputs = [self._check, self._mesh, attaining.keys, attaining.listed, attaining.attained, gradient]
         self._step.execution.launch(toi_adjoint.change_gradients, attaining.num_rows, inputs, [attaining.pairs])
 
     def add_rows(self, attaining: Attaining, given: Given, gradients: tuple[wp.array | None, wp.array | None]) -> None:
@@ -228,7 +187,7 @@ class KeptCheck:
         """The rating of each minimum of a kind (`regularity`), given those of vertices, from what attains it."""
         ratings = self._full(int(regularity.UNKNOWN), len(self.tois[TOIS[per]]), wp.int32)
         if attaining is not None:
-            inputs = [self._check(), self._mesh(), attaining.keys, attaining.listed, attaining.attained]
+            inputs = [self._check, self._mesh, attaining.keys, attaining.listed, attaining.attained]
             inputs += [attaining.slopes.is_regular, hold, vertex_rating]
             self._step.execution.launch(regularity.rate_minima, attaining.num_rows, inputs, [ratings])
         return ratings

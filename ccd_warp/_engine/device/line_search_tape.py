@@ -7,8 +7,9 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._device_results import TOIS, LaunchResult
+from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.input import SAFETY, PreparedLaunch
-from ccd_warp._engine.device.kept_check import Attaining, Given, KeptCheck, as_flags
+from ccd_warp._engine.device.kept_check import Attaining, KeptCheck, as_flags
 from ccd_warp._engine.device.line_search import DeviceLineSearch, passes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.tape import active_tape

@@ -6,8 +6,9 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._device_results import TOIS, LaunchResult
+from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.input import PreparedLaunch
-from ccd_warp._engine.device.kept_check import Given, KeptCheck, as_flags
+from ccd_warp._engine.device.kept_check import KeptCheck, as_flags
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._runtime.tape import active_tape
 
