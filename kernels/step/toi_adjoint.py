@@ -6,8 +6,8 @@ table of pairs, whose slopes (`toi_slope`) then say how their tois change. What 
 order of their keys (`toi_adjoint_rows`). So the sums are the same in every bit on each run; the only atomic operations
 are the minimum of keys, which has no order, and the counter of a list that is sorted.
 
-A minimum that no contact attains is taken for fixed: one of a pair beyond the capacity, or one that a line search has
-raised to the time of a part of the gap.
+A minimum that no contact attains has no gradient (`regularity`): one of a pair beyond the capacity, or one that a line
+search has raised to the time of a part of the gap.
 """
 
 import warp as wp

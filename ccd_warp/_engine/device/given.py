@@ -6,7 +6,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.device.input import Form
-from ccd_warp._engine.device.step import DeviceStep
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._input.interop import as_positions, without_worlds
 
 
@@ -39,9 +39,9 @@ class Given:
         """Those that get gradients."""
         return [x for x in (self.vertices_t0, self.vertices_t1, self.radius) if x is not None]
 
-    def gradients(self, step: DeviceStep) -> tuple[wp.array | None, wp.array | None]:
+    def gradients(self, topology: Topology) -> tuple[wp.array | None, wp.array | None]:
         """The gradients of the positions, with a row for each as a launch reads them."""
-        mesh, device = step.topology.mesh, step.topology.device
+        mesh, device = topology.mesh, topology.device
         found: list[wp.array | None] = []
         for name, count in zip(("vertices_t0", "vertices_t1"), self.rows, strict=True):
             array = getattr(self, name)

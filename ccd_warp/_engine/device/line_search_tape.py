@@ -91,7 +91,8 @@ class TapedLineSearch:
 
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
-        gradients, topology = self._given.gradients(self._step), self._step.topology
+        topology = self._step.topology
+        gradients = self._given.gradients(topology)
         vertex_rating, attaining = self._rated()
         kernels = specialised("step.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
         moving = topology.moving_vertices

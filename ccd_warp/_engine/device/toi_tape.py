@@ -49,7 +49,7 @@ class TapedLaunch:
 
         def backward() -> None:
             of_minima = {name: x.grad for name, x in minima.items()}
-            check.add_gradients(of_minima, self._given, self._given.gradients(step))
+            check.add_gradients(of_minima, self._given, self._given.gradients(step.topology))
 
         active_tape().record_func(backward, [*minima.values(), *self._given.arrays])
         self._check = check
