@@ -13,6 +13,7 @@ _FILES = [
     *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.half_warp_tree"),
     *("boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
     *("step.contacts", "step.device_step", "step.contact_place", "step.place_bodies", "step.shorten_paths"),
+    *("step.toi_slope", "step.toi_adjoint", "step.ordered_sums", "step.regularity"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
     *("at_one_time.device_hold", "at_one_time.start_holds", "search.near_parts"),
 ]
@@ -39,6 +40,8 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
             name = f"{real.__name__} {dimension}"
             parameters = {"real": real, "dimension": dimension}
             modules[f"input_rows {name}"] = specialised("step.input_rows", **parameters).read_moving.module
+            modules[f"toi_adjoint_rows {name}"] = specialised("step.toi_adjoint_rows", **parameters).add_rows.module
+            modules[f"shorten_adjoint {name}"] = specialised("step.shorten_adjoint", **parameters).shorten_back.module
             modules[f"contact_points {name}"] = specialised("step.contact_points", **parameters).fill_points.module
         norms = [MAXIMUM_NORM]
         if with_distances:
@@ -54,6 +57,9 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     shapes = {"ball": EUCLIDEAN_NORM} | ({"box": MAXIMUM_NORM} if with_distances else {})
     for shape, norm in shapes.items():
         modules[f"measure_pairs {shape}"] = specialised("at_one_time.measure_pairs", norm=norm).measure_pairs.module
+    for dimension in (2, 3):
+        points = specialised("step.toi_adjoint_points", dimension=dimension)
+        modules[f"toi_adjoint_points {dimension}"] = points.add_points.module
     modules["candidate_cull"] = specialised("search.candidate_cull").cull_candidates.module
     if with_distances:
         modules["candidate_cull thick"] = specialised("search.candidate_cull", is_thick=True).cull_candidates.module

@@ -56,6 +56,7 @@ from ccd_warp._results import Contact, Contacts, Counts, HostLaunchResult, MeshR
 from ccd_warp._robot import Robot
 from ccd_warp._sequence import FrameSequence, read_sequence
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
+from ccd_warp._toi_gradient import ToiGradient
 from ccd_warp._urdf import read_urdf
 from ccd_warp._version import __version__
 
@@ -100,6 +101,7 @@ __all__ = [
     "ProximityOptions",
     "RigidMotion",
     "Robot",
+    "ToiGradient",
     "__version__",
     "collision_free_step",
     "datasets",

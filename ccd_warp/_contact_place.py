@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
 from ccd_warp._pairs import pair_corners
 from ccd_warp._status import PairKind
+from ccd_warp._toi_gradient import ToiGradient
 
 # Contacts at a time, so that intermediate arrays stay in the cache and out of the memory of a step.
 _CHUNK = 1 << 12
@@ -100,6 +101,13 @@ class MovingVertices:
         return self.start.take(rows, axis=0), self.end.take(rows, axis=0)
 
 
+class Touching(Protocol):
+    """What counts as touching in a step: a ``Touch`` of `ccd_warp._touch`, which knows the kernels and this module."""
+
+    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
+        """How the tois of contacts change with the positions of vertices that move so."""
+
+
 @dataclass
 class ContactPlace:
     """The mesh of some contacts, and what has been computed from it or can be.
@@ -111,6 +119,7 @@ class ContactPlace:
         relative_velocity: Their relative velocities, once they are computed.
         vertices: Vertices of the contacts, once they are computed.
         world: Their worlds, once they are computed.
+        touch: What counts as touching in their step; None if it is not known.
     """
 
     mesh: CollisionMesh
@@ -119,6 +128,7 @@ class ContactPlace:
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
+    touch: Touching | None = None
 
     @property
     def has_points(self) -> bool:
@@ -127,8 +137,9 @@ class ContactPlace:
 
     def chosen(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
-        columns = (self.points, self.relative_velocity, self.vertices, self.world)
-        return ContactPlace(self.mesh, self.frames, *(None if each is None else each[index] for each in columns))
+        columns = {name: getattr(self, name) for name in ("points", "relative_velocity", "vertices", "world")}
+        chosen: Any = {name: None if each is None else each[index] for name, each in columns.items()}
+        return replace(self, **chosen)
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
         """The points of the contacts to which this belongs; None if they are not known."""
@@ -142,6 +153,24 @@ class ContactPlace:
             self.relative_velocity = _relative_velocities(self.frames, contacts)
         return self.relative_velocity
 
+    def toi_gradient_of(self, contacts: Contacts) -> ToiGradient:
+        """How their tois change.
+
+        Raises:
+            ValueError: If it is not known.
+        """
+        if len(contacts) == 0:
+            none = np.zeros((0, 4, self.mesh.dimension))
+            return ToiGradient(none, none, np.zeros(0), np.zeros(0, dtype=bool), contacts.vertices)
+        if self.frames is not None and self.frames.paths is not None and self.frames.paths.excess.any():
+            raise ValueError("contacts are those of a JointMotion; expected a RigidMotion, or none")
+        if self.frames is None or self.touch is None:
+            raise ValueError(
+                "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "
+                "or of a launch by to_host()"
+            )
+        return self.touch.toi_gradient(contacts, self.frames)
+
 
 def located(
     contacts: Contacts,
@@ -149,15 +178,17 @@ def located(
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
     paths: MeshPaths | None = None,
+    touch: Touching | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
 
     The positions may be arrays of the caller, who changes them afterwards. They are therefore copied: all of them, or
     where there are few contacts theirs alone. Points and velocities are computed when they are asked for, and without
     positions stay unknown. Positions and normals have three columns, or of a mesh in the plane the positions two; of
-    such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames.
+    such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames;
+    ``touch`` is what counts as touching, without which there are no gradients.
     """
-    place = ContactPlace(mesh)
+    place = ContactPlace(mesh, touch=touch)
     if mesh.dimension == 2:
         contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
         start, end = (None if x is None else x[:, :2] for x in (start, end))

@@ -2,37 +2,20 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._display import MOST_ROWS, counted, html_table, kind_name, point_text, shortened
 from ccd_warp._pairs import ClosePairs, pair_corners
+from ccd_warp._placed import Placed
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
-
-
-class Placed:
-    """Keeps what a table knows beside its arrays in a slot, so that ``vars()`` gives the arrays alone.
-
-    It is a ``ContactPlace`` of `ccd_warp._contact_place`, or of pairs on a device a ``DeviceStep``. These modules
-    import this one and know the types.
-    """
-
-    __slots__ = ("_place",)
-    _place: Any
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_place", None)
-
-    def _of(self, place: Any) -> Self:
-        """The same table, which knows this place from now on."""
-        object.__setattr__(self, "_place", place)
-        return self
+    from ccd_warp._toi_gradient import ToiGradient
 
 
 @text_completed_by(ClosePairs)
@@ -91,13 +74,6 @@ class Contacts(Placed, ClosePairs):
             _ = self.vertices, self.points if self._place.has_points else None
         return (self[k] for k in range(len(self)))
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_place": self._place}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
-
     def __repr__(self) -> str:
         return f"Contacts({counted(len(self), 'contact', 'contacts')}{_by_kind(self.kind)})"
 
@@ -132,6 +108,19 @@ class Contacts(Placed, ClosePairs):
         ``normal`` is negative where the two approach. The closest points are points of the bodies, with fixed (u, v).
         """
         return self._placed("relative_velocity", self._known().relative_velocity_of(self))
+
+    def toi_gradient(self) -> "ToiGradient":
+        """How the toi of each contact changes with the positions of its vertices at both ends of the step.
+
+        Nothing of it is computed before. With a motion, how it changes with the poses of rigid bodies follows from it:
+        :meth:`ccd_warp.RigidMotion.gradient_by_poses` and ``gradient_by_twist``.
+
+        Raises:
+            ValueError: If the contacts do not know their step, as those of a line search or of many worlds in batches
+                do not, of a ``JointMotion``, or with a number as ``start_gap_fraction``.
+        """
+        gradient: ToiGradient = self._known().toi_gradient_of(self)
+        return gradient
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.

@@ -9,8 +9,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contacts import Contacts, Placed
+from ccd_warp._contacts import Contacts
 from ccd_warp._pairs import PairTable
+from ccd_warp._placed import Placed
 
 
 class OnDevice:

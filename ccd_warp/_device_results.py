@@ -11,11 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._display import counted
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice
 from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import HostLaunchResult
 from ccd_warp._status import LaunchFlag, PairKind
 from ccd_warp._texts import text_completed_by
+
+# The field of a result that has the tois of each part of the mesh.
+TOIS = {"scene": "toi", "world": "world_toi", "body": "body_toi", "vertex": "vertex_toi"}
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,6 +53,7 @@ class LaunchResult(OnDevice):
     num_pairs: wp.array
     body_fraction: wp.array | None = None
     _step: Any = field(default=None, repr=False, compare=False)  # keeps alive what a graph that writes here uses
+    _taped: Any = field(default=None, repr=False, compare=False)  # what a launch on a tape has kept
 
     def __post_init__(self) -> None:
         """Let the contacts know the step to which they belong."""
@@ -61,6 +66,30 @@ class LaunchResult(OnDevice):
         Its ``poses_t1`` are the poses of the rigid bodies there, as those of a :class:`ccd_warp.LineSearchResult`.
         """
         return None if self.body_fraction is None else self._step.ended_motion()
+
+    def is_regular(self, per: Per = "vertex") -> wp.array:
+        """Which results of this launch on a ``wp.Tape`` have a derivative; also after later launches.
+
+        Args:
+            per: Of which tois: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``. After a line search ``"vertex"``.
+
+        Returns:
+            A new array on the device, bool. After ``launch`` whether each toi has a gradient, shape [1], [W], [B] or
+            [V]; where it has none, as of inf, its gradient adds 0. After ``launch_line_search`` whether the position of
+            each vertex has a derivative, shape [V]. Where False, the vertex either stays where it starts, with the
+            derivative of that, or its fraction rests on a contact without a gradient, or on a pair that is held: then
+            its gradient adds 0 to that of both ends.
+
+        Raises:
+            ValueError: If the launch was not recorded on a tape, or ``per`` is not as described.
+        """
+        check_choice("per", per, EVERY_PER)
+        if self._taped is None:
+            raise ValueError(
+                "the launch was not recorded; expected one inside a wp.Tape, with an array that requires a gradient"
+            )
+        flags: wp.array = self._taped.is_regular(per)
+        return flags
 
     @text_completed_by(DeviceContacts.to_host)
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:

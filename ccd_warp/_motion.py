@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._body_paths import BodyPaths
-from ccd_warp._input.arguments import check_choice, shown
+from ccd_warp._input.arguments import check_choice, check_instance, shown
 from ccd_warp._input.poses import (
     check_ends,
     check_leading,
@@ -23,6 +23,7 @@ from ccd_warp._input.poses import (
 )
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._rotations import normalized, norms, products, quaternions_of, rotated
+from ccd_warp._toi_gradient import ToiGradient
 
 
 class RigidMotion(ReadOnly):
@@ -210,6 +211,62 @@ class RigidMotion(ReadOnly):
         ends = np.where((times == 1.0)[:, None], self._poses_t1, motion._at(np.ones(len(times))))
         motion._poses_t1 = read_only(np.where((times == 0.0)[:, None], self._poses_t0, ends))
         return motion
+
+    def gradient_by_poses(self, gradient: ToiGradient) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How tois change with the poses at both ends, of contacts of a call with this motion.
+
+        Args:
+            gradient: That of the contacts, ``contacts.toi_gradient()``.
+
+        Returns:
+            d toi / d ``poses_t0`` and d toi / d ``poses_t1``, position and quaternion x y z w, float64, shape [n, 2, 7]
+            each: of the bodies in the columns of ``contacts.bodies``, 0 of those that are not rigid. The part of a unit
+            quaternion has no component along it.
+
+        Raises:
+            ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw
+                or has worlds.
+        """
+        points = self._turning_points(gradient)
+        if points is None:
+            return np.zeros((0, 2, 7)), np.zeros((0, 2, 7))
+        found: tuple[NDArray[np.float64], NDArray[np.float64]]
+        found = points.by_poses(self._body_paths, self._poses_t1[:, 3:])
+        return found
+
+    def gradient_by_twist(self, gradient: ToiGradient) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """How tois change with the poses at the start and with the twists, of contacts of a call with this motion.
+
+        A motion that was made from poses has the shortest twists between them.
+
+        Args:
+            gradient: That of the contacts, ``contacts.toi_gradient()``.
+
+        Returns:
+            d toi / d ``poses_t0`` where the twists are held, shape [n, 2, 7], and d toi / d twist, linear part first,
+            shape [n, 2, 6], float64, of the bodies as in :meth:`gradient_by_poses`.
+
+        Raises:
+            ValueError: As :meth:`gradient_by_poses` does.
+        """
+        points = self._turning_points(gradient)
+        if points is None:
+            return np.zeros((0, 2, 7)), np.zeros((0, 2, 6))
+        found: tuple[NDArray[np.float64], NDArray[np.float64]] = points.by_twist(self._body_paths)
+        return found
+
+    def _turning_points(self, gradient: ToiGradient) -> Any:
+        """The points of contacts on bodies that this motion can have moved; None where there are no contacts."""
+        check_instance("gradient", gradient, ToiGradient)
+        if self._path != "linear" or self.num_worlds > 1:
+            raise ValueError(f"there are gradients by poses of one world and path='linear'; this is {self!r}")
+        if len(gradient) == 0:
+            return None
+        points: Any = gradient._place
+        if points is None or points.num_bodies != self.num_bodies:
+            found = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"
+            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {self.num_bodies}")
+        return points
 
     @property
     def _paths_at_start(self) -> BodyPaths:

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult, Per
-from ccd_warp._input.arguments import check_instance
+from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
+from ccd_warp._input.arguments import Per, check_instance
 from ccd_warp._input.option_types import (
     CandidateOptions,
     DisplacementOptions,

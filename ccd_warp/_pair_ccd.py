@@ -2,8 +2,8 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from dataclasses import dataclass
-from typing import Any, Unpack
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 import warp as wp
@@ -14,20 +14,27 @@ from ccd_warp._input.arrays import as_array, as_float64, check_finite, is_device
 from ccd_warp._input.interop import as_warp
 from ccd_warp._input.option_types import PairOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
+from ccd_warp._placed import Placed
 from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
+from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
 from ccd_warp._status import CCDStatus, PairKind
 from ccd_warp._texts import text_completed_by
+from ccd_warp._touch import Touch
 from ccd_warp.kernels.narrow_phase.sinks import TABLE
-from ccd_warp.kernels.step.contacts import lift
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.step.contacts import lift, mark_finite
 from ccd_warp.kernels.step.minima import NUM_COUNTS
+
+if TYPE_CHECKING:
+    from ccd_warp._toi_gradient import ToiGradient
 
 
 @dataclass(frozen=True)
-class PairResult:
+class PairResult(Placed):
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
     For arrays of Warp, or of a library that supports DLPack (PyTorch, JAX, CuPy), the result holds Warp arrays on the
@@ -56,14 +63,52 @@ class PairResult:
     width: Any
     iterations: Any
 
+    def __post_init__(self) -> None:
+        """Leave the slot empty until `_of` fills it: of few pairs one more assignment is 1 % of the call."""
+
     @property
     def hit(self) -> Any:
         """True where toi is finite, bool, shape [n]."""
         if isinstance(self.toi, np.ndarray):
             return np.isfinite(self.toi)
         hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
-        wp.map(wp.isfinite, self.toi, out=hit)
+        load(mark_finite, hit.device)
+        wp.launch(mark_finite, len(hit), inputs=[self.toi], outputs=[hit], device=hit.device, record_tape=False)
         return hit
+
+    def toi_gradient(self, points_t0: ArrayLike, points_t1: ArrayLike) -> ToiGradient:
+        """How each toi changes with the points of its pair at both ends of the step.
+
+        Nothing of it is computed before. A separation that is a multiple of the size of each pair is a fixed length in
+        it.
+
+        Args:
+            points_t0: Start positions, those of the call, of which the result holds no copy.
+            points_t1: End positions, those of the call.
+
+        Raises:
+            ValueError: If the positions are not such as the call takes, or not of as many pairs, if the result is of
+                arrays on a device or was made of arrays alone, or with a number as ``start_gap_fraction``.
+        """
+        from ccd_warp._toi_slopes import of_pairs  # its kernels are loaded by those who ask for gradients
+
+        asked = getattr(self, "_place", None)
+        if asked is None or not isinstance(self.toi, np.ndarray):
+            raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")
+        kind, options = asked
+        ends = [_validated_points(kind, x, f"points_t{k}") for k, x in enumerate((points_t0, points_t1))]
+        for k, end in enumerate(ends):
+            if (len(end), end.shape) != (len(self.toi), ends[0].shape):
+                raise ValueError(
+                    f"points_t{k} has shape {end.shape}; expected those of the call, {len(self.toi)} pairs"
+                )
+        query = _touch(options).query(is_planar=ends[0].shape[2] == 2)
+        return of_pairs(query, kind, (ends[0], ends[1]), self.toi, self.status)
+
+    def __getstate__(self) -> dict[str, Any]:
+        asked = getattr(self, "_place", None)
+        place = asked and (asked[0], replace(asked[1], device=None))  # a device stays where it is
+        return {**vars(self), "_place": place}
 
     def __repr__(self) -> str:
         pairs = counted(len(self.toi), "pair", "pairs")
@@ -183,13 +228,26 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
             raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
         a, b = _in_3d(a), _in_3d(b)
         if device.is_cpu and 0 < len(a) <= CAPACITY:
-            return PairResult(*_solve_few(kind, a, b, options, device))
+            return PairResult(*_solve_few(kind, a, b, options, device))._of((kind, options))
         device_t0, device_t1 = (
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         )
 
     out = _solve(kind, device_t0, device_t1, options, device)
-    return out if on_device else PairResult(**{name: array.numpy() for name, array in vars(out).items()})
+    if on_device:
+        if wants_gradient(points_t0, points_t1):
+            from ccd_warp._pair_tape import record_pairs  # its kernels are loaded where they are needed
+
+            execution = Execution(device, options.threads)
+            arrays, solved = [points_t0, points_t1], [device_t0, device_t1]
+            record_pairs(execution, _touch(options), kind, arrays, solved, out)
+        return out
+    return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, options))
+
+
+def _touch(options: Options) -> Touch:
+    """What counts as touching."""
+    return Touch.of(options, options.length_scale, is_euclidean=is_ball(options.norm))
 
 
 def _solve_few(
@@ -308,7 +366,8 @@ def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
         if points.dtype == wp.vec2d and 2 in dimensions:
             lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
             load(lift, points.device)
-            wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=points.device)
+            dim, device = points.shape, points.device
+            wp.launch(lift, dim=dim, inputs=[points], outputs=[lifted], device=device, record_tape=False)
             return lifted
     if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:
         return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=points.shape[:2], device=points.device, copy=False)

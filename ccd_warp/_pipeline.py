@@ -22,7 +22,6 @@ from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
     LineSearchResult,
-    Per,
     Solver,
     check_step_is_whole,
     search_step,
@@ -34,7 +33,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
-from ccd_warp._input.arguments import check_count, check_flag, check_instance, check_real, shown
+from ccd_warp._input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._input.interop import check_writable, without_worlds
 from ccd_warp._input.names import body_label
 from ccd_warp._input.option_types import MeshOptions
@@ -48,10 +47,14 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 
 if TYPE_CHECKING:
     from ccd_warp._engine.device.arc_step import DeviceArcStep
+    from ccd_warp._engine.device.line_search import DeviceLineSearch
+    from ccd_warp._engine.device.line_search_tape import TapedLineSearch
+    from ccd_warp._engine.device.toi_tape import TapedLaunch
     from ccd_warp._engine.host.joint_search import JointSearch
     from ccd_warp._engine.host.near_parts import NearParts
     from ccd_warp._engine.host.near_search import NearSearch
@@ -120,7 +123,7 @@ class CollisionPipeline:
         # A call takes these two out while it uses them and puts them back only if it succeeds, so that no inconsistent
         # state is used again.
         self._workspace: Workspace | None = workspace
-        self._device_step: DeviceStep | None = None
+        self._device_step: DeviceLineSearch | None = None
         self._arc_step: DeviceArcStep | None = None  # of launches with a motion
         self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
         self._lock = threading.Lock()
@@ -354,6 +357,9 @@ class CollisionPipeline:
 
         ``memory_limit`` is ignored here; the capacities are the limits.
 
+        Inside a ``wp.Tape``, where an array or ``radius`` requires a gradient, one function is recorded, and the tois
+        of the result, arrays of this launch alone, require one; without a motion.
+
         Args:
             vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
                 that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
@@ -423,6 +429,10 @@ class CollisionPipeline:
         What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``).
         Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
         pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+
+        Inside a ``wp.Tape``, ``vertices_t1`` has to require a gradient where anything does: the backward pass turns
+        that of the shortened positions, which stand there, into that of the desired ones. ``is_regular()`` of the
+        result says which of them have a derivative.
 
         Stationary pairs are ignored: primitives whose vertices all stay where they are may touch. Kinematic bodies move
         as they are told. Where one meets vertices that stay, it passes through them: its world and the scene have
@@ -508,6 +518,12 @@ class CollisionPipeline:
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
+        given = vertices_t0, vertices_t1
+        is_taped = wants_gradient(*given, self._radius)
+        if is_taped and motion is not None:
+            raise ValueError(
+                "motion has no gradients, and an array on the tape requires one; expected none, or no tape"
+            )
         with self._lock:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
@@ -520,7 +536,8 @@ class CollisionPipeline:
                 self._reserve(self._capacities, None)
             step = self._device_step
             assert step
-            prepared = step.prepare(vertices_t0, vertices_t1, **arguments)
+            prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
+            taped = self._taped(step, prepared, given) if is_taped else None
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
                     "a launch was interrupted while it placed static bodies; "
@@ -529,10 +546,19 @@ class CollisionPipeline:
             self._check_places(step, prepared)
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
-            step.launch(prepared)
+            (step if taped is None else taped).launch(prepared)
             self._device_step = step
             self._interrupted, self._is_placing = None, False
-            return step.result
+            return step.result if taped is None else taped.result
+
+    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
+        """A launch, or a line search, that is recorded on the active tape."""
+        taped: Any
+        if prepared.form.line_search is None:
+            from ccd_warp._engine.device.toi_tape import TapedLaunch as taped  # few programs need them
+        else:
+            from ccd_warp._engine.device.line_search_tape import TapedLineSearch as taped
+        return taped(step, prepared, given, self._radius)
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
         """Find what is near at one time on the device, without waiting for the result.
@@ -549,7 +575,8 @@ class CollisionPipeline:
             ``max_contacts`` pairs, of ``max_pairs`` that the cull leaves of each kind.
 
         Raises:
-            ValueError: If the positions are not as described, or the distance is out of its range.
+            ValueError: If the positions are not as described, or the distance is out of its range; or if the positions
+                or ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
             RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
 
         Guarantee: as for :func:`ccd_warp.find_proximity`, where no flag is set; a flag says that pairs may be missing.
@@ -571,7 +598,8 @@ class CollisionPipeline:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
 
         Raises:
-            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described.
+            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described; or if they or
+                ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
             RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, whatever the flags. The vertices of a pair that exceeds
@@ -585,6 +613,12 @@ class CollisionPipeline:
 
     def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
         """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
+        for name, array in (("positions", positions), ("radius", self._radius)):
+            if wants_gradient(array):
+                raise ValueError(
+                    f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
+                    "which alone have gradients; expected an array that requires none, or no tape"
+                )
         with self._lock:
             step = self._at_one_time.get(kind)
             if step is None:

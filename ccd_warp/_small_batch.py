@@ -61,6 +61,7 @@ class SmallBatch:
             outputs=table_outputs(inputs, outputs),
             device=device,
             record_cmd=True,
+            record_tape=False,
         )
         self._command = PackedLaunch(command, [(0, 1)])
         self._points_t0, self._points_t1 = (array.numpy() for array in inputs)

@@ -25,6 +25,7 @@ _GUIDES = [
     "docs/command_line",
     "docs/choosing",
     "docs/rigid",
+    "docs/gradients",
     "docs/coming_from_ipc_toolkit",
     "docs/coming_from_engines",
     "docs/cuda",

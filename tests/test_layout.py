@@ -98,7 +98,8 @@ def test_the_longest_chain_of_imports_has_ten_levels_and_of_all_fifteen():
 # From the bottom; what is not named here is above them all.
 LAYERS = [
     ["kernels"],
-    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_read_only", "_rotations"],
+    ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_read_only", "_rotations"]
+    + ["_placed", "_toi_gradient"],
     ["_input", "_half_space"],
     ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_pairs"]
     + [
@@ -117,6 +118,9 @@ LAYERS = [
         "_body_paths",
         "_body_sweeps",
         "_mesh_paths",
+        "_toi_slopes",
+        "_touch",
+        "_turn_gradient",
     ],
     ["_engine", "_files"],
 ]

@@ -256,6 +256,35 @@ def launches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     )
 
 
+def gradients(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
+    """Gradients of a launch and of a line search on a tape by both ends and radii, for positions of both types."""
+    mesh, start, end = case.make()
+    found: Outputs = {}
+    for dtype, per in (("float64", "body"), ("float32", "vertex")):
+        pipeline = ccd.CollisionPipeline(mesh, **case.options, **case.capacities, precision=precision, device=device)
+        t0, t1 = (_on_device(x, dtype, device) for x in (start, end))
+        given = {"t0": t0, "t1": t1} | ({} if pipeline.radius is None else {"radius": pipeline.radius})
+        for array in given.values():
+            array.requires_grad = True
+        tape = wp.Tape()
+        with tape:
+            result = pipeline.launch(t0, t1)
+        for k, array in enumerate((result.vertex_toi, result.body_toi, result.world_toi, result.toi)):
+            array.grad.assign(np.cos(np.arange(len(array)) + k))
+        tape.backward()
+        flags = {f"is_regular {of}": result.is_regular(of).numpy() for of in ("scene", "world", "body", "vertex")}
+        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()} | flags, f"gradients {dtype}")
+        tape = wp.Tape()
+        with tape:
+            result = pipeline.launch_line_search(t0, t1, per=per)
+        tape.zero()
+        t1.grad.assign(np.cos(np.arange(t1.numpy().size)).reshape(t1.numpy().shape))
+        tape.backward()
+        flags = {"is_regular": result.is_regular().numpy()}
+        found |= outputs_of({name: array.grad.numpy() for name, array in given.items()} | flags, f"search {dtype}")
+    return found
+
+
 def launched_line_searches(case: StepCase, precision: str, device: str = "cpu") -> Outputs:
     """The line searches on the device, with the positions that they leave."""
     mesh, start, end = case.make()
@@ -370,8 +399,17 @@ def pairs(
     start, end = start.copy(), end.copy()
     start[-2, 0, 0], end[-1, -1, -1] = np.nan, np.inf
     dtype = VECTORS["float64", start.shape[2]]
-    result = call(*(wp.array(x, dtype=dtype, device=device) for x in (start, end)), **options)
-    return found | outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
+    has_gradient = "start_gap_fraction" not in options
+    ends = [wp.array(x, dtype=dtype, device=device, requires_grad=has_gradient) for x in (start, end)]
+    tape = wp.Tape()
+    with tape:
+        result = call(*ends, **options)
+    found |= outputs_of(result, "of Warp") | outputs_of(result.hit, "hit")
+    if has_gradient:
+        result.toi.grad.fill_(1.0)
+        tape.backward()
+        found |= outputs_of({f"t{k}": end.grad.numpy() for k, end in enumerate(ends)}, "gradients")
+    return found
 
 
 def _rows(proximities: ccd.Proximities) -> dict[str, np.ndarray]:

@@ -6,12 +6,16 @@ import os
 import reprlib
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
 _MOST_BITS = 2000  # of an integer that is printed; Python refuses to print very large ones
 _MOST_CHARACTERS = 80  # of a value in a message
+
+# The sets of vertices that have one toi, or move by one fraction of their displacements.
+Per = Literal["scene", "world", "body", "vertex"]
+EVERY_PER: tuple[Per, ...] = get_args(Per)
 
 _Choice = TypeVar("_Choice", bound=str)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_unmasked, on_one_line, shown
+from ccd_warp._runtime.tape import wants_gradient
 
 _FEW = 1 << 13
 _LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
@@ -234,7 +235,7 @@ def on_host(value: Any, name: str) -> Any:
     """The value as NumPy can read it in place; arrays of other libraries must not be on a GPU.
 
     Raises:
-        ValueError: If it is an array on a GPU, or one that NumPy cannot read, as a tensor that requires a gradient.
+        ValueError: If it is an array on a GPU, or one that NumPy cannot read, as an array that requires a gradient.
     """
     if is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY:
         raise ValueError(
@@ -242,6 +243,11 @@ def on_host(value: Any, name: str) -> Any:
             f"or CollisionPipeline.launch, which takes arrays on its device"
         )
     if _is_of_warp(value):
+        if wants_gradient(value):
+            raise ValueError(
+                f"{name} requires a gradient and a tape is recording, but this call works on the host, where nothing "
+                f"is recorded; expected a launch, or {name}.numpy()"
+            )
         return value.numpy()
     if not is_device_array(value):
         return value

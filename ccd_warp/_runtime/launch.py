@@ -126,7 +126,15 @@ class Execution:
         def part(begin: int, end: int) -> None:
             block_dim = block_dim_of(kernel, self.device)
             dim, packed = end - begin, [begin, *inputs]
-            wp.launch(kernel, dim=dim, inputs=packed, outputs=outputs, device=self.device, block_dim=block_dim)
+            wp.launch(
+                kernel,
+                dim=dim,
+                inputs=packed,
+                outputs=outputs,
+                device=self.device,
+                block_dim=block_dim,
+                record_tape=False,
+            )
 
         if self.is_serial:
             part(0, count)
@@ -343,6 +351,7 @@ class Recording:
             inputs=[0, *(self.values[a.name] if isinstance(a, Slot) else a for a in values)],
             device=self.execution.device,
             record_cmd=True,
+            record_tape=False,
             block_dim=block_dim_of(kernel, self.execution.device),
         )
         packed = PackedLaunch(command, self.execution.ranges(count, grain, parts_per_thread))

@@ -35,6 +35,18 @@ def lift(
     lifted[i, j] = wp.vec3d(p[0], p[1], _ZERO)
 
 
+@wp.kernel
+def mark_finite(
+    # in
+    values: wp.array[wp.float64],
+    # out
+    is_finite: wp.array[wp.bool],
+):
+    """Whether each value is finite."""
+    i = wp.tid()
+    is_finite[i] = wp.isfinite(values[i])
+
+
 @wp.func
 def sort_key(kind_of_pair: int, pair: wp.vec2i) -> wp.int64:
     """A key that orders pairs of primitives by kind, then by index: two bits, and 31 for each index.

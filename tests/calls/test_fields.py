@@ -22,7 +22,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RESULTS = (
     *(ccd.Contacts, ccd.Contact, ccd.Proximities, ccd.Intersections, ccd.Candidates, ccd.MeshResult, ccd.PairResult),
     *(ccd.LineSearchResult, ccd.LaunchResult, ccd.HostLaunchResult, ccd.DeviceContacts, ccd.DeviceProximities),
-    ccd.DeviceDisplacements,
+    *(ccd.DeviceDisplacements, ccd.ToiGradient),
 )
 # Fields with a sign, a side, an order or a unit of their own; each has a test of its meaning below.
 MEANT = {
@@ -33,8 +33,19 @@ MEANT = {
 }
 # Fields whose name says all, or that so many things have that a search for them would tell nothing.
 PLAIN = {
-    *("body_names", "body_toi", "contacts", "count", "counts", "edge_edge", "first", "flags", "hit", "index"),
-    *("is_limited", "iterations", "kind", "mesh", "motion", "num_contacts", "num_crossing", "num_pairs", "num_rounds"),
+    *("body_names", "body_toi", "contacts", "count", "counts", "edge_edge", "end", "first", "flags", "hit", "index"),
+    *(
+        "is_limited",
+        "is_regular",
+        "iterations",
+        "kind",
+        "mesh",
+        "motion",
+        "num_contacts",
+        "num_crossing",
+        "num_pairs",
+        "num_rounds",
+    ),
     *("hidden_gaps", "num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status"),
     *(
         "timings",
@@ -67,6 +78,7 @@ READ = {
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
     "docs/make_pictures.py": "bodies",
+    "docs/gradients.md": "bodies distance weights",
     "docs/method.md": "gap",
     "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
     "parameters point points primitives struck touching vertex_contact weights world_contact",

@@ -45,6 +45,7 @@ _PLAN = {
     "at_one_time": ("worlds in one place", "excluded pairs", "spatial hash", "half-spaces", "kinematic bodies"),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
     "with_radii": ("radii",),
+    "gradients": ("every kind, one body static", "in the plane, one body static", "radii"),
     "line_searches_with_radii": ("radii",),
     "searches_with_radii": ("radii, spatial hash, excluded pairs",),
     "on_arcs": ("bodies that turn", "bodies that turn, a distance"),

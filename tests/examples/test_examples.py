@@ -11,10 +11,9 @@ import pytest
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
-def _run(name: str, folder: Path) -> str:
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name)], cwd=folder, capture_output=True, text=True, check=False
-    )
+def _run(name: str, folder: Path, *arguments: str) -> str:
+    command = [sys.executable, str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -27,6 +26,8 @@ def _number(text: str, label: str) -> float:
 
 def test_no_example_is_left_out():
     assert {path.name for path in EXAMPLES.glob("*.py")} == {
+        "aim.py",
+        "bounce_gradient.py",
         "bullet_2d.py",
         "bullet_through_wall.py",
         "cloth_drop.py",
@@ -49,6 +50,19 @@ def test_bullet_through_wall(tmp_path):
     toi = _number(output, r"CCD over the whole step:\s+toi =")
     # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
     assert 0.5 - 1e-6 <= toi <= 0.5
+
+
+def test_bounce_gradient(tmp_path):
+    output = _run("bounce_gradient.py", tmp_path)
+    truth = _number(output, "true")
+    for steps, error in ((25, 0.02), (200, 0.005)):  # in proportion to the size of a step
+        assert _number(output, rf"\s+{steps}") == pytest.approx(truth, abs=error)
+        assert float(re.search(rf"^\s+{steps}\s+\S+\s+(\S+)", output, re.MULTILINE)[1]) == 1.0
+
+
+def test_aim(tmp_path):
+    output = _run("aim.py", tmp_path, "--throws", "60")
+    assert "60 of 60 throws hit on time" in output
 
 
 def test_bullet_2d(tmp_path):

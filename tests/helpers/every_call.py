@@ -61,6 +61,7 @@ JOINT = {"name": "turn", "parent": "base", "child": "arm", "kind": "revolute", "
 JOINT["origin"] = np.array([1.0, 0, 0, 0, 0, 0, 1])
 POSES_OF_MESH = {"poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1]] * MESH.num_bodies)}
 POSES_OF_MESH["poses_t1"] = POSES_OF_MESH["poses_t0"] + 0.25
+NO_GRADIENT = ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, dtype=bool))
 POSES = {
     "poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]]),
     "poses_t1": np.array([[0.0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]),
@@ -187,6 +188,8 @@ def every_call(folder):
             POSES | {"path": "linear", "pivot": None, "twist": None},
         ),
         "RigidMotion.shortened": (ccd.RigidMotion(**POSES).shortened, {"t": 0.5}),
+        "RigidMotion.gradient_by_poses": (ccd.RigidMotion(**POSES).gradient_by_poses, {"gradient": NO_GRADIENT}),
+        "RigidMotion.gradient_by_twist": (ccd.RigidMotion(**POSES).gradient_by_twist, {"gradient": NO_GRADIENT}),
         "RigidMotion.at": (ccd.RigidMotion(**POSES).at, {"t": 0.5}),
         "AffineMotion": (ccd.AffineMotion, {"affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE}),
         "positions_t0": (ccd.AffineMotion(AFFINE, AFFINE).positions_t0, {"points": CABLE, "body": np.array([0, 1, 1])}),

@@ -211,6 +211,7 @@ def test_every_public_argument_is_among_those_tried(calls):
         ccd.Intersections,
         ccd.LaunchResult,
         ccd.LineSearchOptions,
+        ccd.ToiGradient,
         ccd.LineSearchResult,
         ccd.MeshOptions,
         ccd.MeshResult,

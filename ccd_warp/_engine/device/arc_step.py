@@ -149,14 +149,14 @@ class DeviceArcStep(DeviceLineSearch):
 
     def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
         """Contacts of the last launch that know their mesh, each pair once, and their points on the paths."""
-        last = self._last_positions()
+        last = self.last_positions()
         if last is None:
             return located(contacts, self._mesh)
         start, end = (v.numpy().reshape(-1, 3) for v in last)
         if vertices_t0 is not None:
             start, end = self._mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths.shortened(self.fraction.numpy())
-        return located(_earliest(contacts), self._mesh, start, end, paths)
+        return located(_earliest(contacts), self._mesh, start, end, paths, self._touch_of_last())
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device.

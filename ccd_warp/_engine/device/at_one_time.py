@@ -151,7 +151,7 @@ class DeviceProximityStep(DeviceAtOneTime):
 
     def positions(self) -> NDArray[np.float64]:
         """What the positions of the last launch are now; this waits for the device."""
-        last = self._last_positions()
+        last = self.last_positions()
         assert last is not None
         positions: NDArray[np.float64] = last[0].numpy().reshape(-1, 3)[:, : self._mesh.dimension].copy()
         return positions

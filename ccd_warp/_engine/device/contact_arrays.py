@@ -55,7 +55,7 @@ class ContactArrays:
         real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
         dimension = 2 if start.dtype in (wp.vec2f, wp.vec2d) else 3
         num_vertices = self._topology.mesh.num_vertices
-        inputs = [start, end, self._moving_row(name), int(len(end) == num_vertices)]
+        inputs = [start, end, self.moving_row(name), int(len(end) == num_vertices)]
         planes = planes_of(self._topology)
         inputs += [planes.point, planes.vertex, planes.unit]
         return self._filled(
@@ -83,7 +83,7 @@ class ContactArrays:
         self._execution.launch(kernel, self._capacity, inputs=[self._list, *corners, *inputs], outputs=[array])
         return array
 
-    def _moving_row(self, name: str) -> wp.array:
+    def moving_row(self, name: str) -> wp.array:
         """The place of each vertex among the moving ones, -1 for a static one."""
         mesh, moving = self._topology.mesh, self._topology.moving_vertices
         if len(moving) == mesh.num_vertices:

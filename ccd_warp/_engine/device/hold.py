@@ -35,6 +35,7 @@ class DeviceHold:
     separation of its own: in float32 the margin of a pair would be lost anew in each search.
 
     Attributes:
+        hold: The hold of each vertex, infinite where nothing is held, float64, shape [V].
         is_near: Whether the first pass has found such a contact, int32, shape [1].
     """
 
@@ -52,7 +53,7 @@ class DeviceHold:
         """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
         mesh, device = topology.mesh, topology.device
         self._topology, self._contacts = topology, contacts
-        self._hold: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
+        self.hold: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
         self._near: wp.array = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
         self._world_near: wp.array = wp.empty(mesh.num_worlds, dtype=wp.int32, device=device)
         self.is_near: wp.array = wp.empty(1, dtype=wp.int32, device=device)
@@ -64,7 +65,7 @@ class DeviceHold:
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
         self._narrow_phase = narrow_phase_on(device, exact.real, norm)
-        self._options = partial(exact.for_kernel, length_scale, stop=flag.array, radius=radii, hold=self._hold)
+        self._options = partial(exact.for_kernel, length_scale, stop=flag.array, radius=radii, hold=self.hold)
         # boxes of static bodies stay as they are, and those of the others make up for it
         inflation = next_above(stages.inflation + (distance - separation))
         self._of_start: dict[str, Any] = {
@@ -79,7 +80,7 @@ class DeviceHold:
 
     def record_begin(self, recording: Recording) -> None:
         """Record that nothing is held."""
-        recording.launch(kernels.clear_holds, len(self._hold), inputs=[], outputs=[self._hold])
+        recording.launch(kernels.clear_holds, len(self.hold), inputs=[], outputs=[self.hold])
         near = [self._near, self._world_near, self.is_near]
         recording.launch(kernels.clear_near, max(map(len, near)), inputs=[], outputs=near)
 
@@ -105,4 +106,4 @@ class DeviceHold:
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
         of_start.measure_pairs(recording, HOLD, self._norm)
-        recording.launch(kernels.keep_holds, len(self._hold), inputs=[stages.step.minima], outputs=[self._hold])
+        recording.launch(kernels.keep_holds, len(self.hold), inputs=[stages.step.minima], outputs=[self.hold])

@@ -44,6 +44,7 @@ class Form(NamedTuple):
     is_displacement: bool = False
     line_search: LineSearch | None = None
     num_slices: int = 0  # where bodies turn
+    is_taped: bool = False  # whether the passes of a line search are kept
 
 
 class PreparedLaunch(NamedTuple):
@@ -136,6 +137,7 @@ class DeviceInput:
         line_search: LineSearch | None = None,
         safety: float = 1.0,
         num_slices: int = 0,
+        is_taped: bool = False,
     ) -> PreparedLaunch:
         """Check the arguments of a launch, which are those of :meth:`ccd_warp.CollisionPipeline.launch`."""
         mesh, device = self._mesh, self._topology.device
@@ -152,7 +154,8 @@ class DeviceInput:
             check_same_dtype(start, end, name_t1)
         real = wp.float64 if start.dtype in (wp.vec2d, wp.vec3d) else wp.float32
         count = mesh.num_vertices
-        form = Form(real, len(start) == count, len(end) == count, is_displacement, line_search, num_slices)
+        by_vertex = len(start) == count, len(end) == count
+        form = Form(real, *by_vertex, is_displacement, line_search, num_slices, is_taped)
         places_static = form.t0_by_vertex and self.has_static
         return PreparedLaunch(form, start, end, safety, places_static, given if is_copied else None)
 

@@ -1,5 +1,6 @@
 """The line search on the device: its passes, whose number is fixed, and the launches of each."""
 
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -51,13 +52,25 @@ def passes_of(line_search: LineSearch) -> list[tuple[str, Any]]:
 
 
 class DeviceLineSearch(DeviceStep):
-    """A step on the device, and line searches, whose passes are such steps."""
+    """A step on the device, and line searches, whose passes are such steps.
+
+    Attributes:
+        on_pass: Called in a taped line search after each check, before anything is shortened.
+        groups: What taped line searches know of the vertices that move by one fraction, by the kind of line search.
+    """
 
     def __init__(self, *arguments: Any) -> None:
         """Allocate everything but what line searches alone need; the arguments are those of a step."""
         super().__init__(*arguments)
+        self.on_pass: Callable[[], None] | None = None
+        self.groups: dict[str, Any] = {}
         self._touched: wp.array | None = None
         self._hold: DeviceHold | None = None
+
+    @property
+    def hold(self) -> wp.array | None:
+        """The hold of each vertex in the last line search; None where nothing can be held."""
+        return None if self._hold is None else self._hold.hold
 
     def _begin(self) -> None:
         """Allocate what line searches need."""
@@ -95,6 +108,7 @@ class DeviceLineSearch(DeviceStep):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and passes[1][0] == per
             gaps_moved = _GAPS_MOVED if may_cut else 0.0
+            is_searched_again = number < len(passes) - 1 or has_kinematic
             if number == 0:
                 self._record_reset(recording)
                 self._record_first_pass(recording, form, gaps_moved)
@@ -104,13 +118,29 @@ class DeviceLineSearch(DeviceStep):
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 if number > 0:
                     self._record_checked(recording, form, is_first=False)
-                if number < len(passes) - 1 or has_kinematic:
-                    self._record_touched(recording)
-                self._record_shorten(recording, form, _PER[per], share)
+                if not form.is_taped:
+                    self._record_shortened(recording, form, per, share, is_searched_again=is_searched_again)
+            if form.is_taped:
+                recording.call(self._pass_done)
+                with recording.only_if(self._is_any_touched):
+                    self._record_shortened(recording, form, per, share, is_searched_again=is_searched_again)
         if has_kinematic:  # which may strike what the last pass has stopped
             self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
             with recording.only_if(self._is_any_touched):
                 self._record_checked(recording, form, is_first=False)
+
+    def _pass_done(self) -> None:
+        """Tell who keeps the passes that one has been checked, and nothing shortened yet."""
+        assert self.on_pass is not None
+        self.on_pass()
+
+    def _record_shortened(
+        self, recording: Recording, form: Form, per: str, share: Any, *, is_searched_again: bool
+    ) -> None:
+        """Record which bodies a next pass searches, where there is one, and what shortens the motion."""
+        if is_searched_again:
+            self._record_touched(recording)
+        self._record_shorten(recording, form, _PER[per], share)
 
     def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
         """Record the launch that shortens the motion of what touches."""

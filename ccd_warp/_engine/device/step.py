@@ -32,6 +32,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._touch import Touch
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED
 
@@ -225,11 +226,24 @@ class DeviceStep(Plan):
         """
         if vertices_t0 is not None:
             given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
-            return located(contacts, self._mesh, *self._mesh.frames(*given))
-        last = self._last_positions()
-        if last is None:
-            return located(contacts, self._mesh)
-        return located(contacts, self._mesh, *(v.numpy().reshape(-1, 3) for v in last))
+            start, end = self._mesh.frames(*given)
+        else:
+            last = self.last_positions()
+            if last is None:
+                return located(contacts, self._mesh)
+            start, end = (v.numpy().reshape(-1, 3) for v in last)
+        return located(contacts, self._mesh, start, end, touch=self._touch_of_last())
+
+    def _touch_of_last(self) -> Touch | None:
+        """What counts as touching, with the radii that the array holds now; unknown of a line search, which holds."""
+        if self._last is None or self._last.form.line_search is not None:
+            return None
+        return self.touch(None if self._radius is None else self._radius.numpy().copy())
+
+    def touch(self, radius: NDArray[np.float64] | None = None) -> Touch:
+        """What counts as touching where nothing is held, with the radii of vertices where they are asked for."""
+        length_scale = length_scale_of(self._mesh, self._options)
+        return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.
@@ -237,7 +251,7 @@ class DeviceStep(Plan):
         Raises:
             ValueError: If there was no launch.
         """
-        last = self._last_positions()
+        last = self.last_positions()
         if last is None:
             raise ValueError("contacts.points are not known, as no launch has read positions; expected a launch before")
         return self.contact_arrays.points("points", last)
@@ -255,13 +269,15 @@ class DeviceStep(Plan):
         check_same_dtype(start, end, "vertices_t1")
         return self.contact_arrays.points(f"points_at with {start.dtype.__name__}", (start, end))
 
-    def _last_positions(self) -> tuple[wp.array, wp.array] | None:
+    def last_positions(self) -> tuple[wp.array, wp.array] | None:
         """Positions of all vertices in the last launch, in float64; None before the first."""
-        if self._last is None:
-            return None
-        if self._input.is_copied(self._last.form):
+        return None if self._last is None else self.positions_of(self._last)
+
+    def positions_of(self, prepared: PreparedLaunch) -> tuple[wp.array, wp.array]:
+        """Positions of all vertices in a launch, in float64."""
+        if self._input.is_copied(prepared.form):
             return self._input.start, self._input.end
-        return self._last.vertices_t0, self._last.vertices_t1
+        return prepared.vertices_t0, prepared.vertices_t1
 
     def _record(self, form: Form, vertices_t0: wp.array, vertices_t1: wp.array) -> Recording:
         """A recording of all launches."""

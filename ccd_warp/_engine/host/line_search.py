@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
-from ccd_warp._input.arguments import check_choice, check_real
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import moved
@@ -23,9 +23,6 @@ if TYPE_CHECKING:
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
-# The sets of vertices that move by one fraction of their displacements.
-Per = Literal["scene", "world", "body", "vertex"]
-EVERY_PER: tuple[Per, ...] = get_args(Per)
 # A pair that has toi 0 but does not touch at the start is checked again over a motion of this many of its gaps, but at
 # most this fraction of its previous motion. Among 2 to 64 gaps and fractions of 1/64 to 1/4, these gave the most even
 # steps: on draped cloths in float32 at least a sixth of the exact one, in at most five rounds.

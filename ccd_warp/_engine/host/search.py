@@ -118,6 +118,7 @@ class PairSearch:
             outputs=[self._step, self.buffers.get("keys", 0, wp.int64)],
             device=self.execution.device,
             record_cmd=True,
+            record_tape=False,
             block_dim=block_dim_of(self._kernel, self.execution.device),
         )
 

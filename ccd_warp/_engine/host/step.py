@@ -37,6 +37,8 @@ from ccd_warp._input.options import Options
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._touch import Touch
+from ccd_warp.kernels.pair.norm import is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._engine.host.search import PairSearch
@@ -438,6 +440,13 @@ class Step:
     def share_work(self, plan: HostPlan) -> None:
         """Let the open pairs of a batch share the work with those of other processes; here there are none."""
 
+    def _touch(self) -> Touch | None:
+        """What counts as touching; not one thing where pairs are held."""
+        if self.holds:
+            return None
+        radius = self.mesh.radius if self.mesh.is_thick else None
+        return Touch.of(self.options, self.length_scale, is_euclidean=is_ball(self.plan.norm), radius=radius)
+
     def contacts(self) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result."""
         store = self.workspace.contacts
@@ -455,7 +464,7 @@ class Step:
             if len(self.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather()
-            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths)
+            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths, self._touch())
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
         self.finish_timings()

@@ -1,0 +1,322 @@
+"""Times of impact and line searches as differentiable functions of JAX, which is in the extra ``interop``.
+
+Arrays are read and written where they are, by Warp's own bridge to JAX. Both passes are launches, so a backward pass
+makes the forward one again. The functions may be called within ``jax.jit`` and differentiated once, in reverse.
+
+``jax.vmap`` is over the worlds of the mesh, all of them: with a pipeline of ``mesh.replicate(W)`` and positions of one
+world, shape [V / W, 3], in a batch of W. Nothing else may be mapped. Tois are float64, so JAX has to be run with
+``jax_enable_x64``.
+
+What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+from weakref import WeakKeyDictionary, ref
+
+import warp as wp
+
+from ccd_warp._device_results import TOIS
+from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
+from ccd_warp._own_tape import launched, play_back
+from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+
+try:
+    import jax
+except ImportError as error:
+    raise ImportError("ccd_warp.jax needs JAX; install with: pip install 'ccd-warp[interop]'") from error
+
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
+
+_VECTORS = {
+    ("float64", 3): wp.vec3d,
+    ("float32", 3): wp.vec3f,
+    ("float64", 2): wp.vec2d,
+    ("float32", 2): wp.vec2f,
+}
+_callables: WeakKeyDictionary[CollisionPipeline, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Earliest times of impact of a step, as :meth:`ccd_warp.CollisionPipeline.launch` finds them.
+
+    Args:
+        pipeline: The pipeline, on the device of the arrays. Its capacities are those of its ``reserve()``.
+        vertices_t0: Start positions, float32 or float64, shape [V, 3] or [W, V / W, 3]; within ``jax.vmap`` over the
+            worlds [V / W, 3].
+        vertices_t1: End positions, of the same type.
+        per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; within ``jax.vmap`` not ``"world"``.
+
+    Returns:
+        An array of float64: of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
+        certainly no collision. Within ``jax.vmap`` those of one world.
+
+    Raises:
+        ValueError: If an array is not as described. What is found in a launch is raised as an error of JAX.
+
+    Guarantee: that of ``launch``; gradients have no part in it.
+    """
+    check_choice("per", per, EVERY_PER)
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    found = _toi(pipeline, per, start, end)
+    return found[0] if per == "scene" else found
+
+
+def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any) -> Any:
+    """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
+
+    Args:
+        pipeline: As of :func:`toi`.
+        vertices_t0: As of :func:`toi`.
+        vertices_t1: As of :func:`toi`.
+
+    Returns:
+        An array of float64 of shape [], in [0, t_max].
+
+    Raises:
+        ValueError: As :func:`toi`.
+
+    Guarantee: no pair touches before the returned fraction of the step.
+    """
+    return jax.numpy.minimum(toi(pipeline, vertices_t0, vertices_t1), pipeline._options.t_max)
+
+
+def line_search(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
+
+    Args:
+        pipeline: As of :func:`toi`.
+        vertices_t0: As of :func:`toi`.
+        vertices_t1: Wished end positions.
+        per: As of ``launch_line_search``, and so are ``safety`` and ``num_rounds``. Within ``jax.vmap`` ``"scene"`` is
+            the scene of all worlds.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        The positions at the end of the shortened step, an array like ``vertices_t1``.
+
+    Raises:
+        ValueError: As :func:`toi`.
+
+    Guarantee: that of ``launch_line_search``; gradients have no part in it.
+    """
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    return _line_search(pipeline, (per, safety, num_rounds), start, end).reshape(vertices_t1.shape)
+
+
+def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`toi`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: End positions.
+        per: Of which tois.
+
+    Returns:
+        An array of bool of the shape of the tois.
+
+    Raises:
+        ValueError: As :func:`toi`.
+    """
+    check_choice("per", per, EVERY_PER)
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    call = _callable(pipeline, _write_toi_is_regular, (per,), start, 1)
+    found = call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
+    return found[0] if per == "scene" else found
+
+
+def line_search_is_regular(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Which positions of :func:`line_search` have a derivative. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`line_search`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: Wished end positions.
+        per: What moves by one fraction.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        An array of bool for each vertex, shape [V], or within ``jax.vmap`` [V / W], as
+        :meth:`ccd_warp.LaunchResult.is_regular` says it.
+
+    Raises:
+        ValueError: As :func:`line_search`.
+    """
+    start, end = _checked(pipeline, vertices_t0, vertices_t1)
+    call = _callable(pipeline, _write_shortened_is_regular, (per, safety, num_rounds), start, 1)
+    return call(start, end, output_dims=len(end))[0]
+
+
+def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
+    """Positions with one axis of rows, as they can be handed over."""
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    if jax.numpy.zeros(0).dtype != "float64":
+        raise ValueError("tois are float64; expected jax.config.update('jax_enable_x64', True)")
+    dimension = pipeline.mesh.dimension
+    for k, array in enumerate(vertices):
+        dtype, shape = getattr(array, "dtype", None), tuple(getattr(array, "shape", ()))
+        if str(dtype) not in ("float32", "float64") or len(shape) not in (2, 3) or shape[-1] != dimension:
+            raise ValueError(
+                f"vertices_t{k} has dtype {dtype} and shape {shape}; expected float32 or float64 and (n, {dimension})"
+            )
+        if (dtype, shape) != (vertices[0].dtype, vertices[0].shape):
+            raise ValueError(
+                f"vertices_t{k} has dtype {dtype} and shape {shape}; expected {vertices[0].dtype} and "
+                f"{vertices[0].shape} like vertices_t0"
+            )
+    rows = vertices[0].size // dimension
+    if rows not in (pipeline.mesh.num_vertices, pipeline.mesh.num_vertices / pipeline.mesh.num_worlds):
+        raise ValueError(
+            f"vertices_t0 has {rows} rows; expected {pipeline.mesh.num_vertices}, one a vertex, or those of a world "
+            "within jax.vmap"
+        )
+    return [array.reshape(rows, dimension) for array in vertices]
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+def _toi(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
+    call = _callable(pipeline, _write_toi, (per,), start, 1)
+    return call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
+
+
+def _num_tois(pipeline: CollisionPipeline, per: str, start: Any) -> int:
+    mesh = pipeline.mesh
+    count = {"scene": 1, "world": mesh.num_worlds, "body": mesh.num_bodies, "vertex": mesh.num_vertices}[per]
+    return count // mesh.num_worlds if len(start) < mesh.num_vertices and per != "scene" else count
+
+
+def _toi_forward(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
+    return _toi(pipeline, per, start, end), (start, end)
+
+
+def _toi_backward(pipeline: CollisionPipeline, per: str, ends: Any, of_toi: Any) -> Any:
+    call = _callable(pipeline, _write_gradient_of_toi, (per,), ends[0], 2)
+    return tuple(call(*ends, of_toi, output_dims=len(ends[0])))
+
+
+_toi.defvjp(_toi_forward, _toi_backward)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1))
+def _line_search(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
+    return _callable(pipeline, _write_shortened, options, start, 1)(start, end, output_dims=len(end))[0]
+
+
+def _line_search_forward(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
+    return _line_search(pipeline, options, start, end), (start, end)
+
+
+def _line_search_backward(pipeline: CollisionPipeline, options: tuple[Any, ...], ends: Any, gradient: Any) -> Any:
+    call = _callable(pipeline, _write_gradient_of_shortened, options, ends[0], 2)
+    return tuple(call(*ends, gradient, output_dims=len(ends[0])))
+
+
+_line_search.defvjp(_line_search_forward, _line_search_backward)
+
+
+def _callable(pipeline: CollisionPipeline, write: Any, options: tuple[Any, ...], like: Any, num_outputs: int) -> Any:
+    """One of the functions below as JAX calls it, for positions of a type; made once for a pipeline."""
+    known = _callables.setdefault(pipeline, {})
+    key = write, options, str(like.dtype)
+    if key not in known:
+        # Warp keeps it for ever, and so must not keep the pipeline, which who calls it has
+        call = write(ref(pipeline), *options)
+        positions: Any = wp.array(dtype=_VECTORS[key[2], pipeline.mesh.dimension])
+        numbers: Any = wp.array(dtype=wp.float64)
+        names = call.__code__.co_varnames[: call.__code__.co_argcount]
+        types: Any = {"toi": numbers, "of_toi": numbers, "flags": wp.array(dtype=wp.bool)}
+        call.__annotations__ = {name: types.get(name, positions) for name in names}
+        known[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
+    return known[key]
+
+
+def _write_toi(pipeline: Callable[[], Any], per: str) -> Any:
+    def call(start, end, toi):  # type: ignore[no-untyped-def]
+        _, result = launched(pipeline().launch, (start, end))
+        wp.copy(toi, _tois_of(result, per, toi))
+
+    return call
+
+
+def _write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
+    def call(start, end, of_toi, of_start, of_end):  # type: ignore[no-untyped-def]
+        start.requires_grad = end.requires_grad = True
+        tape, result = launched(pipeline().launch, (start, end))
+        play_back(tape, (start, end), _tois_of(result, per, of_toi), of_toi)
+        wp.copy(of_start, start.grad)
+        wp.copy(of_end, end.grad)
+
+    return call
+
+
+def _write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
+    def call(start, end, flags):  # type: ignore[no-untyped-def]
+        start.requires_grad = end.requires_grad = True
+        _, result = launched(pipeline().launch, (start, end))
+        wp.copy(flags, result.is_regular(_asked(per, flags)))
+
+    return call
+
+
+def _tois_of(result: Any, per: str, like: wp.array) -> Any:
+    """The tois of a result of which an array of this length is asked."""
+    return getattr(result, TOIS[_asked(per, like)])
+
+
+def _asked(per: str, like: wp.array) -> Any:
+    """Of which tois an array of this length is asked: those of the scene are by world where all worlds are mapped."""
+    return "world" if per == "scene" and len(like) > 1 else per
+
+
+def _write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
+    def call(start, end, shortened):  # type: ignore[no-untyped-def]
+        wp.copy(shortened, end)
+        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+        launched(launch, (start, shortened))
+
+    return call
+
+
+def _write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
+    def call(start, end, gradient, of_start, of_end):  # type: ignore[no-untyped-def]
+        shortened = wp.clone(end)
+        start.requires_grad = shortened.requires_grad = True
+        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+        tape, _ = launched(launch, (start, shortened))
+        play_back(tape, (start, shortened), shortened, wp.clone(gradient))
+        wp.copy(of_start, start.grad)
+        wp.copy(of_end, shortened.grad)
+
+    return call
+
+
+def _write_shortened_is_regular(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
+    def call(start, end, flags):  # type: ignore[no-untyped-def]
+        shortened = wp.clone(end)
+        start.requires_grad = shortened.requires_grad = True
+        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+        _, result = launched(launch, (start, shortened))
+        wp.copy(flags, result.is_regular("vertex"))
+
+    return call

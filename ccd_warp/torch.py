@@ -1,0 +1,245 @@
+"""Times of impact and line searches as differentiable functions of PyTorch, which is in the extra ``interop``.
+
+Tensors are float32 or float64, contiguous, on the device of the pipeline. They are read in the memory where they are,
+and gradients are handed over in that in which they were computed; only the shortened positions of a line search begin
+as a copy. On CUDA all launches are on the current stream of PyTorch. ``torch.compile`` does not look into these
+functions, but calls them between two parts of its graph.
+
+What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
+"""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from functools import partial
+from typing import Any
+
+import warp as wp
+
+from ccd_warp._device_results import TOIS
+from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
+from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
+from ccd_warp._input.interop import as_warp
+from ccd_warp._own_tape import launched, play_back
+from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+
+try:
+    import torch
+except ImportError as error:
+    raise ImportError("ccd_warp.torch needs PyTorch; install with: pip install 'ccd-warp[interop]'") from error
+
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
+
+
+@torch.compiler.disable
+def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Earliest times of impact of a step, as :meth:`ccd_warp.CollisionPipeline.launch` finds them.
+
+    Args:
+        pipeline: The pipeline, on the device of the tensors. Its capacities are those of its ``reserve()``.
+        vertices_t0: Start positions, a tensor of float32 or float64, shape [V, 3] or [W, V / W, 3], as of ``launch``.
+        vertices_t1: End positions, of the same type.
+        per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
+
+    Returns:
+        A tensor of float64: of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
+        certainly no collision.
+
+    Raises:
+        ValueError: If a tensor is not as described.
+        RuntimeError: If a capacity was too small, so that gradients would be incomplete.
+
+    Guarantee: that of ``launch``; gradients have no part in it.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    check_choice("per", per, EVERY_PER)
+    found = _Toi.apply(pipeline, per, vertices_t0, vertices_t1)
+    return found[0] if per == "scene" else found
+
+
+def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any) -> Any:
+    """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
+
+    Args:
+        pipeline: As of :func:`toi`.
+        vertices_t0: As of :func:`toi`.
+        vertices_t1: As of :func:`toi`.
+
+    Returns:
+        A tensor of float64 of shape [], in [0, t_max].
+
+    Raises:
+        ValueError: As :func:`toi`.
+        RuntimeError: As :func:`toi`.
+
+    Guarantee: no pair touches before the returned fraction of the step.
+    """
+    return toi(pipeline, vertices_t0, vertices_t1).clamp(max=pipeline._options.t_max)
+
+
+@torch.compiler.disable
+def line_search(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
+
+    Args:
+        pipeline: As of :func:`toi`.
+        vertices_t0: As of :func:`toi`.
+        vertices_t1: Wished end positions, which stay as they are.
+        per: As of ``launch_line_search``, and so are ``safety`` and ``num_rounds``.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        The positions at the end of the shortened step, a tensor like ``vertices_t1``.
+
+    Raises:
+        ValueError: As of ``launch_line_search``.
+        RuntimeError: As :func:`toi`.
+
+    Guarantee: that of ``launch_line_search``; gradients have no part in it.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    return _LineSearch.apply(
+        pipeline, {"per": per, "safety": safety, "num_rounds": num_rounds}, vertices_t0, vertices_t1
+    )
+
+
+def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+    """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`toi`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: End positions.
+        per: Of which tois.
+
+    Returns:
+        A tensor of bool of the shape of the tois.
+
+    Raises:
+        ValueError: As :func:`toi`.
+        RuntimeError: As :func:`toi`.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    found = _regular(pipeline.launch, per, pipeline, vertices_t0, vertices_t1)
+    return found[0] if per == "scene" else found
+
+
+def line_search_is_regular(
+    pipeline: CollisionPipeline,
+    vertices_t0: Any,
+    vertices_t1: Any,
+    *,
+    per: Per = "scene",
+    safety: float = DEFAULT_SAFETY,
+    num_rounds: int = DEFAULT_NUM_ROUNDS,
+) -> Any:
+    """Which positions of :func:`line_search` have a derivative. It makes the launch again.
+
+    Args:
+        pipeline: As of :func:`line_search`, and so are all other arguments.
+        vertices_t0: Start positions.
+        vertices_t1: Wished end positions.
+        per: What moves by one fraction.
+        safety: Fraction of its toi by which a vertex in contact may move.
+        num_rounds: Number of passes.
+
+    Returns:
+        A tensor of bool for each vertex, shape [V], as :meth:`ccd_warp.LaunchResult.is_regular` says it.
+
+    Raises:
+        ValueError: As :func:`line_search`.
+        RuntimeError: As :func:`toi`.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    launch = partial(pipeline.launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+    end = vertices_t1.detach().clone() if isinstance(vertices_t1, torch.Tensor) else vertices_t1
+    return _regular(launch, "vertex", pipeline, vertices_t0, end)
+
+
+@torch.compiler.disable
+def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: Any) -> Any:
+    """The flags of a launch on a tape."""
+    with _stream(pipeline._topology.device):
+        arrays = _arrays(vertices)
+        for array in arrays:
+            array.requires_grad = True
+        _, result = launched(launch, arrays)
+        return wp.to_torch(result.is_regular(per), requires_grad=False)
+
+
+class _Toi(torch.autograd.Function):
+    """Tois of a launch."""
+
+    @staticmethod
+    def forward(ctx: Any, pipeline: CollisionPipeline, per: str, *vertices: Any) -> Any:
+        """Launch, on a tape where a gradient is asked for."""
+        with _stream(pipeline._topology.device):
+            ctx.arrays, needs = _arrays(vertices), ctx.needs_input_grad[2:]
+            for array, needs_gradient in zip(ctx.arrays, needs, strict=True):
+                array.requires_grad = needs_gradient
+            ctx.tape, result = launched(pipeline.launch, ctx.arrays)
+            ctx.toi = getattr(result, TOIS[per])
+            found = wp.to_torch(ctx.toi, requires_grad=False)
+            return found if any(needs) else found.clone()  # which the next launch would overwrite
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, of_toi: Any) -> Any:
+        """Play the tape backwards."""
+        with _stream(ctx.toi.device):
+            return None, None, *_played_back(ctx, ctx.toi, of_toi.contiguous())
+
+
+class _LineSearch(torch.autograd.Function):
+    """Shortened positions of a line search."""
+
+    @staticmethod
+    def forward(ctx: Any, pipeline: CollisionPipeline, options: dict[str, Any], start: Any, end: Any) -> Any:
+        """Launch, on a tape where a gradient is asked for."""
+        with _stream(pipeline._topology.device):
+            shortened = end.detach().clone()
+            ctx.arrays, needs = _arrays((start, shortened)), ctx.needs_input_grad[2:]
+            for array, needs_gradient in zip(ctx.arrays, (needs[0], any(needs)), strict=True):
+                array.requires_grad = needs_gradient
+            launch = partial(pipeline.launch_line_search, **options)
+            ctx.tape, _ = launched(launch, ctx.arrays)
+            return shortened
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, of_shortened: Any) -> Any:
+        """Play the tape backwards, which turns the gradient of the shortened positions into that of the wished ones."""
+        end = ctx.arrays[1]
+        with _stream(end.device):
+            return None, None, *_played_back(ctx, end, of_shortened.clone(memory_format=torch.contiguous_format))
+
+
+def _stream(device: Any) -> AbstractContextManager[Any]:
+    """A block whose launches, on CUDA, are on the current stream of PyTorch."""
+    if not device.is_cuda:
+        return nullcontext()
+    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(device.ordinal)))
+
+
+def _arrays(vertices: Sequence[Any]) -> list[Any]:
+    """Tensors as arrays of Warp in the same memory."""
+    for k, tensor in enumerate(vertices):
+        if not isinstance(tensor, torch.Tensor):
+            raise ValueError(f"vertices_t{k} is a {type(tensor).__name__}; expected a tensor")
+    return [as_warp(tensor.detach(), f"vertices_t{k}") for k, tensor in enumerate(vertices)]
+
+
+def _played_back(ctx: Any, result: wp.array, gradient: Any) -> list[Any]:
+    """The gradients of the arrays of a launch from that of its result, in tensors that no later call writes to."""
+    of_result: Any = wp.from_torch(gradient, dtype=result.dtype)
+    play_back(ctx.tape, ctx.arrays, result, of_result)
+    needs = ctx.needs_input_grad[2:]
+    return [wp.to_torch(x.grad) if is_needed else None for x, is_needed in zip(ctx.arrays, needs, strict=True)]
