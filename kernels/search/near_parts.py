@@ -21,9 +21,8 @@ from ..pair.rounding import UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-MOST_DEPTH = 28  # of the tree of a body: its vertices are numbered in 31 bits
-MOST_HALVINGS = 6  # of a slice
-# A traversal keeps the second halves of what it has halved.
+# A traversal keeps the second halves of what it has halved: of both trees, no deeper than 28 as primitives are numbered
+# in 31 bits, and of a slice, halved a few times.
 _STACK = wp.constant(64)
 _TWO = wp.constant(wp.float64(2.0))
 _ZERO = wp.constant(wp.float64(0.0))

@@ -1,6 +1,6 @@
 """Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
 
-Slices of all worlds are tested by spheres (`near_parts`), and the parts that may touch in some slice of a world are the
+Slices of all worlds are tested by boxes (`near_parts`), and the parts that may touch in some slice of a world are the
 bodies of this world in a mesh of parts (`part_mesh`), along the paths of the whole bodies: so the answers are those of
 whole bodies, in every bit.
 """
