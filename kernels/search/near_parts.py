@@ -23,7 +23,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # A traversal keeps the second halves of what it has halved: of both trees, no deeper than 28 as primitives are numbered
 # in 31 bits, and of a slice, halved a few times.
-_STACK = wp.constant(64)
+_STACK = 64
 _TWO = wp.constant(wp.float64(2.0))
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
@@ -32,7 +32,7 @@ _ERROR = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
 
-vec64i = wp.types.vector(length=64, dtype=wp.int32)
+Stack = wp.types.vector(length=_STACK, dtype=wp.int32)
 vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
 
@@ -259,9 +259,9 @@ def find_near_parts(
     goes = vec6d(goes[0] + goes_b[0], goes[1] + goes_b[1], goes[2], goes[3], goes_b[2], goes_b[3])
     if pair[2] >= 0:
         goes = motion.relative_reach[row, pair[2]]
-    nodes_a = vec64i()
-    nodes_b = vec64i()
-    windows = vec64i()
+    nodes_a = Stack()
+    nodes_b = Stack()
+    windows = Stack()
     windows[0] = 1
     size = wp.int32(1)
     while size > 0:
