@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arguments import check_unmasked, on_one_line, shown
-from ccd_warp._runtime.tape import wants_gradient
 
 _FEW = 1 << 13
 _LARGEST_ODD = 2**53  # float64 represents all integers up to this magnitude
@@ -243,6 +242,8 @@ def on_host(value: Any, name: str) -> Any:
             f"or CollisionPipeline.launch, which takes arrays on its device"
         )
     if _is_of_warp(value):
+        from ccd_warp._runtime.tape import wants_gradient  # imports Warp, which sequences do without
+
         if wants_gradient(value):
             raise ValueError(
                 f"{name} requires a gradient and a tape is recording, but this call works on the host, where nothing "
