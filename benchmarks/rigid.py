@@ -18,7 +18,7 @@ import numpy as np
 from ccd_warp.benchmarks import rigid_arm, rigid_dice, rigid_nonlinear, rigid_turns
 from ccd_warp.benchmarks.rigid_peers import PEERS, missing, peers_of
 from ccd_warp.benchmarks.rigid_scenes import SCENES, RigidSteps
-from ccd_warp.benchmarks.rigid_truth import evidence, starting_apart, worlds_of
+from ccd_warp.benchmarks.rigid_truth import evidence, mesh_of, starting_apart, worlds_of
 from ccd_warp.benchmarks.timing import figures, interleaved
 
 import ccd_warp as ccd
@@ -41,14 +41,11 @@ def ours(steps: RigidSteps) -> dict[str, Callable[[], np.ndarray]]:
     first, last = matrices_of(steps)
     worlds = worlds_of(steps)
     count = len(steps)
-    body, obstacles = steps.body.mesh, steps.obstacles.mesh
     meets = np.zeros((count + 1, count + 1), dtype=bool)
     meets[-1] = meets[:, -1] = True
-    scene = ccd.CollisionMesh.from_arrays(
-        [body] * count + [obstacles], static=[count], self_collision=False, body_pairs=meets
-    )
+    scene = mesh_of(steps, count, body_pairs=meets)
     of_scene = [np.concatenate([poses[:, 0], poses[:1, 1]]) for poses in (first, last)]
-    one = ccd.CollisionMesh.from_arrays([body, obstacles], static=[1], self_collision=False)
+    one = mesh_of(steps)
 
     def each(k: int) -> float:
         return ccd.rigid_ccd(one, first[k], last[k], path=steps.path, num_threads=1).toi

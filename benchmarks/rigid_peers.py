@@ -1,7 +1,7 @@
 """Programs that users take for rigid bodies in motion, on the same steps; a program that is not installed is left out.
 
-Each takes the bodies as it does best: python-fcl and coal as hierarchies of triangles, drake and parry as boxes. What
-is made once for a scene is not timed, nor are the poses along a step, which a planner has anyway. All run on one
+Each takes the bodies as it does best: python-fcl and coal as hierarchies of triangles, drake and parry as boxes, and
+drake alone as spheres. What is made once for a scene is not timed, nor are the poses along a step, which a planner has anyway. All run on one
 thread.
 """
 
@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps
+from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps, Spheres
 
 # Modules of the peers, by the name under which they are installed.
 PEERS = {"python-fcl": "fcl", "coal": "coal", "drake": "pydrake", "py-parry3d": "py_parry3d"}
@@ -36,6 +36,8 @@ def peers_of(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
         "drake": _drake,
         "py-parry3d": _parry,
     }
+    if isinstance(steps.body, Spheres):
+        makers = {"drake": _drake}
     for name, make in makers.items():
         if find_spec(PEERS[name]) is not None:
             yield from make(steps)

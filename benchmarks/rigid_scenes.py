@@ -1,7 +1,7 @@
 """Steps of rigid bodies for the benchmark: one body moves through obstacles that stand still, and dice in a pile.
 
-Bodies are made of boxes, which every peer knows, as a primitive or as a mesh. Poses are positions and quaternions,
-scalar last. What is here of rotations shares no code with the package.
+Bodies are made of boxes, which every peer knows, as a primitive or as a mesh, or of spheres. Poses are positions and
+quaternions, scalar last. What is here of rotations shares no code with the package.
 """
 
 from __future__ import annotations
@@ -44,13 +44,36 @@ class Boxes:
 
 
 @dataclass(frozen=True)
+class Spheres:
+    """A rigid body of spheres of one radius.
+
+    Attributes:
+        radius: Their radius.
+        centers: Their centres in the frame of the body, shape [N, 3].
+    """
+
+    radius: float
+    centers: np.ndarray
+
+    @property
+    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """The centres as vertices, and no faces."""
+        return self.centers, np.empty((0, 3), dtype=int)
+
+    @property
+    def reach(self) -> float:
+        """Distance of the farthest point from the origin."""
+        return float(np.linalg.norm(self.centers, axis=1).max()) + self.radius
+
+
+@dataclass(frozen=True)
 class RigidSteps:
     """Steps of one body, each on its own, among the same obstacles.
 
     Attributes:
         name: What they are.
         body: The one that moves.
-        obstacles: What stands still, in the frame of the world.
+        obstacles: What stands still, in the frame of the world, of boxes or of spheres as the body.
         poses: Poses at t = 0, shape [n, 7].
         omega: Rotation vectors of the steps in the frame of the world, of less than π, shape [n, 3].
         moves: Displacements of the origin of the body, shape [n, 3].
@@ -59,8 +82,8 @@ class RigidSteps:
     """
 
     name: str
-    body: Boxes
-    obstacles: Boxes
+    body: Boxes | Spheres
+    obstacles: Boxes | Spheres
     poses: np.ndarray
     omega: np.ndarray
     moves: np.ndarray
@@ -127,8 +150,8 @@ def _one(size: tuple[float, float, float], center: tuple[float, float, float] = 
     return Boxes(np.array([size]), np.array([center]))
 
 
-def tool_and_plate(n: int) -> RigidSteps:
-    """Drake's thin obstacle: a tool 5 mm thick passes a plate of 1 mm, across its own length, and turns by 0.5 rad."""
+def _thrown(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Poses, displacements and turns of a tool of 60 mm that passes the origin within 60 mm."""
     rng = np.random.default_rng(1)
     poses = np.empty((n, 7))
     poses[:, 3:] = _quaternions(rng, n)
@@ -138,9 +161,25 @@ def tool_and_plate(n: int) -> RigidSteps:
         moves[k] = across / np.linalg.norm(across)  # 1 m
         # the middle of the step is near the plate, whose rim is as often passed as not
         poses[k, :3] = rng.uniform(-0.06, 0.06, 3) - 0.5 * moves[k]
+    return poses, moves, 0.5 * _directions(rng, n)
+
+
+def tool_and_plate(n: int) -> RigidSteps:
+    """Drake's thin obstacle: a tool 5 mm thick passes a plate of 1 mm, across its own length, and turns by 0.5 rad."""
+    poses, moves, turns = _thrown(n)
     body, plate = _one((0.005, 0.005, 0.06)), _one((0.06, 0.06, 0.001))
-    turns = 0.5 * _directions(rng, n)
     return RigidSteps("tool of 5 mm, plate of 1 mm", body, plate, poses, turns, moves, "linear", EDGE_STEPS)
+
+
+def tool_and_beads(n: int) -> RigidSteps:
+    """The same with spheres: a tool of 12, each 5 mm thick, passes a curtain of 49 beads of 1 mm."""
+    poses, moves, turns = _thrown(n)
+    along = np.linspace(-0.0275, 0.0275, 12)
+    tool = Spheres(0.0025, along[:, None] * [0.0, 0.0, 1.0])
+    places = np.linspace(-0.03, 0.03, 7)
+    grid = np.stack(np.meshgrid(places, places, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+    name = "tool of spheres of 5 mm, beads of 1 mm"
+    return RigidSteps(name, tool, Spheres(0.0005, grid), poses, turns, moves, "linear", EDGE_STEPS)
 
 
 def wire_among_grains(n: int) -> RigidSteps:
@@ -211,4 +250,4 @@ def divided_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
     return np.array(list(points)) - 0.5, np.array(faces)
 
 
-SCENES: tuple[Callable[[int], RigidSteps], ...] = (tool_and_plate, wire_among_grains, bar_in_a_cage)
+SCENES: tuple[Callable[[int], RigidSteps], ...] = (tool_and_plate, tool_and_beads, wire_among_grains, bar_in_a_cage)
