@@ -1,4 +1,4 @@
-"""docs/benchmarks.md, the README's tables, and the final output of the command, from the raw figures."""
+"""docs/benchmarks.md, parts of other pages, and the final output of the command, from the raw figures."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from ccd_warp.benchmarks import rigid_sections, scene_sections, sections
 from ccd_warp.benchmarks.ahead import ahead
+from ccd_warp.benchmarks.front_page import speed
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
 from ccd_warp.benchmarks.numbers import (
@@ -13,15 +14,12 @@ from ccd_warp.benchmarks.numbers import (
     OURS,
     at_default,
     bound,
-    error_of,
-    error_text,
     ratio_text,
     rows_of,
     set_name,
-    table,
     time_text,
 )
-from ccd_warp.benchmarks.scene_sections import STEP_HEADER, scene_name, step_cells
+from ccd_warp.benchmarks.scene_sections import scene_name, step_cells
 
 COMMAND = "ccd-warp bench --output benchmarks/results --docs ."
 
@@ -179,37 +177,9 @@ def document(raw: dict, figures: str = "figures") -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
-def readme_queries(raw: dict) -> list[str]:
-    rows = []
-    for unit in at_default(raw):
-        by = rows_of(unit)
-        ours, peer = by[OURS], by[REFERENCE]
-        same = peer["ours_on_the_same"]
-        rows.append(
-            [
-                set_name(unit),
-                time_text(ours["seconds"]),
-                bound(peer) + time_text(peer["seconds"]),
-                sections.median_query_text(peer),
-                bound(peer) + ratio_text(peer["seconds"] / ours["seconds"]),
-                f"{peer['limited']} of {peer['timed_queries']:,}",
-                f"{error_text(error_of(same, 'median'))}, {error_text(error_of(same, 'max'))}",
-                f"{error_text(error_of(peer, 'median'))}, {error_text(error_of(peer, 'max'))}",
-                f"{same['missed'] + same['late']}, {same['phantom']}",
-                f"{peer['missed'] + peer['late']}, {peer['phantom']}",
-            ]
-        )
-    header = ["queries", "ours", "Tight-Inclusion", "its median query", "ratio", "stopped", "error: median, max"]
-    return table([*header, "its error", "missed or late, phantom", "its"], rows)
-
-
-def readme_steps(raw: dict) -> list[str]:
-    return table(STEP_HEADER, ([scene_name(row), *step_cells(row)] for row in raw["steps"]))
-
-
-# Tables between marks, by the page on which they are.
+# What stands between marks, by the page on which it is.
 TABLES = {
-    "README.md": {"queries": readme_queries, "whole steps": readme_steps},
+    "README.md": {"speed": speed},
     "docs/choosing.md": {"by tolerance": sections.ours_by_tolerance},
 }
 

@@ -1,8 +1,8 @@
 """Programs that users take for rigid bodies in motion, on the same steps; a program that is not installed is left out.
 
 Each takes the bodies as it does best: python-fcl and coal as hierarchies of triangles, drake and parry as boxes, and
-drake alone as spheres. What is made once for a scene is not timed, nor are the poses along a step, which a planner has anyway. All run on one
-thread.
+drake alone as spheres. What is made once for a scene is not timed, nor are the poses along a step, which a planner has
+anyway. All run on one thread.
 """
 
 from __future__ import annotations
