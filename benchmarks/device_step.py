@@ -1,6 +1,6 @@
 """Steps that stay on the device against the call on the host, and many worlds in one launch.
 
-    python -m ccd_warp.benchmarks.device_step --output benchmarks/results/device_step.json --docs docs/solver.md
+    python -m ccd_warp.benchmarks.device_step --output benchmarks/results/device_step.json --docs docs/on_device.md
 
 Rounds are interleaved; times are medians. The tois of the launch are compared with those of the call on the host.
 """
@@ -82,7 +82,7 @@ def worlds(count: int) -> tuple[str, ccd.CollisionMesh, np.ndarray, np.ndarray]:
 
 
 def rows_table(rows: list[dict]) -> list[str]:
-    """The table of docs/solver.md."""
+    """The table of docs/on_device.md."""
     sizes = ("vertices", "pairs", "contacts")
     header = ["scene", *sizes, "`mesh_ccd`", "`launch`", "in a graph", "`launch_line_search`, by vertex"]
     cells = ([row["scene"], *(f"{row[k]:,}" for k in sizes), *map(time_text, row["seconds"].values())] for row in rows)
@@ -91,7 +91,7 @@ def rows_table(rows: list[dict]) -> list[str]:
 
 def main() -> None:
     """Measure, print a table and write the figures."""
-    parser = side_figures.parser("Steps on the device", "docs/solver.md")
+    parser = side_figures.parser("Steps on the device", "docs/on_device.md")
     parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING

@@ -22,6 +22,9 @@ version = release = _PROJECT["version"]
 root_doc = "README"
 _GUIDES = [
     "docs/solver",
+    "docs/on_device",
+    "docs/bodies",
+    "docs/at_one_time",
     "docs/command_line",
     "docs/choosing",
     "docs/rigid",

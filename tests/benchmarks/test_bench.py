@@ -590,9 +590,9 @@ def test_scenes_with_large_motion_start_free_and_move_by_several_edge_lengths(ma
 # ---- Steps on the device ---------------------------------------------------------------------------------------------
 
 
-def test_the_solver_page_has_the_figures_of_the_steps_on_the_device():
+def test_the_page_on_the_device_has_the_figures_of_the_steps_there():
     figures = json.loads((RESULTS / "device_step.json").read_text(encoding="utf-8"))
-    text = (ROOT / "docs" / "solver.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "on_device.md").read_text(encoding="utf-8")
     assert report.with_table(text, "steps on the device", device_step.rows_table(figures["rows"])) == text
 
 

@@ -63,7 +63,6 @@ PLAIN = {
 # Which of the former each program and page reads. Before a name is added here, the reader is compared with the test of
 # its meaning. Names are all that is searched for, so some of these belong to other things.
 READ = {
-    "README.md": "bodies gap parameters points",
     "benchmarks/distributed_simulation.py": "bounds primitives",
     "benchmarks/file_judge.py": "points",
     "benchmarks/fuzz.py": "gap parameters primitives",
@@ -72,16 +71,21 @@ READ = {
     "benchmarks/rigid_arm_scene.py": "bodies",
     "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
+    "docs/at_one_time.md": "bodies direction distance edge_parameter features is_crossing parameters points "
+    "primitives weights",
+    "docs/bodies.md": "bodies distance normal point primitives struck",
+    "docs/calls.md": "gap parameters",
     "docs/choosing.md": "distance touching",
-    "docs/rigid.md": "body_fraction",
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
-    "docs/make_pictures.py": "bodies",
     "docs/gradients.md": "bodies distance weights",
+    "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
-    "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
-    "parameters point points primitives struck touching vertex_contact weights world_contact",
+    "docs/on_device.md": "bodies body_contact gap normal parameters point points primitives vertex_contact "
+    "world_contact",
+    "docs/rigid.md": "body_fraction",
+    "docs/solver.md": "bodies body_contact point points touching vertex_contact world_contact",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal primitives weights",
     "examples/dice.py": "bodies direction distance points",

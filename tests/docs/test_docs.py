@@ -93,7 +93,7 @@ def test_pages_have_blocks_to_run():
 
 
 def test_every_flag_and_status_is_explained_where_a_solver_meets_it():
-    text = (ROOT / "docs" / "solver.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "on_device.md").read_text(encoding="utf-8")
     for flag in ccd.LaunchFlag:
         assert f"`LaunchFlag.{flag.name}`" in text
     for name in ("max_pairs", "max_contacts"):

@@ -22,7 +22,7 @@ def _blocks(language: str) -> list[str]:
 
 USERS = {
     "In Python": "docs/solver.md",
-    "On the device": "docs/solver.md",
+    "On the device": "docs/on_device.md",
     "From the command line": "docs/command_line.md",
 }
 
