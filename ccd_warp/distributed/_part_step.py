@@ -75,6 +75,10 @@ class StepTogether(StepOnPart):
         self._num_active_bodies = int((near | self.mesh.static).sum())
         return near
 
+    def is_idle(self, near: NDArray[np.bool_] | None) -> bool:
+        """Never: bodies that are near here need not be so on other ranks, and all go the same way."""
+        return False
+
     def timed_batches(self, batches: Iterator[Any]) -> Iterator[Any]:
         """The batches of a search, each without the pairs that belong to other ranks.
 

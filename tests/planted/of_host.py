@@ -184,6 +184,20 @@ PLANTED = [
         "if a[0] < b[0] and a[1] < b[1] and a[2] < b[2]:",
         ("kernels/boxes/test_bodies.py::test_bodies_near_another_are_those_of_every_pair_of_boxes",),
     ),
+    Fault(
+        "of few bodies those that touch are not near",
+        "ccd_warp/_engine/boxes/body_boxes.py",
+        "((lower[:, None] <= upper) & (lower <= upper[:, None]))",
+        "((lower[:, None] < upper) & (lower < upper[:, None]))",
+        ("kernels/boxes/test_bodies.py::test_bodies_near_another_are_those_of_every_pair_of_boxes",),
+    ),
+    Fault(
+        "nothing is searched where one body of several is far from all",
+        "ccd_warp/_engine/host/step.py",
+        "return near is not None and not near.any()",
+        "return near is not None and not near.all()",
+        ("calls/test_rigid.py",),
+    ),
     # --- search ---
     Fault(
         "rings around two vertices of three",

@@ -1,4 +1,4 @@
-"""Bodies that another may touch: a search among the swept boxes of whole bodies."""
+"""Bodies that another may touch: a search among the swept boxes of whole bodies, of few of them all with all."""
 
 from typing import Any
 
@@ -14,6 +14,8 @@ _MORTON_BITS = 10  # of each axis
 # Shifts and masks that move the bits of a number three places apart.
 _SPREAD = ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249))
 _LARGEST = np.finfo(np.float64).max
+# Bodies up to which all boxes are compared at once, which costs less than a tree.
+_FEW_BODIES = 32
 # Pairs of bodies above which a search may take long in the worst case: all boxes overlap, and no pair is allowed.
 _LONG_SEARCH = 1 << 24
 
@@ -69,6 +71,11 @@ def bodies_near_boxes(
     device = execution.device
     with np.errstate(over="ignore", under="ignore"):
         lower, upper = _inflated(*boxes, radius, inflation)
+        if mesh.num_bodies <= _FEW_BODIES:
+            overlaps = ((lower[:, None] <= upper) & (lower <= upper[:, None])).all(axis=2)
+            meets = overlaps & topology.bodies_that_may_meet[np.ix_(filled, filled)]
+            near[filled[is_query & meets.any(axis=1)]] = True
+            return near
         tree, order = _tree(lower, upper, filled, device)
     queries = np.flatnonzero(is_query[order]).astype(np.int32)
     found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)

@@ -62,6 +62,7 @@ class HostPlan(Plan):
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
+        is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
     """
 
     @staticmethod
@@ -111,6 +112,7 @@ class HostPlan(Plan):
         )
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._search_values: tuple[float, ...] | None = None
+        self.is_idle = False
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self._least_bits = self._counters[NUM_ALL_COUNTS:]
         self._view = None if execution.is_cuda else _split(self._counters.numpy())
@@ -215,7 +217,7 @@ class HostPlan(Plan):
 
         Those of bodies that are not active are empty.
         """
-        boxes = self._boxes
+        boxes, self.is_idle = self._boxes, False
         boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution, goes_on=goes_on)
         self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
         self._active = active
@@ -228,9 +230,15 @@ class HostPlan(Plan):
         if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self.moving_trees]):
             self._bind_trees()
 
+    def skip_boxes(self, *, goes_on: bool = False) -> None:
+        """Search nothing in a step, or in a slice with which it ``goes_on``, as no body is near another."""
+        self.is_idle = True
+        if not goes_on:
+            self._boxes.num_boxes = self._boxes.num_sorted = 0
+
     def shorten_boxes(self, t_end: float) -> None:
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
-        if self.trees:
+        if self.trees and not self.is_idle:
             self._fill(t_end, with_trees=True)
 
     def _fill(self, t_end: float, *, with_trees: bool) -> None:
@@ -250,6 +258,8 @@ class HostPlan(Plan):
 
     def may_meet(self, tree_pair: TreePair) -> bool:
         """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""
+        if self.is_idle:
+            return False
         query, target = tree_pair.query, tree_pair.target
         return not target.primitives.is_static or self._boxes.may_meet(query, target)
 
@@ -273,7 +283,7 @@ class HostPlan(Plan):
         search is in parts from the beginning.
         """
         section, tree_pairs = ("pairs of a sample", self.sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
-        if not tree_pairs:
+        if not tree_pairs or self.is_idle:
             return
         if section in self._excess:
             yield from self._batches_of_parts(section, tree_pairs, largest, self._excess[section])

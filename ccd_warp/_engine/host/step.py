@@ -103,7 +103,7 @@ class Step:
         self.positions = positions
         self.counts: Counts  # from `finish_counts` on
         self._num_active_bodies = self.mesh.num_bodies
-        self.is_warned = False
+        self.is_warned = self._has_boxes = False
         self.holds = self.is_held = False
         workspace.progress.show = show
         self.arcs: Arcs | None = None
@@ -138,6 +138,7 @@ class Step:
             self.execution = plan.execution
             if part is None or part.t_begin == 0.0:
                 plan.begin_counts()
+                self._has_boxes = False
             if part is not None and self.arcs is not None:
                 self.arcs.place(part, self.execution, *self._given_on_device)
                 t_end, self.positions = 1.0, self.arcs.positions()
@@ -150,9 +151,13 @@ class Step:
                 self.is_far_reaching = self._reaches_far()
         with self.timed("boxes"):
             self.inflation = half_up(self.separation) if inflation is None else inflation
-            active = self.workspace.active(self._bodies_near())
-            goes_on = part is not None and part.t_begin > 0.0
-            plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=goes_on)
+            near = self._bodies_near()
+            if self.is_idle(near):
+                plan.skip_boxes(goes_on=part is not None and part.t_begin > 0.0)
+            else:
+                active = self.workspace.active(near)
+                plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=self._has_boxes)
+                self._has_boxes = True
         return plan
 
     def share_positions(self) -> None:
@@ -215,6 +220,10 @@ class Step:
             near &= active
         self._num_active_bodies = int((near | mesh.static).sum())
         return near
+
+    def is_idle(self, near: NDArray[np.bool_] | None) -> bool:
+        """Whether nothing has to be searched, given the bodies that may collide."""
+        return near is not None and not near.any()
 
     def timed(self, stage: str) -> "AbstractContextManager[None]":
         """Add the time of a stage; on CUDA by events, which are read once the result is available."""
@@ -343,6 +352,8 @@ class Step:
         """The least of a toi and those in a slice, or in the whole step."""
         t_end = self.options.t_max
         plan = self.begin("bound", t_end, part=part)
+        if plan.is_idle and not plan.has_planes:
+            return best
         self.bind_options(plan, part)
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
         if plan.has_planes:
@@ -489,6 +500,8 @@ class Step:
             if part is None or part.t_begin == 0.0:
                 store.begin(self.execution, self.largest_contacts())
                 plan.reset_minima(store.count)
+            if plan.is_idle and not plan.has_planes:
+                return
             self.bind_options(plan, part)
             plan.set_search(self.options.t_max if part is None else 1.0, self.inflation, self.separation)
             batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_CONTACT))

@@ -373,6 +373,17 @@ class Topology:
         )
         return collision_filter
 
+    @lazy_property
+    def bodies_that_may_meet(self) -> NDArray[np.bool_]:
+        """Which pairs of two different bodies the filter leaves, shape [B, B]."""
+        mesh = self.mesh
+        shape = mesh.num_bodies, mesh.num_bodies
+        found = np.ones(shape, dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
+        a, b = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32)).T
+        found[a, b] = found[b, a] = False
+        np.fill_diagonal(found, False)
+        return found
+
     def _excluded_vertices(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         return excluded_vertices(self.mesh)
 

@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp._engine.boxes import body_boxes
 from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._runtime.launch import Execution
@@ -12,6 +13,12 @@ from ccd_warp._runtime.threads import StopFlag
 
 FACE = np.array([[0, 1, 2]])
 NO_VERTICES = (np.zeros((0, 3)), FACE[:0])
+
+
+@pytest.fixture(autouse=True, params=["tree", "all with all"])
+def way(request, monkeypatch):
+    """Both ways, also for numbers of bodies for which the other one is faster."""
+    monkeypatch.setattr(body_boxes, "_FEW_BODIES", 0 if request.param == "tree" else 1 << 30)
 
 
 def near(mesh, start, end, inflation=0.0, num_threads=2):
@@ -32,6 +39,8 @@ def near_exactly(mesh, start, end, inflation=0.0):
     is_possible = ~np.eye(len(filled), dtype=bool)
     if mesh.body_pairs is not None:
         is_possible &= mesh.body_pairs[np.ix_(filled, filled)]
+    for a, b in mesh.exclude_pairs.get("bodies", []):
+        is_possible[np.ix_(filled == a, filled == b)] = is_possible[np.ix_(filled == b, filled == a)] = False
     expected = mesh.self_collision.copy()
     expected[filled] |= (is_possible & (gap <= round(8 * inflation))).any(axis=1)
     return expected & ~mesh.static
@@ -48,11 +57,13 @@ def test_bodies_near_another_are_those_of_every_pair_of_boxes(num_bodies, with_p
         triangles = 0.5 * rng.integers(0, 2, (num_bodies, 3, 3)) + places[:, None]
         bodies = [NO_VERTICES if rng.random() < 0.1 else (triangle, FACE) for triangle in triangles]
         pairs = rng.random((num_bodies, num_bodies)) < 0.5
+        excluded = [(a, b) for a, b in rng.integers(0, num_bodies, (num_bodies // 2, 2)) if a != b]
         mesh = ccd.CollisionMesh.from_arrays(
             bodies,
             static=np.flatnonzero(rng.random(num_bodies) < 0.2),
             self_collision=rng.random(num_bodies) < 0.2,
             body_pairs=pairs | pairs.T if with_pairs else None,
+            exclude_pairs={"bodies": excluded} if excluded else None,
         )
         end = mesh.vertices + 0.5 * rng.integers(-1, 2, (num_bodies, 3))[mesh.vertex_body] * ~mesh.static[
             mesh.vertex_body
