@@ -12,7 +12,11 @@ both precisions, for every finite input.
 """
 
 import importlib
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+if not Path(__file__).with_name("kernels").exists():  # a checkout, in which the kernels lie beside this folder
+    __path__.append(str(Path(__file__).parents[1]))
 
 from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_pairs import DeviceContacts

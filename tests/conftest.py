@@ -6,11 +6,7 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
-# After a plain `pip install .`, `python -m pytest` at the root would find ./ccd_warp, which lacks the kernels there.
-# For the same reason, processes with `-c` or `-m` are started with `-P`.
-_ROOT = Path(__file__).resolve().parent.parent
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
-sys.path.append(str(_ROOT / "tests" / "helpers"))
+sys.path.append(str(Path(__file__).resolve().parent / "helpers"))
 
 import pytest  # noqa: E402
 import warp as wp  # noqa: E402
@@ -53,7 +49,7 @@ _TOLD: list[str | None] = []
 @contextmanager
 def loaded_example(name: str):
     """An example as a module; Warp looks up the source of its kernels among the modules."""
-    spec = importlib.util.spec_from_file_location(name, _ROOT / "examples" / f"{name}.py")
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).resolve().parents[1] / "examples" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)

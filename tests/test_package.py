@@ -151,6 +151,14 @@ def test_links_of_the_readme_lead_to_the_repository_once_there_is_one():
     )
 
 
+def test_package_imports_beside_a_checkout_of_its_name_and_inside_one(tmp_path):
+    """A folder without `__init__.py` is a package to Python, which a finder of an editable installation comes after."""
+    (tmp_path / "ccd_warp").mkdir()
+    outside, inside = (_run(sys.executable, "-c", PROBE, cwd=folder).split() for folder in (tmp_path, ROOT))
+    assert outside[0] == inside[0] == PROJECT["version"]
+    assert Path(inside[2]).parent in (ROOT / "kernels", ROOT / "ccd_warp" / "kernels")
+
+
 # CI itself installs the project editable, and a wheel under two Pythons besides (`nox -s users`).
 @pytest.mark.long
 @pytest.mark.parametrize("editable", [pytest.param(False, id="plain"), pytest.param(True, id="editable")])
@@ -159,7 +167,7 @@ def test_installation_imports_from_any_folder(tmp_path, source, python, editable
     pip = [sys.executable, "-m", "pip", "--python", python, "--quiet", "--disable-pip-version-check"]
     _run(*pip, "install", "--ignore-installed", *_build_options(), *target, cwd=tmp_path)
     elsewhere = tmp_path / "elsewhere"
-    elsewhere.mkdir()
+    (elsewhere / "ccd_warp").mkdir(parents=True)  # as beside a checkout
     version, package, kernels = _run(python, "-c", PROBE, cwd=elsewhere).split()
     assert version == PROJECT["version"]
     home = source if editable else tmp_path / "venv"
