@@ -8,11 +8,11 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parent / "helpers"))
 
-import pytest  # noqa: E402
-import warp as wp  # noqa: E402
-from browser import find_browser, opened_browser  # noqa: E402
+import pytest
+import warp as wp
+from browser import find_browser, opened_browser
 
-from ccd_warp._cli.explore import write_page  # noqa: E402
+from ccd_warp._cli.explore import write_page
 
 wp.config.log_level = wp.LOG_WARNING
 # Files with seconds to minutes of work in few tests.
