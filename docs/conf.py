@@ -20,27 +20,41 @@ copyright = author
 version = release = _PROJECT["version"]
 
 root_doc = "README"
-_GUIDES = [
-    "docs/solver",
-    "docs/on_device",
-    "docs/bodies",
-    "docs/at_one_time",
-    "docs/command_line",
-    "docs/choosing",
-    "docs/rigid",
-    "docs/gradients",
-    "docs/coming_from_ipc_toolkit",
-    "docs/coming_from_engines",
-    "docs/cuda",
-    "docs/newton",
-    "docs/distributed",
-    "docs/examples",
-]
 _NOTES = "benchmarks/NOTES"
-_REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", _NOTES]
-_ABOUT = ["CONTRIBUTING", "CHANGELOG"]
-_GUIDES += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - {*_GUIDES, *_REFERENCE})
-include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
+_TASKS = [
+    "keep_my_cloth_from_passing",
+    "first_contact_of_two_files",
+    "thousands_of_worlds",
+    "bodies_that_turn",
+    "differentiate",
+    "many_machines",
+]
+# The table of contents. A page of docs/ that no list has follows the guides.
+_NAVIGATION = {
+    "Start": ["docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
+    "By task": [f"docs/tasks/{name}" for name in _TASKS],
+    "Guides": [
+        "docs/solver",
+        "docs/on_device",
+        "docs/bodies",
+        "docs/at_one_time",
+        "docs/choosing",
+        "docs/rigid",
+        "docs/gradients",
+        "docs/distributed",
+        "docs/cuda",
+        "docs/newton",
+        "docs/coming_from_ipc_toolkit",
+        "docs/coming_from_engines",
+        "docs/beside_other_libraries",
+    ],
+    "Mathematics": ["docs/method", "docs/architecture"],
+    "Reference": ["docs/reference"],
+    "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
+}
+_LISTED = {page for pages in _NAVIGATION.values() for page in pages}
+_NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
+include_patterns = ["*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
@@ -60,6 +74,16 @@ nitpick_ignore_regex = [
 ]
 
 
+def _faults():
+    """The table of planted faults, from the list that `nox -s faults` plants."""
+    sys.path.insert(0, str(_ROOT / "tests"))
+    try:
+        from planted.table import table
+    finally:
+        del sys.path[0]
+    return table()
+
+
 def _with_contents(app, docname, source):
     """Add the tables of contents, which a forge would show as code, and let folders be names alone."""
     folder = (_ROOT / docname).parent
@@ -68,10 +92,12 @@ def _with_contents(app, docname, source):
         lambda link: link[1] if (folder / link[2]).is_dir() else link[0],
         source[0],
     )
+    if docname == "docs/how_it_is_tested":
+        source[0] = re.sub(r"(<!-- planted faults: begin -->\n).*?(?=<!-- )", rf"\1\n{_faults()}\n", source[0], flags=re.S)
     if docname == _NOTES:
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\nnotes/*\n```\n"
     if docname == root_doc:
-        for caption, pages in (("Guides", _GUIDES), ("Reference", _REFERENCE), ("Project", _ABOUT)):
+        for caption, pages in _NAVIGATION.items():
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])
 
 
