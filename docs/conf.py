@@ -9,6 +9,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+from numpy.typing import ArrayLike
+from sphinx.util.typing import stringify_annotation
+
 _ROOT = Path(__file__).resolve().parent.parent
 # `python -m sphinx` at the root would find ./ccd_warp, which lacks the kernels there, before an installed package.
 sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
@@ -20,6 +23,14 @@ copyright = author
 version = release = _PROJECT["version"]
 
 root_doc = "README"
+
+
+def _in_order(folder):
+    """The pages of a folder of docs/ in the order in which the page of its name links them."""
+    text = Path(__file__).with_name(f"{folder}.md").read_text(encoding="utf-8")
+    return re.findall(rf"\({folder}/(\w+)\.md\)", text)
+
+
 _NOTES = "benchmarks/NOTES"
 _TASKS = [
     "keep_my_cloth_from_passing",
@@ -49,15 +60,15 @@ _NAVIGATION = {
         "docs/beside_other_libraries",
     ],
     "Mathematics": ["docs/method", "docs/architecture"],
-    "Reference": ["docs/reference"],
+    "Reference": ["docs/reference", *(f"docs/reference/{name}" for name in _in_order("reference"))],
     "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
 }
 _LISTED = {page for pages in _NAVIGATION.values() for page in pages}
 _NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
-include_patterns = ["*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
+include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4  # links to headings are checked, too
 html_theme = "furo"
 html_title = f"ccd_warp {release}"
@@ -65,12 +76,39 @@ html_copy_source = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
-autodoc_typehints = "description"  # long unions would fill a screen of every signature
-autodoc_typehints_format = "short"
+autosummary_generate = False  # a table of names that stand on the same page
+autodoc_default_options = {"exclude-members": "borrowed"}
+autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
+autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # written out, it is a union of forty words
+python_maximum_signature_line_length = 90
 napoleon_use_ivar = True
-# Names of other projects, whose own pages need not be reached while this site is built.
+# What a signature says in other words, which docs/reference.md explains.
+_WORDS = [
+    (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
+    (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|~?typing\.Any)", r"\1: Positions"),
+    (r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(~?[\w.]+)\]\]", r"NDArray[\1]"),
+    (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
+    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.JointMotion \| ~[\w.]+\.AffineMotion", "Motion"),
+    (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
+]
+# What stands for long types of attributes.
+_TYPES = {
+    "ArrayLike": re.escape(stringify_annotation(ArrayLike, "fully-qualified-except-typing")),
+    r"NDArray[\1]": r"numpy\.ndarray\[tuple\[(?:typing\.)?Any, \.\.\.\], numpy\.dtype\[(?:numpy\.)?([\w.]+)\]\]",
+    "": r"(?<![\w.])(?:collections\.abc|pathlib|typing)\.(?=\w)",
+}
+# Classes that a user calls; all others are made by calls, and their signatures say nothing.
+_CALLED = {
+    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion", "JointMotion", "Joint"),
+    *("DistributedMesh", "DistributedPipeline", "Queries", "SimulationStep"),
+}
+# Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that
+# docs/reference.md explains.
 nitpick_ignore_regex = [
-    ("py:.*", r"NDArray|ArrayLike|(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
+    ("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
+    ("py:.*", "NDArray|ArrayLike|Positions|Motion|Per|A tensor|An array|bool_|u?int(8|32|64)|float64"),
+    ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence"),
 ]
 
 
@@ -93,12 +131,34 @@ def _with_contents(app, docname, source):
         source[0],
     )
     if docname == "docs/how_it_is_tested":
-        source[0] = re.sub(r"(<!-- planted faults: begin -->\n).*?(?=<!-- )", rf"\1\n{_faults()}\n", source[0], flags=re.S)
+        before, begin, shown = source[0].partition("<!-- planted faults: begin -->")
+        source[0] = f"{before}{begin}\n\n{_faults()}\n{shown[shown.index('<!-- planted faults: end') :]}"
     if docname == _NOTES:
         source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\nnotes/*\n```\n"
     if docname == root_doc:
         for caption, pages in _NAVIGATION.items():
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])
+
+
+def _readable(app, what, name, thing, options, signature, result):
+    """A signature in words that a reader knows, or none where nobody calls it."""
+    if what == "class" and name.rpartition(".")[2] not in _CALLED:
+        return ("", None) if signature else None
+    for pattern, word in _WORDS:
+        signature, result = (re.sub(pattern, word, text) if text else text for text in (signature, result))
+    return signature, result
+
+
+def _readable_text(app, what, name, thing, options, lines):
+    """Short types of attributes, and names in first lines that hold in a table, where no class or module is at hand."""
+    if what in ("method", "function"):
+        owner = name.rpartition(".")[0]
+        lines[:] = [re.sub(r":(meth|func):`(\w+)`", rf":\1:`\2 <{owner}.\2>`", line) for line in lines]
+    for k, line in enumerate(lines):
+        if line.startswith(":vartype "):
+            for word, pattern in _TYPES.items():
+                line = re.sub(pattern, word, line)
+            lines[k] = line
 
 
 def _write_index(app, error):
@@ -109,6 +169,8 @@ def _write_index(app, error):
 
 
 def setup(app):
-    """Connect the two functions above."""
+    """Connect the functions above."""
+    app.connect("autodoc-process-signature", _readable)
+    app.connect("autodoc-process-docstring", _readable_text)
     app.connect("source-read", _with_contents)
     app.connect("build-finished", _write_index)

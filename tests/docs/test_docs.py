@@ -1,5 +1,7 @@
 """The pages' examples run as they stand, and print what the pages say; the site can be made."""
 
+import ast
+import html
 import multiprocessing
 import os
 import re
@@ -13,6 +15,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from planted.table import PLANTED
 
 import ccd_warp as ccd
 
@@ -140,18 +143,70 @@ def test_the_site_holds_every_page_with_its_figures_and_a_search(site):
     for page in PAGES:
         name = page.relative_to(ROOT).with_suffix("").as_posix()
         assert f'"{name}"' in index, name
-        html = (site / f"{name}.html").read_text(encoding="utf-8")
+        text = (site / f"{name}.html").read_text(encoding="utf-8")
         for figure in re.findall(r"!\[[^]]*\]\((?:docs/)?figures/([^)]+)\)", page.read_text(encoding="utf-8")):
-            assert f"_images/{figure}" in html and (site / "_images" / figure).is_file(), figure
+            assert f"_images/{figure}" in text and (site / "_images" / figure).is_file(), figure
     assert "url=README.html" in (site / "index.html").read_text(encoding="utf-8")
 
 
-def test_the_reference_names_every_public_function(site):
-    from ccd_warp import viz
+def _public_names() -> list[str]:
+    """Every name that is public, with its module; ccd_warp.torch and ccd_warp.jax are read and not imported."""
+    from ccd_warp import distributed, viz
 
-    page = (site / "docs" / "reference.html").read_text(encoding="utf-8")
-    names = [f"ccd_warp.{name}" for name in ccd.__all__ if not isinstance(getattr(ccd, name), (str, ModuleType))]
-    names += [f"ccd_warp.datasets.{name}" for name in ccd.datasets.__all__]
-    names += [f"ccd_warp.viz.{name}" for name in viz.__all__]
-    for name in names:
-        assert f'id="{name}"' in page, name
+    names = [f"ccd_warp.{name}" for name in ccd.__all__ if not isinstance(getattr(ccd, name), ModuleType)]
+    for module in (ccd.datasets, distributed, viz):
+        names += [f"{module.__name__}.{name}" for name in module.__all__]
+    for name in ("jax", "torch"):
+        source = Path(ccd.__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+        (public,) = re.findall(r"^__all__ = (\[.*?\])$", source, re.S | re.M)
+        names += [f"ccd_warp.{name}.{function}" for function in ast.literal_eval(public)]
+    return names
+
+
+def _places() -> list[tuple[str, str]]:
+    """The names that the pages of the reference describe, each with its page."""
+    places = []
+    for page in sorted((ROOT / "docs" / "reference").glob("*.md")):
+        module = ""
+        for directive, value in re.findall(
+            r"^\.\. (currentmodule|autoclass|autofunction|py:data):: (\S+)", page.read_text(encoding="utf-8"), re.M
+        ):
+            if directive == "currentmodule":
+                module = value
+            else:
+                places.append((value if value.startswith("ccd_warp.") else f"{module}.{value}", page.stem))
+    return places
+
+
+def test_every_public_name_stands_on_one_page_of_the_reference():
+    """A new name has to be placed: on a page of docs/reference, below its table."""
+    assert sorted(name for name, _ in _places()) == sorted(_public_names())
+
+
+def test_tables_of_the_reference_name_what_their_pages_describe():
+    for page in (ROOT / "docs" / "reference").glob("*.md"):
+        rows = {row.rpartition(".")[2] for row in re.findall(r"^   (\w[\w.]*)$", page.read_text("utf-8"), re.M)}
+        described = {name.rpartition(".")[2] for name, at in _places() if at == page.stem}
+        assert described - {"__version__"} <= rows, page
+
+
+def test_the_reference_of_the_site_shows_every_public_name_on_its_page(site):
+    for name, at in _places():
+        assert f'id="{name}"' in (site / "docs" / "reference" / f"{at}.html").read_text(encoding="utf-8"), name
+
+
+def test_signatures_of_the_site_are_readable(site):
+    """Positions and not a union of forty words; statuses in the order of their values."""
+    folder = site / "docs" / "reference"
+    text = {page.stem: re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8")) for page in folder.glob("*.html")}
+    assert "vertices_t0: Positions" in text["one_shot_calls"] and "vertices_t0: Positions" in text["pipeline"]
+    for page, words in text.items():
+        assert not re.search(r"_SupportsArray|_NestedSequence|TypeAliasForwardRef|ndarray\[", words), page
+    values = [text["results"].index(f"{status.name} = {int(status)}") for status in ccd.CCDStatus]
+    assert values == sorted(values)
+
+
+def test_the_site_shows_every_planted_fault(site):
+    page = (site / "docs" / "how_it_is_tested.html").read_text(encoding="utf-8")
+    for fault in PLANTED:
+        assert html.escape(fault.name.replace("'", "’"), quote=False) in page, fault.name
