@@ -9,7 +9,9 @@ import sys
 import tomllib
 from pathlib import Path
 
+from docutils import nodes
 from numpy.typing import ArrayLike
+from sphinx import addnodes
 from sphinx.util.typing import stringify_annotation
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -161,6 +163,16 @@ def _readable_text(app, what, name, thing, options, lines):
             lines[k] = line
 
 
+def _readable_property(app, domain, objtype, content):
+    """The short type of a property, whose signature no event of autodoc changes."""
+    for note in content.parent.findall(addnodes.desc_annotation):
+        text = note.astext()
+        short = re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", text)
+        if short != text:
+            note.clear()
+            note += nodes.Text(short)
+
+
 def _write_index(app, error):
     """Let the folder of the site open at its first page."""
     if error is None:
@@ -172,5 +184,6 @@ def setup(app):
     """Connect the functions above."""
     app.connect("autodoc-process-signature", _readable)
     app.connect("autodoc-process-docstring", _readable_text)
+    app.connect("object-description-transform", _readable_property)
     app.connect("source-read", _with_contents)
     app.connect("build-finished", _write_index)
