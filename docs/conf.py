@@ -4,6 +4,7 @@ The pages are those of the repository, README.md first, so that every link is th
 every warning an error and `-n` warns of each name that leads nowhere: a broken link stops the build.
 """
 
+import ast
 import re
 import sys
 import tomllib
@@ -67,7 +68,11 @@ _NAVIGATION = {
 }
 _LISTED = {page for pages in _NAVIGATION.values() for page in pages}
 _NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
-include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
+# Pages that lead to all pages of a folder.
+_BELOW = {_NOTES: "notes/*", "docs/examples": "/examples/*"}
+_FIGURES = Path(__file__).with_name("figures")
+include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md", "examples/*.py"]
+source_suffix = {".md": "markdown", ".py": "markdown"}  # a program becomes a page of Markdown, see _page_of_program
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
@@ -124,19 +129,36 @@ def _faults():
     return table()
 
 
+def _page_of_program(docname, code):
+    """A page that says what a program is about, shows its picture where it has one, and its code."""
+    name = docname.rpartition("/")[2]
+    about, _, more = ast.get_docstring(ast.parse(code)).partition("\n\n")
+    picture = f"![What it draws](../docs/figures/{name}.png)\n\n" if (_FIGURES / f"{name}.png").is_file() else ""
+    return f"# {name}.py\n\n{about}\n\n{picture}{more}\n\n`````python\n{code}`````\n"
+
+
 def _with_contents(app, docname, source):
     """Add the tables of contents, which a forge would show as code, and let folders be names alone."""
+    if docname.startswith("examples/"):
+        source[0] = _page_of_program(docname, source[0])
+        return
     folder = (_ROOT / docname).parent
-    source[0] = re.sub(
-        r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)",
-        lambda link: link[1] if (folder / link[2]).is_dir() else link[0],
-        source[0],
-    )
+
+    def followed(link):
+        """A link that the site can follow: a folder is a name alone, and code is a file, but for the examples."""
+        label, target = link.groups()
+        path = (folder / target).resolve()
+        if path.is_dir():
+            return label
+        is_code = path.suffix == ".py" and path.parent.name != "examples"
+        return f"[{label}](path:{target})" if is_code else link[0]
+
+    source[0] = re.sub(r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)", followed, source[0])
     if docname == "docs/how_it_is_tested":
         before, begin, shown = source[0].partition("<!-- planted faults: begin -->")
         source[0] = f"{before}{begin}\n\n{_faults()}\n{shown[shown.index('<!-- planted faults: end') :]}"
-    if docname == _NOTES:
-        source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\nnotes/*\n```\n"
+    if docname in _BELOW:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{_BELOW[docname]}\n```\n"
     if docname == root_doc:
         for caption, pages in _NAVIGATION.items():
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])

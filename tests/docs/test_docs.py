@@ -149,6 +149,17 @@ def test_the_site_holds_every_page_with_its_figures_and_a_search(site):
     assert "url=README.html" in (site / "index.html").read_text(encoding="utf-8")
 
 
+def test_examples_are_pages_with_their_code_and_picture(site):
+    links = (site / "docs" / "examples.html").read_text(encoding="utf-8")
+    for program in (ROOT / "examples").glob("*.py"):
+        page = (site / "examples" / f"{program.stem}.html").read_text(encoding="utf-8")
+        assert f'href="../examples/{program.stem}.html"' in links
+        shown = html.unescape(re.sub(r"<[^>]+>", "", page.rpartition('<div class="highlight"><pre>')[2]))
+        assert shown.startswith(program.read_text(encoding="utf-8")[:2000].rstrip()), program.name
+        has_picture = (ROOT / "docs" / "figures" / f"{program.stem}.png").is_file()
+        assert (f"_images/{program.stem}.png" in page) == has_picture
+
+
 def _public_names() -> list[str]:
     """Every name that is public, with its module; ccd_warp.torch and ccd_warp.jax are read and not imported."""
     from ccd_warp import distributed, viz
