@@ -10,6 +10,7 @@ import subprocess
 import sys
 import traceback
 from collections.abc import Callable
+from datetime import date
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -117,6 +118,14 @@ def test_every_flag_and_status_is_explained_where_a_solver_meets_it():
         assert f"`LaunchFlag.{flag.name}`" in text
     for name in ("max_pairs", "max_contacts"):
         assert f"reserve({name}=" in text
+
+
+def test_the_citation_is_of_this_version_with_its_date():
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {ccd.__version__}\n" in citation
+    (released,) = re.findall(r"^date-released: (.*)$", citation, re.M)
+    entry = (ROOT / "docs" / "about.md").read_text(encoding="utf-8").partition("```bibtex\n")[2].partition("```")[0]
+    assert f"{{{ccd.__version__}}}" in entry and f"{{{date.fromisoformat(released).year}}}" in entry
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
