@@ -11,6 +11,7 @@ import tomllib
 from pathlib import Path
 
 from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 from numpy.typing import ArrayLike
 from sphinx import addnodes
 from sphinx.util.typing import stringify_annotation
@@ -53,7 +54,7 @@ _NAVIGATION = {
         "docs/bodies",
         "docs/at_one_time",
         "docs/choosing",
-        "docs/rigid",
+        "Bodies that turn, in full <docs/rigid>",
         "docs/gradients",
         "docs/distributed",
         "docs/cuda",
@@ -66,7 +67,7 @@ _NAVIGATION = {
     "Reference": ["docs/reference", *(f"docs/reference/{name}" for name in _in_order("reference"))],
     "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
 }
-_LISTED = {page for pages in _NAVIGATION.values() for page in pages}
+_LISTED = {page.rpartition("<")[2].rstrip(">") for pages in _NAVIGATION.values() for page in pages}
 _NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
 # Pages that lead to all pages of a folder.
 _BELOW = {_NOTES: "notes/*", "docs/examples": "/examples/*"}
@@ -77,6 +78,8 @@ exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4  # links to headings are checked, too
+myst_enable_extensions = ["dollarmath"]  # $…$ and $$…$$, which forges set as well
+html_math_renderer = "mathml"  # what browsers set by themselves: nothing is loaded from anywhere, nor installed
 html_theme = "furo"
 html_title = f"ccd_warp {release}"
 html_copy_source = False
@@ -195,6 +198,18 @@ def _readable_property(app, domain, objtype, content):
             note += nodes.Text(short)
 
 
+def _inline_formula(writer, node):
+    """A formula in a line, as MathML."""
+    writer.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _displayed_formula(writer, node):
+    """A formula on lines of its own, as MathML."""
+    writer.body.append(f'<div class="math">{tex2mathml(node.astext().strip(), as_block=True)}</div>')
+    raise nodes.SkipNode
+
+
 def _write_index(app, error):
     """Let the folder of the site open at its first page."""
     if error is None:
@@ -204,6 +219,7 @@ def _write_index(app, error):
 
 def setup(app):
     """Connect the functions above."""
+    app.add_html_math_renderer("mathml", (_inline_formula, None), (_displayed_formula, None))
     app.connect("autodoc-process-signature", _readable)
     app.connect("autodoc-process-docstring", _readable_text)
     app.connect("object-description-transform", _readable_property)

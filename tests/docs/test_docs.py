@@ -230,3 +230,12 @@ def test_the_site_shows_every_planted_fault(site):
     page = (site / "docs" / "how_it_is_tested.html").read_text(encoding="utf-8")
     for fault in PLANTED:
         assert html.escape(fault.name.replace("'", "’"), quote=False) in page, fault.name
+
+
+def test_formulas_are_set_and_nothing_is_loaded_from_elsewhere(site):
+    for page in ("method", "rigid", "gradients"):
+        text = (site / "docs" / f"{page}.html").read_text(encoding="utf-8")
+        assert '<div class="math"><math ' in text and "$$" not in text
+    for file in site.rglob("*.html"):
+        text = file.read_text(encoding="utf-8")
+        assert not re.search(r'<(?:script|link|img)[^>]*(?:src|href)="(?:https?:)?//', text), file
