@@ -14,6 +14,7 @@ from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from numpy.typing import ArrayLike
 from sphinx import addnodes
+from sphinx.domains.python import PyObject
 from sphinx.util.typing import stringify_annotation
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -107,6 +108,7 @@ _TYPES = {
     "ArrayLike": re.escape(stringify_annotation(ArrayLike, "fully-qualified-except-typing")),
     r"NDArray[\1]": r"numpy\.ndarray\[tuple\[(?:typing\.)?Any, \.\.\.\], numpy\.dtype\[(?:numpy\.)?([\w.]+)\]\]",
     "": r"(?<![\w.])(?:collections\.abc|pathlib|typing)\.(?=\w)",
+    r"~\1": r"(?<![\w.~])(ccd_warp\.[\w.]+)",
 }
 # Classes that a user calls; all others are made by calls, and their signatures say nothing.
 _CALLED = {
@@ -219,6 +221,9 @@ def _write_index(app, error):
 
 def setup(app):
     """Connect the functions above."""
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"
     app.add_html_math_renderer("mathml", (_inline_formula, None), (_displayed_formula, None))
     app.connect("autodoc-process-signature", _readable)
     app.connect("autodoc-process-docstring", _readable_text)

@@ -222,6 +222,8 @@ def test_signatures_of_the_site_are_readable(site):
     assert "vertices_t0: Positions" in text["one_shot_calls"] and "vertices_t0: Positions" in text["pipeline"]
     for page, words in text.items():
         assert not re.search(r"_SupportsArray|_NestedSequence|TypeAliasForwardRef|ndarray\[", words), page
+        private = set(re.findall(r"ccd_warp\._\w+\.\w+", words))
+        assert not private, page
     values = [text["results"].index(f"{status.name} = {int(status)}") for status in ccd.CCDStatus]
     assert values == sorted(values)
 
