@@ -33,22 +33,14 @@ root_doc = "README"
 def _in_order(folder):
     """The pages of a folder of docs/ in the order in which the page of its name links them."""
     text = Path(__file__).with_name(f"{folder}.md").read_text(encoding="utf-8")
-    return re.findall(rf"\({folder}/(\w+)\.md\)", text)
+    return [f"docs/{page}" for page in re.findall(rf"\(({folder}/\w+)\.md\)", text)]
 
 
 _NOTES = "benchmarks/NOTES"
-_TASKS = [
-    "keep_my_cloth_from_passing",
-    "first_contact_of_two_files",
-    "thousands_of_worlds",
-    "bodies_that_turn",
-    "differentiate",
-    "many_machines",
-]
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
     "Start": ["docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
-    "By task": [f"docs/tasks/{name}" for name in _TASKS],
+    "By task": ["docs/tasks", *_in_order("tasks")],
     "Guides": [
         "docs/solver",
         "docs/on_device",
@@ -65,7 +57,7 @@ _NAVIGATION = {
         "docs/beside_other_libraries",
     ],
     "Mathematics": ["docs/method", "docs/architecture"],
-    "Reference": ["docs/reference", *(f"docs/reference/{name}" for name in _in_order("reference"))],
+    "Reference": ["docs/calls", "docs/reference", *_in_order("reference")],
     "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
 }
 _LISTED = {page.rpartition("<")[2].rstrip(">") for pages in _NAVIGATION.values() for page in pages}
