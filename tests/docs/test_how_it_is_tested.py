@@ -38,8 +38,9 @@ def row_of(text, command):
 
 
 def test_planted_faults(text):
-    assert f"There are {len(of_gpu.PLANTED)} faults of the kind that GPU code has" in text
-    assert f"and {len(of_host.PLANTED)} in the kernels of the CPU" in text
+    more, gpu, host = map(int, re.findall(r"more than (\d+): some (\d+) of the kind .*? and some (\d+) in", text)[0])
+    assert len(of_gpu.PLANTED) >= gpu and len(of_host.PLANTED) >= host
+    assert 0 < len(of_gpu.PLANTED) + len(of_host.PLANTED) - more < 20
 
 
 def test_fuzz_run(text):

@@ -4,7 +4,7 @@ from planted import of_gpu, of_host
 from planted.planting import Fault
 
 PLANTED = [*of_gpu.PLANTED, *of_host.PLANTED]
-_PARTS = {"As GPU code has them": of_gpu.PLANTED, "On the CPU and on the host": of_host.PLANTED}
+_PARTS = {"as GPU code has them": of_gpu.PLANTED, "on the CPU and on the host": of_host.PLANTED}
 
 
 def tests_of(fault: Fault) -> list[str]:
@@ -16,7 +16,7 @@ def table() -> str:
     """A heading and a table for each part, with a row for each fault."""
     lines = []
     for title, faults in _PARTS.items():
-        lines += [f"### {title}", "", "| fault | planted in | found by |", "|---|---|---|"]
+        lines += [f"### {len(faults)} faults {title}", "", "| fault | planted in | found by |", "|---|---|---|"]
         for fault in faults:
             found_by = "<br>".join(f"`{test}`" for test in tests_of(fault))
             lines.append(f"| {fault.name} | `{fault.file}` | {found_by} |")
