@@ -40,7 +40,7 @@ _NOTES = "benchmarks/NOTES"
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
     "Start": ["docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
-    "By task": ["docs/tasks", *_in_order("tasks")],
+    "By task": ["Overview <docs/tasks>", *_in_order("tasks")],
     "Guides": [
         "docs/solver",
         "docs/on_device",
@@ -57,7 +57,7 @@ _NAVIGATION = {
         "docs/beside_other_libraries",
     ],
     "Mathematics": ["docs/method", "docs/architecture"],
-    "Reference": ["docs/calls", "docs/reference", *_in_order("reference")],
+    "Reference": ["docs/calls", "Every name <docs/reference>", *_in_order("reference")],
     "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
 }
 _LISTED = {page.rpartition("<")[2].rstrip(">") for pages in _NAVIGATION.values() for page in pages}
@@ -129,7 +129,7 @@ def _faults():
 def _page_of_program(docname, code):
     """A page that says what a program is about, shows its picture where it has one, and its code."""
     name = docname.rpartition("/")[2]
-    about, _, more = ast.get_docstring(ast.parse(code)).partition("\n\n")
+    about, _, more = (ast.get_docstring(ast.parse(code)) or "").partition("\n\n")
     picture = f"![What it draws](../docs/figures/{name}.png)\n\n" if (_FIGURES / f"{name}.png").is_file() else ""
     return f"# {name}.py\n\n{about}\n\n{picture}{more}\n\n`````python\n{code}`````\n"
 
