@@ -192,15 +192,20 @@ def _readable_property(app, domain, objtype, content):
             note += nodes.Text(short)
 
 
+def _mathml(node, **options):
+    """A formula in MathML; bars are delimiters, around which no operator's space is left."""
+    return re.sub(r"<mo[^>]*>\|</mo>", '<mo lspace="0" rspace="0">|</mo>', tex2mathml(node.astext().strip(), **options))
+
+
 def _inline_formula(writer, node):
-    """A formula in a line, as MathML."""
-    writer.body.append(tex2mathml(node.astext()))
+    """A formula in a line."""
+    writer.body.append(_mathml(node))
     raise nodes.SkipNode
 
 
 def _displayed_formula(writer, node):
-    """A formula on lines of its own, as MathML."""
-    writer.body.append(f'<div class="math">{tex2mathml(node.astext().strip(), as_block=True)}</div>')
+    """A formula on lines of its own."""
+    writer.body.append(f'<div class="math">{_mathml(node, as_block=True)}</div>')
     raise nodes.SkipNode
 
 
