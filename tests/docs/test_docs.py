@@ -241,3 +241,17 @@ def test_formulas_are_set_and_nothing_is_loaded_from_elsewhere(site):
     for file in site.rglob("*.html"):
         text = file.read_text(encoding="utf-8")
         assert not re.search(r'<(?:script|link|img)[^>]*(?:src|href)="(?:https?:)?//', text), file
+
+
+@pytest.mark.parametrize("width", [1320, 1440, 1560, 1920])
+def test_the_table_of_contents_is_whole_beside_the_content(site, browser, width):
+    """From the width on at which the theme shows it; nothing else is wider than the page either."""
+    browser.resize(width)
+    for page in ("docs/reference/pipeline", "docs/benchmarks", "docs/how_it_is_tested"):
+        browser.open(site / f"{page}.html")
+        right, left, end = browser.evaluate(
+            "[document.querySelector('.toc-drawer').getBoundingClientRect().right,"
+            " document.querySelector('.toc-drawer').getBoundingClientRect().left,"
+            " document.querySelector('.content').getBoundingClientRect().right]"
+        )
+        assert end <= left and right <= width, page
