@@ -4,10 +4,18 @@ The pages are those of the repository, README.md first, so that every link is th
 every warning an error and `-n` warns of each name that leads nowhere: a broken link stops the build.
 """
 
+import ast
 import re
 import sys
 import tomllib
 from pathlib import Path
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+from numpy.typing import ArrayLike
+from sphinx import addnodes
+from sphinx.domains.python import PyObject
+from sphinx.util.typing import stringify_annotation
 
 _ROOT = Path(__file__).resolve().parent.parent
 # `python -m sphinx` at the root would find ./ccd_warp, which lacks the kernels there, before an installed package.
@@ -20,59 +28,185 @@ copyright = author
 version = release = _PROJECT["version"]
 
 root_doc = "README"
-_GUIDES = [
-    "docs/solver",
-    "docs/on_device",
-    "docs/bodies",
-    "docs/at_one_time",
-    "docs/command_line",
-    "docs/choosing",
-    "docs/rigid",
-    "docs/gradients",
-    "docs/coming_from_ipc_toolkit",
-    "docs/coming_from_engines",
-    "docs/cuda",
-    "docs/newton",
-    "docs/distributed",
-    "docs/examples",
-]
+
+
+def _in_order(folder):
+    """The pages of a folder of docs/ in the order in which the page of its name links them."""
+    text = Path(__file__).with_name(f"{folder}.md").read_text(encoding="utf-8")
+    return [f"docs/{page}" for page in re.findall(rf"\(({folder}/\w+)\.md\)", text)]
+
+
 _NOTES = "benchmarks/NOTES"
-_REFERENCE = ["docs/reference", "docs/method", "docs/architecture", "docs/benchmarks", _NOTES]
-_ABOUT = ["CONTRIBUTING", "CHANGELOG"]
-_GUIDES += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - {*_GUIDES, *_REFERENCE})
-include_patterns = ["*.md", "docs/*.md", "benchmarks/*.md", "benchmarks/notes/*.md"]
+# The table of contents. A page of docs/ that no list has follows the guides.
+_NAVIGATION = {
+    "Start": ["docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
+    "By task": ["Overview <docs/tasks>", *_in_order("tasks")],
+    "Guides": [
+        "docs/solver",
+        "docs/on_device",
+        "docs/bodies",
+        "docs/at_one_time",
+        "docs/choosing",
+        "Bodies that turn, in full <docs/rigid>",
+        "docs/gradients",
+        "docs/distributed",
+        "docs/cuda",
+        "docs/newton",
+        "docs/coming_from_ipc_toolkit",
+        "docs/coming_from_engines",
+        "docs/beside_other_libraries",
+    ],
+    "Mathematics": ["docs/method", "docs/architecture"],
+    "Reference": ["docs/calls", "Every name <docs/reference>", *_in_order("reference")],
+    "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
+}
+_LISTED = {page.rpartition("<")[2].rstrip(">") for pages in _NAVIGATION.values() for page in pages}
+_NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
+# Pages that lead to all pages of a folder.
+_BELOW = {_NOTES: "notes/*", "docs/examples": "/examples/*"}
+_FIGURES = Path(__file__).with_name("figures")
+include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md", "examples/*.py"]
+source_suffix = {".md": "markdown", ".py": "markdown"}  # a program becomes a page of Markdown, see _page_of_program
 exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4  # links to headings are checked, too
+myst_enable_extensions = ["dollarmath"]  # $…$ and $$…$$, which forges set as well
+html_math_renderer = "mathml"  # what browsers set by themselves: nothing is loaded from anywhere, nor installed
 html_theme = "furo"
 html_title = f"ccd_warp {release}"
 html_copy_source = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
-autodoc_typehints = "description"  # long unions would fill a screen of every signature
-autodoc_typehints_format = "short"
+autosummary_generate = False  # a table of names that stand on the same page
+autodoc_default_options = {"exclude-members": "borrowed"}
+autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
+autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
+autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # written out, it is a union of forty words
+python_maximum_signature_line_length = 90
 napoleon_use_ivar = True
-# Names of other projects, whose own pages need not be reached while this site is built.
-nitpick_ignore_regex = [
-    ("py:.*", r"NDArray|ArrayLike|(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
+# What a signature says in other words, which docs/reference.md explains.
+_WORDS = [
+    (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
+    (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|~?typing\.Any)", r"\1: Positions"),
+    (r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(~?[\w.]+)\]\]", r"NDArray[\1]"),
+    (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
+    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.JointMotion \| ~[\w.]+\.AffineMotion", "Motion"),
+    (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
 ]
+# What stands for long types of attributes.
+_TYPES = {
+    "ArrayLike": re.escape(stringify_annotation(ArrayLike, "fully-qualified-except-typing")),
+    r"NDArray[\1]": r"numpy\.ndarray\[tuple\[(?:typing\.)?Any, \.\.\.\], numpy\.dtype\[(?:numpy\.)?([\w.]+)\]\]",
+    "": r"(?<![\w.])(?:collections\.abc|pathlib|typing)\.(?=\w)",
+    r"~\1": r"(?<![\w.~])(ccd_warp\.[\w.]+)",
+}
+# Classes that a user calls; all others are made by calls, and their signatures say nothing.
+_CALLED = {
+    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion", "JointMotion", "Joint"),
+    *("DistributedMesh", "DistributedPipeline", "Queries", "SimulationStep"),
+}
+# Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that
+# docs/reference.md explains.
+nitpick_ignore_regex = [
+    ("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
+    ("py:.*", "NDArray|ArrayLike|Positions|Motion|Per|A tensor|An array|bool_|u?int(8|32|64)|float64"),
+    ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence"),
+]
+
+
+def _faults():
+    """The table of planted faults, from the list that `nox -s faults` plants."""
+    sys.path.insert(0, str(_ROOT / "tests"))
+    try:
+        from planted.table import table
+    finally:
+        del sys.path[0]
+    return table()
+
+
+def _page_of_program(docname, code):
+    """A page that says what a program is about, shows its picture where it has one, and its code."""
+    name = docname.rpartition("/")[2]
+    about, _, more = (ast.get_docstring(ast.parse(code)) or "").partition("\n\n")
+    picture = f"![What it draws](../docs/figures/{name}.png)\n\n" if (_FIGURES / f"{name}.png").is_file() else ""
+    return f"# {name}.py\n\n{about}\n\n{picture}{more}\n\n`````python\n{code}`````\n"
 
 
 def _with_contents(app, docname, source):
     """Add the tables of contents, which a forge would show as code, and let folders be names alone."""
+    if docname.startswith("examples/"):
+        source[0] = _page_of_program(docname, source[0])
+        return
     folder = (_ROOT / docname).parent
-    source[0] = re.sub(
-        r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)",
-        lambda link: link[1] if (folder / link[2]).is_dir() else link[0],
-        source[0],
-    )
-    if docname == _NOTES:
-        source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\nnotes/*\n```\n"
+
+    def followed(link):
+        """A link that the site can follow: a folder is a name alone, and code is a file, but for the examples."""
+        label, target = link.groups()
+        path = (folder / target).resolve()
+        if path.is_dir():
+            return label
+        is_code = path.suffix == ".py" and path.parent.name != "examples"
+        return f"[{label}](path:{target})" if is_code else link[0]
+
+    source[0] = re.sub(r"(?<!!)\[([^]]+)\]\(((?!https?:|#)[^)#]+)\)", followed, source[0])
+    if docname == "docs/how_it_is_tested":
+        before, begin, shown = source[0].partition("<!-- planted faults: begin -->")
+        source[0] = f"{before}{begin}\n\n{_faults()}\n{shown[shown.index('<!-- planted faults: end') :]}"
+    if docname in _BELOW:
+        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{_BELOW[docname]}\n```\n"
     if docname == root_doc:
-        for caption, pages in (("Guides", _GUIDES), ("Reference", _REFERENCE), ("Project", _ABOUT)):
+        for caption, pages in _NAVIGATION.items():
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])
+
+
+def _readable(app, what, name, thing, options, signature, result):
+    """A signature in words that a reader knows, or none where nobody calls it."""
+    if what == "class" and name.rpartition(".")[2] not in _CALLED:
+        return ("", None) if signature else None
+    for pattern, word in _WORDS:
+        signature, result = (re.sub(pattern, word, text) if text else text for text in (signature, result))
+    return signature, result
+
+
+def _readable_text(app, what, name, thing, options, lines):
+    """Short types of attributes, and names in first lines that hold in a table, where no class or module is at hand."""
+    if what in ("method", "function"):
+        owner = name.rpartition(".")[0]
+        lines[:] = [re.sub(r":(meth|func):`(\w+)`", rf":\1:`\2 <{owner}.\2>`", line) for line in lines]
+    for k, line in enumerate(lines):
+        if line.startswith(":vartype "):
+            for word, pattern in _TYPES.items():
+                line = re.sub(pattern, word, line)
+            lines[k] = line
+
+
+def _readable_property(app, domain, objtype, content):
+    """The short type of a property, whose signature no event of autodoc changes."""
+    for note in content.parent.findall(addnodes.desc_annotation):
+        text = note.astext()
+        short = re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", text)
+        if short != text:
+            note.clear()
+            note += nodes.Text(short)
+
+
+def _mathml(node, **options):
+    """A formula in MathML; bars are delimiters, around which no operator's space is left."""
+    return re.sub(r"<mo[^>]*>\|</mo>", '<mo lspace="0" rspace="0">|</mo>', tex2mathml(node.astext().strip(), **options))
+
+
+def _inline_formula(writer, node):
+    """A formula in a line."""
+    writer.body.append(_mathml(node))
+    raise nodes.SkipNode
+
+
+def _displayed_formula(writer, node):
+    """A formula on lines of its own."""
+    writer.body.append(f'<div class="math">{_mathml(node, as_block=True)}</div>')
+    raise nodes.SkipNode
 
 
 def _write_index(app, error):
@@ -83,6 +217,13 @@ def _write_index(app, error):
 
 
 def setup(app):
-    """Connect the two functions above."""
+    """Connect the functions above."""
+    for field in PyObject.doc_field_types:
+        if field.name == "variable":
+            field.label = "Attributes"
+    app.add_html_math_renderer("mathml", (_inline_formula, None), (_displayed_formula, None))
+    app.connect("autodoc-process-signature", _readable)
+    app.connect("autodoc-process-docstring", _readable_text)
+    app.connect("object-description-transform", _readable_property)
     app.connect("source-read", _with_contents)
     app.connect("build-finished", _write_index)

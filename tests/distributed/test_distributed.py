@@ -80,6 +80,16 @@ def test_the_cloth_of_the_example_has_the_same_positions_on_every_number_of_rank
 
 
 @needs_ranks
+def test_block_of_the_page_by_task_prints_on_ranks_what_the_page_says(tmp_path):
+    page = (EXAMPLES.parent / "docs" / "tasks" / "many_machines.md").read_text(encoding="utf-8")
+    (code,), (output,) = (re.findall(rf"^```{fence}\n(.*?)^```$", page, re.S | re.M) for fence in ("python", "text"))
+    script = tmp_path / "block.py"
+    script.write_text(code, encoding="utf-8")
+    done = run_ranks(3, script)
+    assert done.returncode == 0 and done.stdout == output, done.stdout + done.stderr
+
+
+@needs_ranks
 @pytest.mark.parametrize("num_ranks", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_an_error_of_one_rank_is_that_of_all_and_nobody_hangs(num_ranks):
     done = run_ranks(num_ranks, FOLDER / "mpi_faults.py", "together")

@@ -1,6 +1,6 @@
 """Plant every fault, or those of which a name is a part: `python tests/planted [NAME …]`, or `nox -s faults`.
 
-A fault that survives is a missing test.
+A fault that survives is a missing test. `python tests/planted --table` plants none, and prints a table of all of them.
 """
 
 import sys
@@ -10,19 +10,15 @@ from pathlib import Path
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from planted import of_gpu, of_host  # noqa: E402
-from planted.planting import Copy, Fault, fault_in  # noqa: E402
-
-PLANTED = [*of_gpu.PLANTED, *of_host.PLANTED]
-
-
-def tests_of(fault: Fault) -> list[str]:
-    """The tests that are to find a fault."""
-    return [test for finder in fault.finders for test in of_gpu.FINDERS.get(finder, [finder])]
+from planted.planting import Copy, fault_in  # noqa: E402
+from planted.table import PLANTED, table, tests_of  # noqa: E402
 
 
 def main(names: list[str]) -> int:
     """Plant each fault, or those of which a name is a part, and print the test that finds it."""
+    if names == ["--table"]:
+        print(table())
+        return 0
     chosen = [fault for fault in PLANTED if not names or any(name in fault.name for name in names)]
     if not chosen:
         print(f"no fault has one of {names} in its name; expected a part of one of the {len(PLANTED)} names")

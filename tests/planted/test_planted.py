@@ -6,10 +6,9 @@ import re
 import pytest
 from emulated.comparison import DAILY
 
-from planted import of_gpu, of_host
+from planted import of_gpu
 from planted.planting import ROOT, fault_in
-
-PLANTED = [*of_gpu.PLANTED, *of_host.PLANTED]
+from planted.table import PLANTED, table
 
 
 def test_every_fault_is_a_change_of_a_file():
@@ -38,3 +37,9 @@ def test_a_fault_whose_text_is_gone_is_named():
 
 def test_names_are_different():
     assert len({fault.name for fault in PLANTED}) == len(PLANTED) >= 100
+
+
+def test_table_has_a_row_for_each_fault():
+    rows = [row.split(" | ") for row in table().splitlines() if row.startswith("| ") and not row.startswith("| fault")]
+    assert [(row[0][2:], row[1].strip("`")) for row in rows] == [(fault.name, fault.file) for fault in PLANTED]
+    assert all(len(row) == 3 and ".py" in row[2] for row in rows)
