@@ -40,6 +40,7 @@ def test_no_example_is_left_out():
         "robot_path.py",
         "rotor.py",
         "two_layers.py",
+        "valve.py",
     }
 
 
