@@ -173,7 +173,7 @@ def draw(path: Path, mesh: ccd.CollisionMesh, rows: list[list[tuple[str, Array]]
             plotter.add_mesh(strip, color="#f0a04b", show_edges=True, edge_color="#b0702b")
             plotter.add_mesh(glass, color="#8fb8d0", opacity=0.2)
             plotter.add_text(title, font_size=8, color="#222222")
-            plotter.camera_position = [(0.29, -1.1, 0.43), (0.01, 0.0, 0.2), (0.0, 0.0, 1.0)]
+            plotter.camera_position = [(0.25, -1.1, 0.43), (-0.03, 0.0, 0.2), (0.0, 0.0, 1.0)]
         plotter.screenshot(path)
 
 
