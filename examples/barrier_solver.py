@@ -66,9 +66,8 @@ class Barrier:
 
     def energy(self, x: Array) -> tuple[float, tuple[ccd.Proximities, Array, Array]]:
         """The energy; pairs, a factor that goes to 0 as edges become parallel and directions jump, its derivative."""
-        near = self.pipeline.find_proximity(
-            x, RANGE
-        )  # not unique(): closest points go from face to face without a jump
+        # all pairs, not unique(): so it has no jump where a closest point goes to the next face
+        near = self.pipeline.find_proximity(x, RANGE)
         factor, slope = np.ones(len(near)), np.zeros((len(near), 4, 3))
         edges = near.kind == ccd.PairKind.EDGE_EDGE
         rest, now = (np.diff(y[near.vertices[edges]], axis=1)[:, ::2] for y in (near.mesh.vertices, x))
