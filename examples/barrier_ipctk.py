@@ -7,7 +7,7 @@ Newton's method stops at other points within its tolerance, and small difference
 
 Run it: python examples/barrier_ipctk.py
 
-It needs: pip install 'ccd-warp[bench,examples]'. It takes a minute or two.
+It needs: pip install 'ccd-warp[bench,examples]'. It takes a minute.
 """
 
 import argparse
@@ -49,7 +49,9 @@ class IpctkBarrier:
 
     def free_step(self, x: Array, end: Array) -> float:
         """Up to which fraction of the way nothing passes."""
-        return ipctk.compute_collision_free_stepsize(self.mesh, self.mesh.vertices(x), self.mesh.vertices(end))
+        surfaces = self.mesh.vertices(x), self.mesh.vertices(end)
+        # its additive CCD, much the faster one here; without the argument it is Tight-Inclusion
+        return ipctk.compute_collision_free_stepsize(self.mesh, *surfaces, narrow_phase_ccd=ipctk.AdditiveCCD())
 
 
 class Timed:
@@ -72,7 +74,7 @@ class Timed:
 def main() -> None:
     """Run both, and compare."""
     parser = argparse.ArgumentParser(
-        description="A strip folds in a glass, by ccd_warp and by ipctk; it takes a minute or two."
+        description="A strip folds in a glass, by ccd_warp and by ipctk; it takes a minute."
     )
     parser.add_argument("--frames", type=int, default=100)
     options = parser.parse_args()
