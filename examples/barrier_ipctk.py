@@ -76,8 +76,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="A strip folds in a glass, by ccd_warp and by ipctk; it takes a minute."
     )
-    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--frames", type=int, default=100, help="40 a second (default 100)")
     options = parser.parse_args()
+    if options.frames < 1:
+        parser.error("expected --frames of at least 1")
     rows = []
     for name, contact in (("ccd_warp", Barrier), ("ipctk", IpctkBarrier)):
         scene = Fold(contact)

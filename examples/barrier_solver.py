@@ -6,9 +6,8 @@ gives what is near. Newton's method goes downhill from the start of the step, as
 full steps end on the other side of the glass or of a fold, and no barrier knows from which side they came.
 
 Run it: python examples/barrier_solver.py --no-ccd --output fold
-
-It needs: pip install 'ccd-warp[examples]'. It takes half a minute; with --no-ccd, which runs and draws the scene again
-with full steps, a minute. barrier_ipctk.py has the same by ipctk, to compare.
+It needs: pip install 'ccd-warp[examples]'. It takes half a minute at most; --no-ccd runs and draws the scene once
+more, with full steps. barrier_ipctk.py has the same by ipctk, to compare.
 """
 
 import argparse
@@ -25,11 +24,12 @@ import ccd_warp as ccd
 from ccd_warp.viz import drawing_without_display
 
 try:
+    import pyvista  # noqa: F401  # of the picture
     from igl.copyleft import cgal
     from scipy.sparse import csr_array
     from scipy.sparse.linalg import splu
     from skfem import Basis, BilinearForm, ElementTetP1, ElementVector, Functional, LinearForm, MeshTet
-    from skfem.helpers import ddot, det, dot, grad, inv, mul, transpose
+    from skfem.helpers import ddot, det, dot, grad, inv, mul, trace, transpose
     from tqdm import tqdm
 except ImportError as error:
     sys.exit(f"barrier_solver.py: {error}; install with: pip install 'ccd-warp[examples]'")
@@ -44,17 +44,16 @@ RANGE, STIFFNESS = 2e-3, 2e8  # of the barrier, whose energy is of the fourth or
 TOLERANCE, MOST_ITERATIONS = 3e-3, 100  # of Newton's method: the last change, as a velocity
 KEY_FRAMES = (1, 3, 5, 7, 11)
 
+INERTIA = BilinearForm(lambda u, v, _: DENSITY / FRAME_TIME**2 * dot(u, v))
 # Neo-Hookean energy and its derivatives, by the deformation gradient F, its inverse, and log det F.
 ENERGY = Functional(lambda w: MU / 2.0 * (ddot(w.F, w.F) - 3.0) - MU * w.log_j + LAMBDA / 2.0 * w.log_j**2)
-GRADIENT = LinearForm(lambda v, w: MU * ddot(w.F, grad(v)) + (LAMBDA * w.log_j - MU) * ddot(w.transposed, grad(v)))
-HESSIAN = BilinearForm(
-    lambda u, v, w: (
-        MU * ddot(grad(u), grad(v))
-        + (MU - LAMBDA * w.log_j) * ddot(mul(grad(u), w.inverse), transpose(mul(grad(v), w.inverse)))
-        + LAMBDA * ddot(w.transposed, grad(u)) * ddot(w.transposed, grad(v))
-    )
-)
-INERTIA = BilinearForm(lambda u, v, _: DENSITY / FRAME_TIME**2 * dot(u, v))
+GRADIENT = LinearForm(lambda v, w: MU * ddot(w.F, grad(v)) + (LAMBDA * w.log_j - MU) * trace(mul(w.inverse, grad(v))))
+
+
+@BilinearForm
+def HESSIAN(u: Any, v: Any, w: Any) -> Any:
+    a, b = mul(w.inverse, grad(u)), mul(w.inverse, grad(v))
+    return MU * ddot(grad(u), grad(v)) + (MU - LAMBDA * w.log_j) * ddot(a, transpose(b)) + LAMBDA * trace(a) * trace(b)
 
 
 class Barrier:
@@ -80,13 +79,13 @@ class Barrier:
         return -STIFFNESS * (factor @ ((s - RANGE**2) ** 2 * np.log(s / RANGE**2))), (near, factor, slope)
 
     def derivatives(self, near: ccd.Proximities, factor: Array, slope: Array) -> tuple[Array, csr_array]:
-        """Gradient, and Hessian without the curvature of distances, whose part is never positive."""
+        """Gradient, and Hessian b''(d) n nᵀ of each pair, positive semidefinite: without the curvature of distances."""
         d, s, size = near.distance, near.distance**2, near.positions.size
         log, excess = np.log(s / RANGE**2), s - RANGE**2
         first, second = -2.0 * excess * log - excess**2 / s, -2.0 * log - 4.0 * excess / s + (excess / s) ** 2
         by_corner = near.weights[..., None] * near.direction[:, None]  # the derivative of the distance
         gradient = (2.0 * factor * d * first)[:, None, None] * by_corner - (excess**2 * log)[:, None, None] * slope
-        bend = STIFFNESS * factor * np.maximum(4.0 * s * second + 2.0 * first, 0.0)
+        bend = STIFFNESS * factor * (4.0 * s * second + 2.0 * first)
         blocks = bend[:, None, None] * by_corner.reshape(-1, 12, 1) * by_corner.reshape(-1, 1, 12)
         rows = (3 * near.vertices[..., None] + np.arange(3)).reshape(-1, 12)
         entries = blocks.ravel(), (np.repeat(rows, 12, axis=1).ravel(), np.tile(rows, 12).ravel())
@@ -116,7 +115,7 @@ class Fold:
         """The energy, the gradient of inertia, and what other derivatives are computed from."""
         away, F = (x[: len(aim)] - aim).ravel(), grad(self.basis.interpolate(x[: len(aim)].ravel()))
         with np.errstate(invalid="ignore", divide="ignore"):  # not a number where an element is turned inside out
-            fields = {"F": F, "inverse": inv(F), "transposed": transpose(inv(F)), "log_j": np.log(det(F))}
+            fields = {"F": F, "inverse": inv(F), "log_j": np.log(det(F))}
         (barrier, near), force = self.contact.energy(x), self.inertia @ away
         return 0.5 * away @ force + ENERGY.assemble(self.basis, **fields) + barrier, force, fields, near
 
@@ -155,7 +154,7 @@ def run(name: str, scene: Fold, num_frames: int) -> list[tuple[str, Array]]:
         positions.append((f"{name}, frame {frame}:\n{counts[-1]} pairs of faces cross", scene.x))
     newton = np.array(steps)
     print(f"{name}: {num_frames} frames, {np.count_nonzero(counts)} with faces that cross, at most {max(counts)} pairs")
-    print(f"  least distance {1e3 * least:.3f} mm; at rest after frame {np.flatnonzero(newton).max(initial=-1) + 1}")
+    print(f"  least distance {1e3 * least:.3f} mm; it moves until frame {np.flatnonzero(newton).max(initial=-1) + 1}")
     print(f"  {newton.mean():.1f} Newton steps a frame, at most {newton.max()}; {seconds / num_frames:.2f} s a frame")
     return positions
 
@@ -164,8 +163,9 @@ def draw(path: Path, mesh: ccd.CollisionMesh, rows: list[list[tuple[str, Array]]
     """Draw positions side by side, each scene in a row."""
     with drawing_without_display() as pyvista:
         shape = len(rows), len(rows[0])
-        size = 250 * shape[1], 410 * shape[0]
-        plotter = pyvista.Plotter(off_screen=True, shape=shape, window_size=size, border=False)
+        plotter = pyvista.Plotter(
+            off_screen=True, shape=shape, window_size=(250 * shape[1], 410 * shape[0]), border=False
+        )
         for k, (title, x) in enumerate(item for row in rows for item in row):
             strip, glass = (pyvista.PolyData.from_regular_faces(x, mesh.faces[mesh.face_body == b]) for b in (0, 1))
             plotter.subplot(*divmod(k, shape[1]))
@@ -178,11 +178,13 @@ def draw(path: Path, mesh: ccd.CollisionMesh, rows: list[list[tuple[str, Array]]
 
 def main() -> None:
     """Run the scenes, compare, and draw."""
-    parser = argparse.ArgumentParser(description="A strip folds in a glass; it takes half a minute.")
-    parser.add_argument("--frames", type=int, default=100)
+    parser = argparse.ArgumentParser(description="A strip folds in a glass; it takes half a minute at most.")
+    parser.add_argument("--frames", type=int, default=100, help="40 a second (default 100)")
     parser.add_argument("--no-ccd", action="store_true", help="then the same scene with full steps, as long again")
     parser.add_argument("--output", type=Path, help="folder of the picture (none is drawn without)")
     options = parser.parse_args()
+    if options.frames < 1:
+        parser.error("expected --frames of at least 1")
     scene, full = Fold(), Fold()
     rows = [run("with CCD", scene, options.frames)]
     if options.no_ccd:

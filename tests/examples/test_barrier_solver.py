@@ -17,7 +17,7 @@ NUM_FRAMES, FOLDED = 80, 12
 
 @pytest.fixture(scope="module")
 def barrier_solver():
-    for name in ("skfem", "igl.copyleft.cgal", "tqdm"):
+    for name in ("skfem", "igl.copyleft.cgal", "tqdm", "pyvista"):
         pytest.importorskip(name, reason="the extra examples is not installed")
     with loaded_example("barrier_solver") as module:
         module.CELLS = CELLS
@@ -133,8 +133,19 @@ def test_ipctk_has_the_same_energy_and_gradient(barrier_solver, fold):
             np.testing.assert_allclose(push, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
 
 
+def test_both_codes_agree_until_the_strip_buckles(barrier_solver, monkeypatch, capsys):
+    pytest.importorskip("ipctk", reason="the extra bench is not installed")
+    monkeypatch.setattr(sys, "argv", ["barrier_ipctk.py", "--frames", "4"])
+    with loaded_example("barrier_ipctk") as module:
+        module.main()
+    output = capsys.readouterr().out
+    assert all(f"{name}: 4 frames, 0 with faces that cross" in output for name in ("ccd_warp", "ipctk"))
+    # both stop where the next step is less than this in a frame, and converge at least linearly
+    tolerance = 1e3 * barrier_solver.TOLERANCE * barrier_solver.FRAME_TIME
+    assert float(re.search(r"^at most (\S+) mm apart", output, re.MULTILINE)[1]) < 100.0 * tolerance
+
+
 def test_it_prints_what_it_finds_and_draws(barrier_solver, monkeypatch, capsys, tmp_path):
-    pytest.importorskip("pyvista", reason="the extra viz is not installed")
     monkeypatch.setattr(sys, "argv", ["barrier_solver.py", "--frames", "4", "--no-ccd", "--output", str(tmp_path)])
     barrier_solver.main()
     lines = capsys.readouterr().out.splitlines()
