@@ -27,6 +27,8 @@ def _number(text: str, label: str) -> float:
 def test_no_example_is_left_out():
     assert {path.name for path in EXAMPLES.glob("*.py")} == {
         "aim.py",
+        "barrier_ipctk.py",
+        "barrier_solver.py",
         "bounce_gradient.py",
         "bullet_2d.py",
         "bullet_through_wall.py",
