@@ -546,10 +546,10 @@ class CollisionPipeline:
             self._check_places(step, prepared)
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
-            (step if taped is None else taped).launch(prepared)
+            result = (step if taped is None else taped).launch(prepared)
             self._device_step = step
             self._interrupted, self._is_placing = None, False
-            return step.result if taped is None else taped.result
+            return step.result if result is None else result
 
     def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
         """A launch, or a line search, that is recorded on the active tape."""
