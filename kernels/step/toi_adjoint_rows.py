@@ -65,13 +65,13 @@ def add_rows(
         n = pairs.columns[k] / 4
         c = pairs.columns[k] % 4
         t = slopes.time[n]
-        along = (-pairs.toi_gradient[n] * slopes.weights[n][c]) * slopes.slope[n]
+        along = (-pairs.table.toi_gradient[n] * slopes.weights[n][c]) * slopes.slope[n]
         of_start += (_ONE - t) * along
         of_end += t * along
         if pairs.radius_columns.shape[0] > 0:
             of_columns = pairs.radius_columns[n]
             if of_columns[0] == c or of_columns[1] == c:
-                of_radius += pairs.toi_gradient[n] * slopes.distance[n]
+                of_radius += pairs.table.toi_gradient[n] * slopes.distance[n]
     row = moving_row[v]
     row_t0 = wp.where(out.t0_by_vertex != 0, v, row)
     row_t1 = wp.where(out.t1_by_vertex != 0, v, row)

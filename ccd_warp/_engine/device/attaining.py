@@ -13,13 +13,18 @@ from ccd_warp._engine.device.kept_check import KeptCheck
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._runtime.structs import dtypes_of, struct_of
-from ccd_warp.kernels.step import regularity, toi_adjoint, toi_slope
+from ccd_warp.kernels.step import attained, regularity, toi_adjoint, toi_slope
 from ccd_warp.kernels.template import specialised
 
-_NO_KEY = int(toi_adjoint.NO_KEY)
+_NO_KEY = int(attained.NO_KEY)
 # Below so many keys NumPy sorts them faster on the CPU, where Warp counts 2^16 digits several times.
 _FEW = 1 << 11
 _MOST_UNUSED = 4  # as many as most line searches have passes
+
+
+def _power_of_two(count: int) -> int:
+    """The least power of two that is not below a number."""
+    return 1 << (count - 1).bit_length()
 
 
 class Attaining:
@@ -39,11 +44,12 @@ class Attaining:
         self._check, self._has_radius = check, check.has_radius
         self._topology = check.step.topology
         self._device, self._launch = self._topology.device, check.step.repeated.launch
-        self._capacity = check.count if not check.is_read else 1 << (check.count - 1).bit_length()
+        self._capacity = check.count if not check.is_read else _power_of_two(check.count)
         # a sort needs twice the size
         self._keys, self._listed = (self._empty(dtype, 2 * self._capacity) for dtype in (wp.int64, wp.int32))
-        self._num_listed = self._empty(wp.int32, 1)
-        self._keys_of_minima: dict[str, wp.array] = {}
+        self._count = self._empty(wp.int32, 1)
+        self._keys_of: dict[str, wp.array] = {}  # of each kind of minima that was asked for
+        self._lists: dict[tuple[str, ...], Any] = {}  # the struct of the kernels for each combination of these
         self._num_pairs = 0
 
     @classmethod
@@ -87,53 +93,64 @@ class Attaining:
         arrays |= {"plane_point": planes.point, "plane_vertex": planes.vertex, "plane_body": planes.body}
         if self._has_radius:
             arrays |= dict(zip(("neighbour_begin", "neighbours"), topology.neighbours, strict=True))
-        mesh = struct_of(toi_adjoint.CheckedMesh, arrays)
+        mesh = struct_of(attained.CheckedMesh, arrays)
         mesh.num_vertices = topology.mesh.num_vertices
         return mesh
 
     def _find(self, of_minima: Mapping[str, wp.array]) -> None:
         """List the contacts, sort them, and find how their tois change."""
         check = self._check
-        keys_of = self._keys_of_minima
-        for name, gradient in of_minima.items():
-            if name not in keys_of:
-                keys_of[name] = self._empty(wp.int64, len(gradient))
-            keys_of[name].fill_(_NO_KEY)
-        self._num_listed.zero_()
+        self._list = self._list_for(of_minima)
+        for name in of_minima:
+            self._keys_of[name].fill_(_NO_KEY)
+        self._count.zero_()
         if not check.is_read:
             self._keys.fill_(_NO_KEY)
-        self._attained = struct_of(toi_adjoint.Attained, {name: keys_of[name] for name in of_minima})
-        outputs = [self._attained, self._num_listed, self._keys, self._listed]
-        self._launch(toi_adjoint.attain, check.count, [check.as_struct, self._mesh], outputs)
-        self.num_rows = int(self._num_listed.numpy()[0]) if check.is_read else check.count
+        self._launch(attained.attain, check.count, [check.copies.as_struct, self._mesh], [self._list])
+        self.num_rows = int(self._count.numpy()[0]) if check.is_read else check.count
         if self.num_rows == 0:
             return
         self._sort(self._keys, self._listed, self.num_rows)
         if self._num_pairs < self.num_rows:
-            self._make_pairs(self.num_rows if not check.is_read else 1 << (self.num_rows - 1).bit_length())
-        of = self._columns.get
+            self._make_pairs(self.num_rows if not check.is_read else _power_of_two(self.num_rows))
         self._launch_of_minima(toi_adjoint.gather_pairs, of_minima)
-        columns = (self._columns[name] for name in ("column_vertex", "columns"))
-        self._sort(*columns, 4 * self.num_rows, self._topology.mesh.num_vertices.bit_length())
-        inputs = [check.step.gradient_query, -1, *map(of, ("kinds", "points_t0", "points_t1", "toi", "status"))]
-        inputs += [of("distances"), of("planes"), of("toi_gradient")]
+        if self.num_rows > 1:  # one pair has a vertex in one column
+            num_bits = self._topology.mesh.num_vertices.bit_length()
+            self._sort(self._column_vertex, self._columns, 4 * self.num_rows, num_bits)
+        inputs = [check.step.gradient_query, -1, self._pairs.table]
         self._launch(toi_slope.fill_slopes, self.num_rows, inputs, [self._slopes])
+
+    def _list_for(self, of_minima: Mapping[str, wp.array]) -> Any:
+        """The list of the contacts that attain such minima, as the struct of the kernels."""
+        names = tuple(of_minima)
+        if names not in self._lists:
+            for name in names:
+                if name not in self._keys_of:
+                    self._keys_of[name] = self._empty(wp.int64, len(of_minima[name]))
+            arrays = {"count": self._count, "keys": self._keys, "listed": self._listed}
+            self._lists[names] = struct_of(attained.Attained, arrays | {name: self._keys_of[name] for name in names})
+        return self._lists[names]
 
     def _make_pairs(self, count: int) -> None:
         """Make a table of so many pairs, and of how their tois change."""
-        dtypes = dtypes_of(toi_adjoint.Pairs)
-        if not self._has_radius:
-            dtypes = {name: dtypes[name] for name in dtypes.keys() - {"distances", "radius_columns"}}
-        self._columns = {name: self._empty(dtype, count) for name, dtype in dtypes.items()}
-        self._columns |= {name: self._empty(wp.vec3d, (count, 4)) for name in ("points_t0", "points_t1")}
-        self._columns |= {name: self._empty(wp.int32, 8 * count) for name in ("column_vertex", "columns")}
-        self._pairs = struct_of(toi_adjoint.Pairs, self._columns)
+        of_table = dtypes_of(toi_slope.Table)
+        columns = {name: self._empty(of_table[name], count) for name in of_table if name != "distances"}
+        columns |= {name: self._empty(wp.vec3d, (count, 4)) for name in ("points_t0", "points_t1")}
+        self._column_vertex, self._columns = (self._empty(wp.int32, 8 * count) for _ in range(2))
+        arrays = {"column_vertex": self._column_vertex, "columns": self._columns}
+        if self._has_radius:
+            columns["distances"] = self._empty(wp.float64, count)
+            arrays["radius_columns"] = self._empty(wp.vec2i, count)
+        self._pairs = struct_of(toi_adjoint.Pairs, arrays)
+        self._pairs.table = struct_of(toi_slope.Table, columns)
         slopes = {name: self._empty(dtype, count) for name, dtype in dtypes_of(toi_slope.Slopes).items()}
         self._slopes = struct_of(toi_slope.Slopes, slopes)
         self._num_pairs = count
 
     def _sort(self, keys: wp.array, values: wp.array, count: int, num_bits: int = 64) -> None:
         """Sort the first values by their keys, stably; both arrays have space for twice as many."""
+        if count == 1:
+            return
         if self._check.is_read and count < _FEW:
             of_keys, of_values = (x.numpy()[:count] for x in (keys, values))
             order = np.argsort(of_keys, kind="stable")
@@ -144,7 +161,7 @@ class Attaining:
     def _launch_of_minima(self, kernel: Any, of_minima: Mapping[str, wp.array]) -> None:
         """Launch a kernel that finds the gradients by the tois of the contacts."""
         gradient = struct_of(toi_adjoint.MinimaGradients, of_minima)
-        inputs = [self._check.as_struct, self._mesh, self._keys, self._listed, self._attained, gradient]
+        inputs = [self._check.copies.as_struct, self._mesh, self._list, gradient]
         self._launch(kernel, self.num_rows, inputs, [self._pairs])
 
     def change_gradients(self, of_minima: Mapping[str, wp.array]) -> None:
@@ -169,7 +186,7 @@ class Attaining:
 
     def rate(self, ratings: wp.array, hold: wp.array | None = None, vertex_rating: wp.array | None = None) -> None:
         """Rate the minima that contacts attain (`regularity`), given the ratings of vertices."""
-        inputs = [self._check.as_struct, self._mesh, self._keys, self._listed, self._attained]
+        inputs = [self._check.copies.as_struct, self._mesh, self._list]
         inputs += [self._slopes.is_regular, hold, vertex_rating]
         self._launch(regularity.rate_minima, self.num_rows, inputs, [ratings])
 

@@ -1,6 +1,6 @@
 """A check of a step on the device, kept with all that the gradients of its minima need."""
 
-from functools import cached_property
+import ctypes
 from typing import Any
 
 import numpy as np
@@ -9,11 +9,11 @@ import warp as wp
 from ccd_warp._device_results import TOIS
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._engine.host.contacts import new_contact_list
-from ccd_warp._runtime.block import Copies
 from ccd_warp._runtime.structs import struct_of
-from ccd_warp.kernels.step import toi_adjoint
+from ccd_warp.kernels.step import attained
 
 _CONTACT_COLUMNS = ("count", "kind", "primitives", "toi", "status")
+_MOST_UNUSED = 4  # as many as most line searches have passes
 
 
 class KeptCheck:
@@ -25,56 +25,83 @@ class KeptCheck:
         count: How many contacts it may have.
         num_tois: How many tois there are of the scene, of worlds, bodies and vertices, by the names of a result.
         has_radius: Whether vertices have radii.
+        copies: The copies.
     """
 
-    def __init__(
-        self,
-        step: DeviceStep,
-        positions: tuple[wp.array, wp.array],
-        radius: wp.array | None,
-        like: "KeptCheck | None" = None,
-    ) -> None:
-        """Keep what a step has now, which was checked between these positions.
+    copies: "_Copies"
 
-        It may have the start positions and the radii of another check.
-        """
+    def __init__(self, step: DeviceStep, positions: tuple[wp.array, wp.array], radius: wp.array | None) -> None:
+        """Keep what a step has now, which was checked between these positions."""
         result = step.result
         self.step, self.may_touch, self.has_radius = step, True, radius is not None
         self.num_tois = {name: len(getattr(result, name)) for name in TOIS.values()}
-        _ = step.contact_arrays.moving_row("gradients")  # made now, not in a capture of the backward pass
         self.count = len(result.contacts.kind)
-        if self.is_read:
+        _ = step.contact_arrays.moving_row("gradients")  # made now, not in a capture of the backward pass
+        self._is_reused = is_read = self.is_read
+        if is_read:
             self.may_touch = bool(np.isfinite(result.toi.numpy()[0]))
             self.count = min(self.count, int(result.contacts.count.numpy()[0])) if self.may_touch else 0
         if not self.may_touch:
             return
-        names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
-        columns = ((name, getattr(result.contacts, name)) for name in names)
-        device = step.topology.device
-        self._contacts = Copies({name: (x, min(self.count, len(x))) for name, x in columns}, device)
-        self._contact_names = names
-        arrays = {name: getattr(result, name) for name in TOIS.values()} | {"end": positions[1]}
-        self._own = Copies({name: (x, len(x)) for name, x in arrays.items()}, device)
-        of_start = {"start": positions[0]} if radius is None else {"start": positions[0], "radius": radius}
-        self._of_start = (
-            Copies({name: (x, len(x)) for name, x in of_start.items()}, device) if like is None else like._of_start
-        )
+        known = step.kept_copies.pop() if is_read and step.kept_copies else None
+        if known is None or known.capacity < self.count:
+            capacity = 1 << (self.count - 1).bit_length() if is_read and self.count else self.count
+            known = _Copies(step, capacity, has_radius=self.has_radius)
+        self.copies = known
+        known.fill(positions, radius, self.count, is_direct=is_read)
 
-    def copy_of(self, name: str) -> wp.array:
-        """The start or end positions of all vertices, float64, their radii, or the tois of this name."""
-        return (self._of_start if name in ("start", "radius") else self._own)[name]
-
-    @cached_property
-    def as_struct(self) -> Any:
-        """What is kept, as the struct of the kernels."""
-        names = ("start", "end", *TOIS.values(), *(("radius",) if self.has_radius else ()))
-        check = struct_of(toi_adjoint.Check, {name: self.copy_of(name) for name in names})
-        check.contacts = new_contact_list({name: self._contacts[name] for name in self._contact_names})
-        check.separation = self.step.gradient_query.separation
-        return check
+    def __del__(self) -> None:
+        """Let another check have the memory, unless CUDA may still read it, or a graph owns it."""
+        copies = vars(self).get("copies")
+        if copies is not None and self._is_reused and len(self.step.kept_copies) < _MOST_UNUSED:
+            self.step.kept_copies.append(copies)
 
     @property
     def is_read(self) -> bool:
         """Whether the host may read what a launch has written: on the CPU, where no graph is captured."""
         device = self.step.topology.device
         return bool(device.is_cpu and not device.is_capturing)
+
+
+class _Copies:
+    """Copies of the arrays of a check.
+
+    Attributes:
+        capacity: For how many contacts there is space.
+        arrays: The copies: tois by the names of a result, and the start and end positions of all vertices.
+        as_struct: All of it as the struct of the kernels.
+    """
+
+    def __init__(self, step: DeviceStep, capacity: int, *, has_radius: bool) -> None:
+        """Allocate them."""
+        result, device = step.result, step.topology.device
+        names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
+        of_contacts = {name: getattr(result.contacts, name) for name in names}
+        self.capacity = capacity
+        contacts = {
+            name: wp.empty(1 if name == "count" else capacity, dtype=x.dtype, device=device)
+            for name, x in of_contacts.items()
+        }
+        self.arrays = {name: wp.empty_like(getattr(result, name)) for name in TOIS.values()}
+        num_vertices = step.topology.mesh.num_vertices
+        self.arrays |= {name: wp.empty(num_vertices, dtype=wp.vec3d, device=device) for name in ("start", "end")}
+        if has_radius:
+            self.arrays["radius"] = wp.empty(num_vertices, dtype=wp.float64, device=device)
+        self.as_struct = struct_of(attained.Check, self.arrays)
+        self.as_struct.contacts = new_contact_list(contacts)
+        self.as_struct.separation = step.gradient_query.separation
+        self._contacts = [(contacts[name], x) for name, x in of_contacts.items()]
+        self._tois = [(self.arrays[name], getattr(result, name)) for name in TOIS.values()]
+
+    def fill(
+        self, positions: tuple[wp.array, wp.array], radius: wp.array | None, count: int, *, is_direct: bool
+    ) -> None:
+        """Copy what a step has now, with so many contacts: at once, or in the order of launches."""
+        given = {"start": positions[0], "end": positions[1]} | ({} if radius is None else {"radius": radius})
+        whole = [*self._tois, *((self.arrays[name], x) for name, x in given.items())]
+        rows = [(copy, x, min(count, x.shape[0])) for copy, x in self._contacts]
+        for copy, array, num_rows in (*rows, *((copy, x, x.shape[0]) for copy, x in whole)):
+            if is_direct:
+                ctypes.memmove(copy.ptr, array.ptr, num_rows * array.strides[0])
+            elif num_rows:
+                wp.copy(copy, array, count=num_rows)

@@ -65,8 +65,7 @@ class TapedLineSearch:
         step = self._step
 
         def keep() -> None:
-            like = next((check for check in self._checks if check.may_touch), None)
-            self._checks.append(KeptCheck(step, step.positions_of(prepared), self._radius, like))
+            self._checks.append(KeptCheck(step, step.positions_of(prepared), self._radius))
 
         step.on_pass = keep
         try:
@@ -123,7 +122,7 @@ class TapedLineSearch:
             attaining = all_attaining(check, per) if check.may_touch else None
             all_found.append(attaining)
             if check.may_touch:
-                inputs = [topology.moving_vertices, self._step.groups[per].group, check.copy_of(TOIS[per]), share]
+                inputs = [topology.moving_vertices, self._step.groups[per].group, check.copies.arrays[TOIS[per]], share]
                 inputs.append(ratings_of(check, per, attaining, self._hold, rating))
                 launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
         return rating, all_found
@@ -139,7 +138,8 @@ class TapedLineSearch:
             wp.empty(n, dtype=wp.float64, device=topology.device)
             for n in (len(moving), groups.num_chunks, groups.num_groups)
         )
-        inputs = [moving, groups.group, check.copy_of(TOIS[per]), share, check.copy_of("start"), check.copy_of("end")]
+        copies = check.copies.arrays
+        inputs = [moving, groups.group, copies[TOIS[per]], share, copies["start"], copies["end"]]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex)]
         launch(kernels.shorten_back, len(moving), inputs, [*gradients, of_fraction])
         inputs = [of_fraction, groups.order, groups.chunk_begin]

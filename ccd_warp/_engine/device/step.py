@@ -74,7 +74,8 @@ class DeviceStep(Plan):
         result: The arrays of the result.
         contact_arrays: What its contacts are asked for beside their own arrays.
         repeated: Launches that are not recorded.
-        attaining: What backward passes have used, and will use again.
+        kept_copies: Memory that launches on a tape have used, and will use again.
+        attaining: The same of backward passes.
     """
 
     goal: Goal = "contacts"
@@ -105,7 +106,7 @@ class DeviceStep(Plan):
         self._is_open = _low_half(self._counts, int(ANY_OPEN))
         self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
-        self.repeated, self.attaining = RepeatedLaunches(execution), list[Any]()
+        self.repeated, self.kept_copies, self.attaining = RepeatedLaunches(execution), list[Any](), list[Any]()
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
         quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
         layout = Layout(

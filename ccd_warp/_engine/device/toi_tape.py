@@ -1,5 +1,6 @@
 """A launch on a tape: what its backward pass needs is kept, and one function is recorded."""
 
+import ctypes
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +12,7 @@ from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.input import PreparedLaunch
 from ccd_warp._engine.device.kept_check import KeptCheck
 from ccd_warp._engine.device.step import DeviceStep
-from ccd_warp._runtime.block import parts_of
+from ccd_warp._runtime.parts import new_parts
 from ccd_warp._runtime.tape import active_tape
 
 
@@ -61,11 +62,12 @@ class TapedLaunch:
         known = {name: getattr(result, name) for name in TOIS.values()}
         if result.world_toi is result.toi:
             del known["world_toi"]
-        sizes = {name: len(x) for name, x in known.items()}
-        device = self._step.topology.device
-        tois = parts_of(wp.empty(sum(sizes.values()), dtype=wp.float64, device=device, requires_grad=True), sizes)
+        tois = new_parts({name: len(x) for name, x in known.items()}, self._step.topology.device)
         for name, array in tois.items():
-            wp.copy(array, known[name])
+            if self._check.is_read:
+                ctypes.memmove(array.ptr, known[name].ptr, 8 * len(array))
+            else:
+                wp.copy(array, known[name])
         tois.setdefault("world_toi", tois["toi"])
         return tois
 
