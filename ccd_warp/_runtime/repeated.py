@@ -24,7 +24,8 @@ class RepeatedLaunches:
         execution = self._execution
         if count == 0:
             return
-        if execution.device.is_capturing or not (execution.is_cuda or len(execution.ranges(count, _GRAIN, 1)) == 1):
+        is_shared = count >= 2 * _GRAIN and execution.num_threads > 1 and not execution.is_cuda
+        if is_shared or execution.device.is_capturing:
             execution.launch(kernel, count, inputs, outputs, grain=_GRAIN)
             return
         arguments = [0, *inputs, *outputs]

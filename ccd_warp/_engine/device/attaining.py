@@ -193,7 +193,7 @@ class Attaining:
 
 def all_attaining(check: KeptCheck, per: str) -> Attaining | None:
     """The contacts that attain any minimum of a kind, whose gradients are 1."""
-    ones = wp.full(check.num_tois[TOIS[per]], value=1.0, dtype=wp.float64, device=check.step.topology.device)
+    ones = wp.full(len(getattr(check.step.result, TOIS[per])), value=1.0, dtype=wp.float64, device=check.step.topology.device)
     return Attaining.of(check, {per: ones})
 
 
@@ -206,7 +206,7 @@ def ratings_of(
 ) -> wp.array:
     """The rating of each minimum of a kind (`regularity`), given those of vertices, from what attains it."""
     unknown, device = int(regularity.UNKNOWN), check.step.topology.device
-    ratings = wp.full(check.num_tois[TOIS[per]], value=unknown, dtype=wp.int32, device=device)
+    ratings = wp.full(len(getattr(check.step.result, TOIS[per])), value=unknown, dtype=wp.int32, device=device)
     if attaining is not None:
         attaining.rate(ratings, hold, vertex_rating)
     return ratings

@@ -23,7 +23,6 @@ class KeptCheck:
         step: The step.
         may_touch: Whether it may have a finite toi: on CUDA, and in a capture, always. Otherwise nothing is kept.
         count: How many contacts it may have.
-        num_tois: How many tois there are of the scene, of worlds, bodies and vertices, by the names of a result.
         has_radius: Whether vertices have radii.
         copies: The copies.
     """
@@ -32,15 +31,13 @@ class KeptCheck:
 
     def __init__(self, step: DeviceStep, positions: tuple[wp.array, wp.array], radius: wp.array | None) -> None:
         """Keep what a step has now, which was checked between these positions."""
-        result = step.result
         self.step, self.may_touch, self.has_radius = step, True, radius is not None
-        self.num_tois = {name: len(getattr(result, name)) for name in TOIS.values()}
-        self.count = len(result.contacts.kind)
-        _ = step.contact_arrays.moving_row("gradients")  # made now, not in a capture of the backward pass
+        self.count = len(step.result.contacts.kind)
         self._is_reused = is_read = self.is_read
         if is_read:
-            self.may_touch = bool(np.isfinite(result.toi.numpy()[0]))
-            self.count = min(self.count, int(result.contacts.count.numpy()[0])) if self.may_touch else 0
+            toi, count = step.found_on_host
+            self.may_touch = toi[0] < np.inf
+            self.count = min(self.count, int(count[0])) if self.may_touch else 0
         if not self.may_touch:
             return
         known = step.kept_copies.pop() if is_read and step.kept_copies else None
@@ -91,16 +88,18 @@ class _Copies:
         self.as_struct.contacts = new_contact_list(contacts)
         self.as_struct.separation = step.gradient_query.separation
         self._contacts = [(contacts[name], x) for name, x in of_contacts.items()]
-        self._tois = [(self.arrays[name], getattr(result, name)) for name in TOIS.values()]
+        self._tois = [(self.arrays[name], getattr(result, name), len(self.arrays[name])) for name in TOIS.values()]
+        self._of_vertices = [self.arrays[name] for name in ("start", "end", "radius") if name in self.arrays]
+        self._num_vertices = num_vertices
 
     def fill(
         self, positions: tuple[wp.array, wp.array], radius: wp.array | None, count: int, *, is_direct: bool
     ) -> None:
         """Copy what a step has now, with so many contacts: at once, or in the order of launches."""
-        given = {"start": positions[0], "end": positions[1]} | ({} if radius is None else {"radius": radius})
-        whole = [*self._tois, *((self.arrays[name], x) for name, x in given.items())]
-        rows = [(copy, x, min(count, x.shape[0])) for copy, x in self._contacts]
-        for copy, array, num_rows in (*rows, *((copy, x, x.shape[0]) for copy, x in whole)):
+        of_vertices = zip(self._of_vertices, (*positions, radius), strict=False)
+        whole = ((copy, x, self._num_vertices) for copy, x in of_vertices)
+        rows = ((copy, x, min(count, x.shape[0])) for copy, x in self._contacts)
+        for copy, array, num_rows in (*rows, *self._tois, *whole):
             if is_direct:
                 ctypes.memmove(copy.ptr, array.ptr, num_rows * array.strides[0])
             elif num_rows:

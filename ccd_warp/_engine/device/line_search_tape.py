@@ -49,7 +49,7 @@ class TapedLineSearch:
         self._passes: list[tuple[str, float]] = [
             (per, prepared.safety if share is SAFETY else share) for per, share in passes_of(prepared.form.line_search)
         ]
-        _ = step.gradient_query
+        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
         self._checks: list[KeptCheck] = []
         self._hold: wp.array | None = None
         for per in dict(self._passes):

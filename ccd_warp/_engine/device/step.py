@@ -252,6 +252,11 @@ class DeviceStep(Plan):
         return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
 
     @cached_property
+    def found_on_host(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """The toi of the scene and the number of contacts, on the CPU the same memory as the arrays of the result."""
+        return self.result.toi.numpy(), self.result.contacts.count.numpy()
+
+    @cached_property
     def gradient_query(self) -> Any:
         """What counts as touching where nothing is held, as the struct of the kernels of gradients.
 

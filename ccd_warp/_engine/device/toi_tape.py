@@ -30,7 +30,7 @@ class TapedLaunch:
         self._step, self._radius = step, radius
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
         self._given = Given.of(given, radius, prepared.form, rows)
-        _ = step.gradient_query
+        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
 
     def launch(self, prepared: PreparedLaunch) -> LaunchResult:
         """Launch, keep what was found, and record the backward pass on the active tape.
