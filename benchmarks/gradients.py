@@ -58,7 +58,8 @@ class Measured:
         return wp.array(values, dtype=wp.vec3d, device="cpu", requires_grad=requires_grad)
 
     def launch(self, name: str) -> dict[str, Callable[[], Any]]:
-        """A launch without and on a tape, and the gradient of the tois of a field of its result."""
+        """A launch without and on a tape, and the gradient of the sum of the tois of a field of its result."""
+        ones = self._ones[:1] if name == "toi" else self._ones
 
         def taped() -> None:
             self._tape = wp.Tape()
@@ -66,8 +67,7 @@ class Measured:
                 self._result = self.pipeline.launch(*self._given)
 
         def backward() -> None:
-            of_tois = getattr(self._result, name)
-            self._tape.backward(grads={of_tois: self._ones[: len(of_tois)]})
+            self._tape.backward(grads={getattr(self._result, name): ones})
 
         return {PLAIN: lambda: self.pipeline.launch(*self._ends), TAPED: taped, BACKWARD: backward}
 

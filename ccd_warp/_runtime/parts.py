@@ -7,14 +7,16 @@ import warp as wp
 
 
 def new_parts(sizes: Mapping[str, int], device: Any) -> dict[str, wp.array]:
-    """Arrays of float64 of these sizes, none of them 0 at once, with gradients of 0: one allocation for all."""
+    """Arrays of float64 of these sizes, with gradients, all of them 0: one allocation for all, which is not empty."""
     total = sum(sizes.values())
     block: Any = wp.zeros(2 * total, dtype=wp.float64, device=device)
-    parts, place = {}, block.ptr
+    parts: dict[str, wp.array] = {}
+    place = block.ptr
     for name, size in sizes.items():
         options: Any = {"dtype": wp.float64, "shape": (size,), "device": device}
         grad: Any = wp.array(ptr=place + 8 * total, **options)
-        parts[name] = part = wp.array(ptr=place, grad=grad, **options)
+        part: Any = wp.array(ptr=place, grad=grad, **options)
         grad._ref = part._ref = block  # as views of Warp keep alive what they show
+        parts[name] = part
         place += 8 * size
     return parts

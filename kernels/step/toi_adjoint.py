@@ -1,8 +1,8 @@
 """The gradients of times of impact, given those of the minima that contacts attain.
 
-The contacts that attain a minimum (`attained`) are gathered as a table of pairs, whose slopes (`toi_slope`) then say how
-their tois change. What they add to a vertex is added in the order of their keys (`toi_adjoint_rows`). So the sums are
-the same in every bit on each run.
+The contacts that attain a minimum (`attained`) are gathered as a table of pairs, whose slopes (`toi_slope`) then say
+how their tois change. What they add to a vertex is added in the order of their keys (`toi_adjoint_rows`). So the sums
+are the same in every bit on each run.
 """
 
 import warp as wp

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -10,11 +10,13 @@ import warp as wp
 from ccd_warp._device_results import TOIS
 from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.kept_check import KeptCheck
-from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.step import attained, regularity, toi_adjoint, toi_slope
 from ccd_warp.kernels.template import specialised
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.device.step import DeviceStep
 
 _NO_KEY = int(attained.NO_KEY)
 # Below so many keys NumPy sorts them faster on the CPU, where Warp counts 2^16 digits several times.
@@ -50,6 +52,7 @@ class Attaining:
         self._count = self._empty(wp.int32, 1)
         self._keys_of: dict[str, wp.array] = {}  # of each kind of minima that was asked for
         self._lists: dict[tuple[str, ...], Any] = {}  # the struct of the kernels for each combination of these
+        self._rows: dict[Any, Any] = {}  # kernels by the precision of positions
         self._num_pairs = 0
 
     @classmethod
@@ -62,10 +65,10 @@ class Attaining:
         """
         if not of_minima or check.count == 0:
             return None
-        unused = check.step.attaining
-        known = unused.pop() if check.is_read and unused else None
-        is_enough = known is not None and known._capacity >= check.count
-        attaining = known if is_enough else cls(check)
+        unused: list[Attaining] = check.step.attaining
+        attaining = unused.pop() if check.is_read and unused else None
+        if attaining is None or attaining._capacity < check.count:
+            attaining = cls(check)
         attaining._check = check
         attaining._find(of_minima)
         if attaining.num_rows:
@@ -171,18 +174,13 @@ class Attaining:
     def add_rows(self, given: Given, gradients: tuple[wp.array | None, wp.array | None]) -> None:
         """Add what the contacts contribute to the gradients of the input."""
         mesh, form = self._topology.mesh, given.form
-        rows = specialised("step.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
-        out = rows.RowGradients()
-        for name, array in zip(("vertices_t0", "vertices_t1"), gradients, strict=True):
-            if array is not None:
-                setattr(out, name, array)
-        if given.radius is not None:
-            out.radius = given.radius.grad
-        out.t0_by_vertex, out.t1_by_vertex = int(form.t0_by_vertex), int(form.t1_by_vertex)
-        out.is_displacement = int(form.is_displacement)
+        if form.real not in self._rows:
+            self._rows[form.real] = specialised("step.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
         moving_row = self._check.step.contact_arrays.moving_row("gradients")
         inputs = [self._pairs, 4 * self.num_rows, self._slopes, mesh.num_vertices, moving_row]
-        self._launch(rows.add_rows, 4 * self.num_rows, inputs, [out])
+        inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex), int(form.is_displacement)]
+        outputs = [*gradients, None if given.radius is None else given.radius.grad]
+        self._launch(self._rows[form.real].add_rows, 4 * self.num_rows, inputs, outputs)
 
     def rate(self, ratings: wp.array, hold: wp.array | None = None, vertex_rating: wp.array | None = None) -> None:
         """Rate the minima that contacts attain (`regularity`), given the ratings of vertices."""
@@ -193,7 +191,9 @@ class Attaining:
 
 def all_attaining(check: KeptCheck, per: str) -> Attaining | None:
     """The contacts that attain any minimum of a kind, whose gradients are 1."""
-    ones = wp.full(len(getattr(check.step.result, TOIS[per])), value=1.0, dtype=wp.float64, device=check.step.topology.device)
+    ones = wp.full(
+        len(getattr(check.step.result, TOIS[per])), value=1.0, dtype=wp.float64, device=check.step.topology.device
+    )
     return Attaining.of(check, {per: ones})
 
 
@@ -205,14 +205,14 @@ def ratings_of(
     vertex_rating: wp.array | None = None,
 ) -> wp.array:
     """The rating of each minimum of a kind (`regularity`), given those of vertices, from what attains it."""
-    unknown, device = int(regularity.UNKNOWN), check.step.topology.device
-    ratings = wp.full(len(getattr(check.step.result, TOIS[per])), value=unknown, dtype=wp.int32, device=device)
+    tois = getattr(check.step.result, TOIS[per])
+    ratings: wp.array = wp.full(len(tois), value=int(regularity.UNKNOWN), dtype=wp.int32, device=tois.device)
     if attaining is not None:
         attaining.rate(ratings, hold, vertex_rating)
     return ratings
 
 
-def as_flags(step: DeviceStep, ratings: wp.array) -> wp.array:
+def as_flags(step: "DeviceStep", ratings: wp.array) -> wp.array:
     """Whether each rating is that of what is regular, bool."""
     flags: wp.array = wp.empty(len(ratings), dtype=wp.bool, device=ratings.device)
     step.repeated.launch(regularity.note_regular, len(ratings), [ratings], [flags])

@@ -54,7 +54,8 @@ class TapedLaunch:
                 attaining.release()
 
         active_tape().record_func(backward, [*minima.values(), *given.arrays])
-        return replace(step.result, **tois, _taped=self)
+        own: dict[str, Any] = {**tois, "_taped": self}
+        return replace(step.result, **own)
 
     def _new_tois(self) -> dict[str, wp.array]:
         """Copies of the tois of the result, which require gradients; those of a single world are those of the scene."""
