@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from weakref import WeakKeyDictionary, ref
 
 import warp as wp
@@ -10,21 +10,16 @@ import warp as wp
 from ccd_warp._device_results import TOIS
 from ccd_warp._own_tape import launched, play_back
 
-if TYPE_CHECKING:
-    from ccd_warp._pipeline import CollisionPipeline
-
 _VECTORS = {
     ("float64", 3): wp.vec3d,
     ("float32", 3): wp.vec3f,
     ("float64", 2): wp.vec2d,
     ("float32", 2): wp.vec2f,
 }
-_callables: WeakKeyDictionary["CollisionPipeline", dict[Any, Any]] = WeakKeyDictionary()
+_callables: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
-def callable_of(
-    pipeline: "CollisionPipeline", write: Any, options: tuple[Any, ...], like: Any, num_outputs: int
-) -> Any:
+def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, num_outputs: int) -> Any:
     """One of the functions below as JAX calls it, for positions of a type; made once for a pipeline."""
     known = _callables.setdefault(pipeline, {})
     key = write, options, str(like.dtype)

@@ -66,7 +66,10 @@ class Attaining:
         if not of_minima or check.count == 0:
             return None
         unused: list[Attaining] = check.step.attaining
-        attaining = unused.pop() if check.is_read and unused else None
+        try:
+            attaining = unused.pop() if check.is_read else None
+        except IndexError:
+            attaining = None
         if attaining is None or attaining._capacity < check.count:
             attaining = cls(check)
         attaining._check = check

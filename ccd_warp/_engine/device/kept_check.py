@@ -1,7 +1,7 @@
 """A check of a step on the device, kept with all that the gradients of its minima need."""
 
 import ctypes
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -11,9 +11,6 @@ from ccd_warp._engine.host.contacts import new_contact_list
 from ccd_warp._runtime.structs import struct_of
 from ccd_warp.kernels.step import attained
 
-if TYPE_CHECKING:
-    from ccd_warp._engine.device.step import DeviceStep
-
 _CONTACT_COLUMNS = ("count", "kind", "primitives", "toi", "status")
 _MOST_UNUSED = 4  # as many as most line searches have passes
 
@@ -22,7 +19,7 @@ class KeptCheck:
     """The contacts and the tois of a step that has been checked, and its input: copies, as all of it is overwritten.
 
     Attributes:
-        step: The step.
+        step: The ``DeviceStep``.
         may_touch: Whether it may have a finite toi: on CUDA, and in a capture, always. Otherwise nothing is kept.
         count: How many contacts it may have.
         has_radius: Whether vertices have radii.
@@ -31,7 +28,7 @@ class KeptCheck:
 
     copies: "_Copies"
 
-    def __init__(self, step: "DeviceStep", positions: tuple[wp.array, wp.array], radius: wp.array | None) -> None:
+    def __init__(self, step: Any, positions: tuple[wp.array, wp.array], radius: wp.array | None) -> None:
         """Keep what a step has now, which was checked between these positions."""
         self.step, self.may_touch, self.has_radius = step, True, radius is not None
         self.count = len(step.result.contacts.kind)
@@ -71,7 +68,7 @@ class _Copies:
         as_struct: All of it as the struct of the kernels.
     """
 
-    def __init__(self, step: "DeviceStep", capacity: int, *, has_radius: bool) -> None:
+    def __init__(self, step: Any, capacity: int, *, has_radius: bool) -> None:
         """Allocate them."""
         result, device = step.result, step.topology.device
         names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
