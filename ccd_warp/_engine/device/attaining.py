@@ -50,6 +50,7 @@ class Attaining:
         # a sort needs twice the size
         self._keys, self._listed = (self._empty(dtype, 2 * self._capacity) for dtype in (wp.int64, wp.int32))
         self._count = self._empty(wp.int32, 1)
+        self._count_on_host: Any = self._count.numpy() if self._device.is_cpu else None  # the same memory
         self._keys_of: dict[str, wp.array] = {}  # of each kind of minima that was asked for
         self._lists: dict[tuple[str, ...], Any] = {}  # the struct of the kernels for each combination of these
         self._rows: dict[Any, Any] = {}  # kernels by the precision of positions
@@ -113,7 +114,7 @@ class Attaining:
         if not check.is_read:
             self._keys.fill_(_NO_KEY)
         self._launch(attained.attain, check.count, [check.copies.as_struct, self._mesh], [self._list])
-        self.num_rows = int(self._count.numpy()[0]) if check.is_read else check.count
+        self.num_rows = int(self._count_on_host[0]) if check.is_read else check.count
         if self.num_rows == 0:
             return
         self._sort(self._keys, self._listed, self.num_rows)
