@@ -32,8 +32,8 @@ def record_pairs(
         {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes_of(toi_slope.Slopes).items()},
     )
     is_planar = given[0].dtype is wp.vec2d
-    unused = [None] * 3  # distances, normals and adjoints of each pair
-    inputs = [touch.query(is_planar=is_planar), int(kind), None, *points, result.toi, result.status, *unused]
+    columns = {"points_t0": points[0], "points_t1": points[1], "toi": result.toi, "status": result.status}
+    inputs = [touch.query(is_planar=is_planar), int(kind), struct_of(toi_slope.Table, columns)]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
     result.toi.requires_grad = True
     kernels = specialised("step.toi_adjoint_points", dimension=2 if is_planar else 3)

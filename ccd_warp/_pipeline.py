@@ -522,7 +522,9 @@ class CollisionPipeline:
         is_taped = wants_gradient(*given, self._radius)
         if is_taped and motion is not None:
             raise ValueError(
-                "motion has no gradients, and an array on the tape requires one; expected none, or no tape"
+                "a launch with a motion is not recorded, and an array on the tape requires a gradient; expected none "
+                "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
+                "motion.gradient_by_poses() and gradient_by_twist() take"
             )
         with self._lock:
             name_t1 = arguments.get("name_t1", "vertices_t1")
@@ -546,10 +548,10 @@ class CollisionPipeline:
             self._check_places(step, prepared)
             self._interrupted, self._is_placing = step, prepared.places_static
             self._device_step = None
-            (step if taped is None else taped).launch(prepared)
+            result = (step if taped is None else taped).launch(prepared)
             self._device_step = step
             self._interrupted, self._is_placing = None, False
-            return step.result if taped is None else taped.result
+            return step.result if result is None else result
 
     def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
         """A launch, or a line search, that is recorded on the active tape."""

@@ -139,17 +139,16 @@ def _slopes(
             return None
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)
 
-    inputs = [
-        query,
-        int(kind) if isinstance(kind, PairKind) else -1,
-        None if isinstance(kind, PairKind) else array(kind, wp.int32),
-        *(array(end, wp.vec3d) for end in ends),
-        array(toi, wp.float64),
-        array(status, wp.int32),
-        array(distances, wp.float64),
-        array(planes, wp.vec3d),
-        None,
-    ]
+    columns = {
+        "kinds": array(None if isinstance(kind, PairKind) else kind, wp.int32),
+        "toi": array(toi, wp.float64),
+        "status": array(status, wp.int32),
+        "distances": array(distances, wp.float64),
+        "planes": array(planes, wp.vec3d),
+    }
+    columns |= {name: array(end, wp.vec3d) for name, end in zip(("points_t0", "points_t1"), ends, strict=True)}
+    pairs = struct_of(toi_slope.Table, {name: x for name, x in columns.items() if x is not None})
+    inputs = [query, int(kind) if isinstance(kind, PairKind) else -1, pairs]
     execution = Execution(device, default_num_threads())
     execution.launch(toi_slope.fill_slopes, count, inputs, [struct_of(toi_slope.Slopes, arrays)], grain=256)
     return {name: each.numpy() for name, each in arrays.items()}

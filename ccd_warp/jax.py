@@ -10,17 +10,12 @@ world, shape [V / W, 3], in a batch of W. Nothing else may be mapped. Tois are f
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
-from weakref import WeakKeyDictionary, ref
 
-import warp as wp
-
-from ccd_warp._device_results import TOIS
+from ccd_warp import _jax_calls as calls
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
-from ccd_warp._own_tape import launched, play_back
 from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 
 try:
@@ -29,14 +24,6 @@ except ImportError as error:
     raise ImportError("ccd_warp.jax needs JAX; install with: pip install 'ccd-warp[interop]'") from error
 
 __all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
-
-_VECTORS = {
-    ("float64", 3): wp.vec3d,
-    ("float32", 3): wp.vec3f,
-    ("float64", 2): wp.vec2d,
-    ("float32", 2): wp.vec2f,
-}
-_callables: WeakKeyDictionary[CollisionPipeline, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
@@ -132,7 +119,7 @@ def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: A
     """
     check_choice("per", per, EVERY_PER)
     start, end = _checked(pipeline, vertices_t0, vertices_t1)
-    call = _callable(pipeline, _write_toi_is_regular, (per,), start, 1)
+    call = calls.callable_of(pipeline, calls.write_toi_is_regular, (per,), start, 1)
     found = call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
     return found[0] if per == "scene" else found
 
@@ -164,7 +151,7 @@ def line_search_is_regular(
         ValueError: As :func:`line_search`.
     """
     start, end = _checked(pipeline, vertices_t0, vertices_t1)
-    call = _callable(pipeline, _write_shortened_is_regular, (per, safety, num_rounds), start, 1)
+    call = calls.callable_of(pipeline, calls.write_shortened_is_regular, (per, safety, num_rounds), start, 1)
     return call(start, end, output_dims=len(end))[0]
 
 
@@ -196,7 +183,7 @@ def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
 def _toi(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
-    call = _callable(pipeline, _write_toi, (per,), start, 1)
+    call = calls.callable_of(pipeline, calls.write_toi, (per,), start, 1)
     return call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
 
 
@@ -211,7 +198,7 @@ def _toi_forward(pipeline: CollisionPipeline, per: str, start: Any, end: Any) ->
 
 
 def _toi_backward(pipeline: CollisionPipeline, per: str, ends: Any, of_toi: Any) -> Any:
-    call = _callable(pipeline, _write_gradient_of_toi, (per,), ends[0], 2)
+    call = calls.callable_of(pipeline, calls.write_gradient_of_toi, (per,), ends[0], 2)
     return tuple(call(*ends, of_toi, output_dims=len(ends[0])))
 
 
@@ -220,7 +207,7 @@ _toi.defvjp(_toi_forward, _toi_backward)
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
 def _line_search(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
-    return _callable(pipeline, _write_shortened, options, start, 1)(start, end, output_dims=len(end))[0]
+    return calls.callable_of(pipeline, calls.write_shortened, options, start, 1)(start, end, output_dims=len(end))[0]
 
 
 def _line_search_forward(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
@@ -228,95 +215,8 @@ def _line_search_forward(pipeline: CollisionPipeline, options: tuple[Any, ...], 
 
 
 def _line_search_backward(pipeline: CollisionPipeline, options: tuple[Any, ...], ends: Any, gradient: Any) -> Any:
-    call = _callable(pipeline, _write_gradient_of_shortened, options, ends[0], 2)
+    call = calls.callable_of(pipeline, calls.write_gradient_of_shortened, options, ends[0], 2)
     return tuple(call(*ends, gradient, output_dims=len(ends[0])))
 
 
 _line_search.defvjp(_line_search_forward, _line_search_backward)
-
-
-def _callable(pipeline: CollisionPipeline, write: Any, options: tuple[Any, ...], like: Any, num_outputs: int) -> Any:
-    """One of the functions below as JAX calls it, for positions of a type; made once for a pipeline."""
-    known = _callables.setdefault(pipeline, {})
-    key = write, options, str(like.dtype)
-    if key not in known:
-        # Warp keeps it for ever, and so must not keep the pipeline, which who calls it has
-        call = write(ref(pipeline), *options)
-        positions: Any = wp.array(dtype=_VECTORS[key[2], pipeline.mesh.dimension])
-        numbers: Any = wp.array(dtype=wp.float64)
-        names = call.__code__.co_varnames[: call.__code__.co_argcount]
-        types: Any = {"toi": numbers, "of_toi": numbers, "flags": wp.array(dtype=wp.bool)}
-        call.__annotations__ = {name: types.get(name, positions) for name in names}
-        known[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
-    return known[key]
-
-
-def _write_toi(pipeline: Callable[[], Any], per: str) -> Any:
-    def call(start, end, toi):  # type: ignore[no-untyped-def]
-        _, result = launched(pipeline().launch, (start, end))
-        wp.copy(toi, _tois_of(result, per, toi))
-
-    return call
-
-
-def _write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
-    def call(start, end, of_toi, of_start, of_end):  # type: ignore[no-untyped-def]
-        start.requires_grad = end.requires_grad = True
-        tape, result = launched(pipeline().launch, (start, end))
-        play_back(tape, (start, end), _tois_of(result, per, of_toi), of_toi)
-        wp.copy(of_start, start.grad)
-        wp.copy(of_end, end.grad)
-
-    return call
-
-
-def _write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
-    def call(start, end, flags):  # type: ignore[no-untyped-def]
-        start.requires_grad = end.requires_grad = True
-        _, result = launched(pipeline().launch, (start, end))
-        wp.copy(flags, result.is_regular(_asked(per, flags)))
-
-    return call
-
-
-def _tois_of(result: Any, per: str, like: wp.array) -> Any:
-    """The tois of a result of which an array of this length is asked."""
-    return getattr(result, TOIS[_asked(per, like)])
-
-
-def _asked(per: str, like: wp.array) -> Any:
-    """Of which tois an array of this length is asked: those of the scene are by world where all worlds are mapped."""
-    return "world" if per == "scene" and len(like) > 1 else per
-
-
-def _write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
-    def call(start, end, shortened):  # type: ignore[no-untyped-def]
-        wp.copy(shortened, end)
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        launched(launch, (start, shortened))
-
-    return call
-
-
-def _write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
-    def call(start, end, gradient, of_start, of_end):  # type: ignore[no-untyped-def]
-        shortened = wp.clone(end)
-        start.requires_grad = shortened.requires_grad = True
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        tape, _ = launched(launch, (start, shortened))
-        play_back(tape, (start, shortened), shortened, wp.clone(gradient))
-        wp.copy(of_start, start.grad)
-        wp.copy(of_end, shortened.grad)
-
-    return call
-
-
-def _write_shortened_is_regular(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
-    def call(start, end, flags):  # type: ignore[no-untyped-def]
-        shortened = wp.clone(end)
-        start.requires_grad = shortened.requires_grad = True
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        _, result = launched(launch, (start, shortened))
-        wp.copy(flags, result.is_regular("vertex"))
-
-    return call

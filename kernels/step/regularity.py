@@ -12,8 +12,8 @@ vertices of its contact, and what stays does so whatever was before.
 import warp as wp
 
 from ..pair_kind import VERTEX_PLANE
+from .attained import NO_KEY, Attained, Check, CheckedMesh, second_body, world_of_vertex
 from .contact_place import vertices_of
-from .toi_adjoint import NO_KEY, Attained, Check, CheckedMesh, second_body, world_of_vertex
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -29,8 +29,6 @@ def rate_minima(
     # in
     check: Check,
     mesh: CheckedMesh,
-    keys: wp.array[wp.int64],  # sorted; NO_KEY: there is no contact
-    listed: wp.array[wp.int32],
     attained: Attained,  # of one kind of minima
     is_regular: wp.array[wp.bool],  # of each listed contact
     hold: wp.array[wp.float64],  # of each vertex, infinite where nothing is held; empty: nowhere
@@ -40,10 +38,10 @@ def rate_minima(
 ):
     """Rate the minima that a listed contact attains."""
     m = begin + wp.tid()
-    key = keys[m]
+    key = attained.keys[m]
     if key == NO_KEY:
         return
-    n = listed[m]
+    n = attained.listed[m]
     v = vertices_of(check.contacts, n, mesh.edge_corners, mesh.face_corners)
     is_plane = check.contacts.kind[n] == VERTEX_PLANE
     own = int(UNKNOWN)

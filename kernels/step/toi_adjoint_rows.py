@@ -15,18 +15,6 @@ module = wp.get_module(f"ccd_warp.toi_adjoint_rows.{real.__name__}.{dimension}")
 wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
 
-@wp.struct
-class RowGradients:
-    """Gradients of the input of a launch; empty where none is asked for."""
-
-    vertices_t0: wp.array[vec]
-    vertices_t1: wp.array[vec]
-    radius: wp.array[wp.float64]
-    t0_by_vertex: int  # 0: the rows are the moving vertices only
-    t1_by_vertex: int
-    is_displacement: int
-
-
 @wp.func
 def rounded(x: wp.vec3d) -> vec:
     """A vector in the precision and the dimension of the positions."""
@@ -45,8 +33,13 @@ def add_rows(
     slopes: Slopes,
     num_vertices: int,
     moving_row: wp.array[wp.int32],  # the place of each vertex among the moving ones; -1: it is static
+    t0_by_vertex: int,  # 0: the rows are the moving vertices only
+    t1_by_vertex: int,
+    is_displacement: int,
     # out
-    out: RowGradients,
+    gradient_t0: wp.array[vec],  # of the input of a launch; empty where none is asked for
+    gradient_t1: wp.array[vec],
+    gradient_radius: wp.array[wp.float64],
 ):
     """Add what all pairs contribute to a vertex, in their order, at the first of its columns; these are sorted."""
     first = begin + wp.tid()
@@ -65,21 +58,21 @@ def add_rows(
         n = pairs.columns[k] / 4
         c = pairs.columns[k] % 4
         t = slopes.time[n]
-        along = (-pairs.toi_gradient[n] * slopes.weights[n][c]) * slopes.slope[n]
+        along = (-pairs.table.toi_gradient[n] * slopes.weights[n][c]) * slopes.slope[n]
         of_start += (_ONE - t) * along
         of_end += t * along
         if pairs.radius_columns.shape[0] > 0:
             of_columns = pairs.radius_columns[n]
             if of_columns[0] == c or of_columns[1] == c:
-                of_radius += pairs.toi_gradient[n] * slopes.distance[n]
+                of_radius += pairs.table.toi_gradient[n] * slopes.distance[n]
     row = moving_row[v]
-    row_t0 = wp.where(out.t0_by_vertex != 0, v, row)
-    row_t1 = wp.where(out.t1_by_vertex != 0, v, row)
-    if row_t1 < 0 or out.is_displacement != 0:  # the end is the start, or follows from it
+    row_t0 = wp.where(t0_by_vertex != 0, v, row)
+    row_t1 = wp.where(t1_by_vertex != 0, v, row)
+    if row_t1 < 0 or is_displacement != 0:  # the end is the start, or follows from it
         of_start += of_end
-    if out.vertices_t0.shape[0] > 0 and row_t0 >= 0:
-        out.vertices_t0[row_t0] = out.vertices_t0[row_t0] + rounded(of_start)
-    if out.vertices_t1.shape[0] > 0 and row_t1 >= 0:
-        out.vertices_t1[row_t1] = out.vertices_t1[row_t1] + rounded(of_end)
-    if out.radius.shape[0] > 0:
-        out.radius[v] = out.radius[v] + of_radius
+    if gradient_t0.shape[0] > 0 and row_t0 >= 0:
+        gradient_t0[row_t0] = gradient_t0[row_t0] + rounded(of_start)
+    if gradient_t1.shape[0] > 0 and row_t1 >= 0:
+        gradient_t1[row_t1] = gradient_t1[row_t1] + rounded(of_end)
+    if gradient_radius.shape[0] > 0:
+        gradient_radius[v] = gradient_radius[v] + of_radius

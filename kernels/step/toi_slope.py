@@ -51,6 +51,20 @@ class Query:
 
 
 @wp.struct
+class Table:
+    """Pairs of a table, whose tois change."""
+
+    kinds: wp.array[wp.int32]  # empty where all are of one kind
+    points_t0: wp.array2d[vec3d]
+    points_t1: wp.array2d[vec3d]
+    toi: wp.array[wp.float64]
+    status: wp.array[wp.int32]
+    distances: wp.array[wp.float64]  # of each pair; empty: the separation of all
+    planes: wp.array[vec3d]  # unit normal for pairs of vertices and planes; empty where there are none
+    toi_gradient: wp.array[wp.float64]  # of a result by the toi; rows of 0 are not wanted; empty: all are
+
+
+@wp.struct
 class Slopes:
     """How the toi of each pair of a table changes; the columns of pairs without a gradient are 0."""
 
@@ -170,14 +184,7 @@ def fill_slopes(
     # in
     query: Query,
     kind_of_all: int,  # -1: each pair has its own
-    kinds: wp.array[wp.int32],
-    points_t0: wp.array2d[vec3d],
-    points_t1: wp.array2d[vec3d],
-    toi: wp.array[wp.float64],
-    status: wp.array[wp.int32],
-    distances: wp.array[wp.float64],  # of each pair; empty: the separation of all
-    planes: wp.array[vec3d],  # unit normal for pairs of vertices and planes; empty where there are none
-    adjoint: wp.array[wp.float64],  # rows where it is 0 are not wanted; empty: all are
+    pairs: Table,
     # out
     out: Slopes,
 ):
@@ -188,19 +195,19 @@ def fill_slopes(
     out.weights[i] = wp.vec4d()
     out.time[i] = _ZERO
     out.is_regular[i] = False
-    if adjoint.shape[0] > 0:
-        if adjoint[i] == _ZERO:
+    if pairs.toi_gradient.shape[0] > 0:
+        if pairs.toi_gradient[i] == _ZERO:
             return
-    if status[i] != STATUS_COLLISION or not wp.isfinite(toi[i]):
+    if pairs.status[i] != STATUS_COLLISION or not wp.isfinite(pairs.toi[i]):
         return
     kind = kind_of_all
     if kind < 0:
-        kind = kinds[i]
+        kind = pairs.kinds[i]
     plane = vec3d()
     if kind == VERTEX_PLANE:
-        plane = planes[i]
-    a = table_points(kind, points_t0, i)
-    b = table_points(kind, points_t1, i)
+        plane = pairs.planes[i]
+    a = table_points(kind, pairs.points_t0, i)
+    b = table_points(kind, pairs.points_t1, i)
     c0 = corners(kind, a)
     c1 = corners(kind, b)
     size = wp.max(largest(c0), largest(c1))
@@ -211,15 +218,15 @@ def fill_slopes(
     distance = query.separation
     if query.by_size != 0:
         distance = distance * largest_side(a, b)
-    if distances.shape[0] > 0:
-        distance = distances[i]
+    if pairs.distances.shape[0] > 0:
+        distance = pairs.distances[i]
     distance = unit * distance
     norm = query.norm
     if not distance > _ZERO:
         norm = TOUCH
     planar = query.is_planar != 0
 
-    t = toi[i]
+    t = pairs.toi[i]
     g = closing_at(kind, norm, c0, c1, t, plane, noise, planar)
     steps = int(_MOST_STEPS)  # a variable, so that the loop stays one
     for _ in range(steps):
@@ -232,7 +239,7 @@ def fill_slopes(
     uncertain = noise / -g.rate
     if not (t - uncertain > _ZERO and t + uncertain < query.t_max * (_ONE - _ROUNDINGS)):
         return
-    if t < toi[i] - _FOUR * uncertain - _ROUNDINGS:
+    if t < pairs.toi[i] - _FOUR * uncertain - _ROUNDINGS:
         return
     if norm == TOUCH and kind != VERTEX_PLANE:
         if not wp.length(g.point) <= _FOUR * (noise + g.speed * uncertain):

@@ -1,5 +1,7 @@
 """Tois on a tape of Warp: gradients by both ends of a step and by radii, and what is recorded."""
 
+import gc
+
 import numpy as np
 import pytest
 import warp as wp
@@ -7,6 +9,7 @@ from scenes import FACE, TRIANGLE
 from toi_scenes import SOLVE, array, random_scene, scene, taped, thick_scene
 
 import ccd_warp as ccd
+from ccd_warp._engine.device.kept_check import KeptCheck
 from ccd_warp._engine.device.step import DeviceStep
 
 DISTANCE = 0.1
@@ -191,6 +194,56 @@ def test_what_is_overwritten_before_the_backward_pass_does_not_change_it():
     np.testing.assert_array_equal(result.vertex_toi.numpy(), values)
 
 
+def test_memory_of_tapes_that_are_dropped_is_used_again_and_that_of_others_is_not():
+    mesh, start, end = scene()
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
+    ends = [end, start, 0.5 * (start + end), end + 0.01, start + 1.3 * (end - start)]  # with few contacts, and many
+
+    def gradient_of(pipeline, end):
+        given = [array(start), array(end)]
+        tape, result = taped(lambda: pipeline.launch(*given))
+        return given, tape, result
+
+    expected = []
+    for each in ends:
+        given, tape, result = gradient_of(ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu"), each)
+        weights = {}
+        weighted(result, weights)
+        backward(tape, result, weights)
+        expected.append(([x.grad.numpy().copy() for x in given], result.is_regular().numpy(), weights))
+    assert any(gradient[0].any() for gradient, _, _ in expected)
+    kept = []
+    for order in (range(5), (4, 0, 3, 1, 2, 4), (0, 0)):
+        alive = [(k, gradient_of(pipeline, ends[k])) for k in order]
+        kept = kept[::2] + alive[::2]
+        del alive
+        for k, (given, tape, result) in kept[::-1]:
+            gradient, is_regular, weights = expected[k]
+            np.testing.assert_array_equal(result.is_regular().numpy(), is_regular)
+            backward(tape, result, weights)
+            for x, of_x in zip(given, gradient, strict=True):
+                np.testing.assert_array_equal(x.grad.numpy(), of_x)
+
+
+def test_a_tape_that_is_dropped_frees_what_it_keeps_at_once(monkeypatch):
+    mesh, start, end = scene()
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
+    freed = []
+    delete = KeptCheck.__del__
+    monkeypatch.setattr(KeptCheck, "__del__", lambda check: (freed.append(check.count), delete(check)))
+    gc.disable()
+    try:
+        for call in (pipeline.launch, pipeline.launch_line_search):
+            tape, result = taped(lambda c=call: c(array(start), array(end)))
+            assert not freed
+            tape.backward()
+            del tape, result
+            assert freed
+            freed.clear()
+    finally:
+        gc.enable()
+
+
 def test_two_launches_on_one_tape_have_gradients_of_their_own():
     mesh, start, end = scene()
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE, device="cpu")
@@ -357,5 +410,8 @@ def test_calls_without_gradients_say_so_on_a_tape():
         ccd.vertex_face_ccd(*2 * [wp.zeros((1, 4, 3), dtype=wp.int32, device="cpu")])
     resting = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0])
     motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
-    with wp.Tape(), pytest.raises(ValueError, match="motion has no gradients"):
+    with (
+        wp.Tape(),
+        pytest.raises(ValueError, match=r"a motion is not recorded.* motion.gradient_by_poses\(\)"),
+    ):
         ccd.CollisionPipeline(resting, device="cpu").launch(*2 * [array(TRIANGLE)], motion=motion)

@@ -59,7 +59,7 @@ def test_launch_reads_where_it_is(library, dtype):
         points = result.contacts.points.numpy()[: len(expected.contacts)].copy()
         for array in (start, end):
             array[:] += 1.0
-        is_copied = library.name == "numpy"  # as so few positions are
+        is_copied = library.name == "numpy" or dtype is np.float32  # so few positions, or converted by the kernel
         moved = result.contacts.points.numpy()[: len(points)] - points
         np.testing.assert_allclose(moved, 0.0 if is_copied else 1.0, atol=1e-6)
 

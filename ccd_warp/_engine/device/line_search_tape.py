@@ -7,9 +7,10 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._device_results import TOIS, LaunchResult
+from ccd_warp._engine.device.attaining import Attaining, all_attaining, as_flags, ratings_of
 from ccd_warp._engine.device.given import Given
 from ccd_warp._engine.device.input import SAFETY, PreparedLaunch
-from ccd_warp._engine.device.kept_check import Attaining, KeptCheck, as_flags
+from ccd_warp._engine.device.kept_check import KeptCheck
 from ccd_warp._engine.device.line_search import DeviceLineSearch, passes_of
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.tape import active_tape
@@ -48,7 +49,7 @@ class TapedLineSearch:
         self._passes: list[tuple[str, float]] = [
             (per, prepared.safety if share is SAFETY else share) for per, share in passes_of(prepared.form.line_search)
         ]
-        self._query = step.touch().query(is_planar=step.topology.mesh.dimension == 2)
+        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
         self._checks: list[KeptCheck] = []
         self._hold: wp.array | None = None
         for per in dict(self._passes):
@@ -59,25 +60,22 @@ class TapedLineSearch:
                     )
                 step.groups[per] = _Groups.of(step, per)
 
-    @property
-    def result(self) -> LaunchResult:
-        """The result of the line search."""
-        return replace(self._step.result, _taped=self)
-
-    def launch(self, prepared: PreparedLaunch) -> None:
+    def launch(self, prepared: PreparedLaunch) -> LaunchResult:
         """Launch, keep all passes, and record the backward pass on the active tape."""
         step = self._step
 
         def keep() -> None:
-            self._checks.append(KeptCheck(step, self._query, step.positions_of(prepared), self._radius))
+            self._checks.append(KeptCheck(step, step.positions_of(prepared), self._radius))
 
         step.on_pass = keep
         try:
             step.launch(prepared)
         finally:
             step.on_pass = None
-        self._hold = None if step.hold is None else wp.clone(step.hold)
+        if step.hold is not None and any(check.may_touch for check in self._checks):
+            self._hold = wp.clone(step.hold)
         active_tape().record_func(self._backward, self._given.arrays)
+        return replace(step.result, _taped=self)
 
     def is_regular(self, per: str) -> wp.array:
         """Whether the position of each vertex has a derivative, bool, shape [V].
@@ -87,53 +85,61 @@ class TapedLineSearch:
         """
         if per != "vertex":
             raise ValueError(f"per is {per!r}; expected 'vertex', as a line search has positions")
-        return as_flags(self._step.execution, self._rated()[0])
+        ratings, all_found = self._rated()
+        for attaining in all_found:
+            if attaining is not None:
+                attaining.release()
+        return as_flags(self._step, ratings)
 
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
         topology = self._step.topology
         gradients = self._given.gradients(topology)
-        vertex_rating, attaining = self._rated()
+        vertex_rating, all_found = self._rated()
         kernels = specialised("step.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
         moving = topology.moving_vertices
         inputs = [moving, vertex_rating, int(self._form.t1_by_vertex)]
-        self._step.execution.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
-        for check, of_pass, (per, share) in zip(self._checks[::-1], attaining[::-1], self._passes[::-1], strict=True):
+        self._step.repeated.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
+        for check, attaining, (per, share) in zip(self._checks[::-1], all_found[::-1], self._passes[::-1], strict=True):
             if not check.may_touch:
                 continue
             of_toi = self._shorten_back(check, per, share, gradients)
-            if share > 0.0 and of_pass is not None:
-                check.change_gradients(of_pass, {per: of_toi})
-                check.add_rows(of_pass, self._given, gradients)
+            if attaining is None:
+                continue
+            if share > 0.0:
+                attaining.change_gradients({per: of_toi})
+                attaining.add_rows(self._given, gradients)
+            attaining.release()
 
     def _rated(self) -> tuple[wp.array, list[Attaining | None]]:
         """The rating of each vertex (`regularity`), and of each pass the contacts that attain its tois."""
-        topology, launch = self._step.topology, self._step.execution.launch
+        topology, launch = self._step.topology, self._step.repeated.launch
         rating = wp.full(
             topology.mesh.num_vertices, value=int(regularity.REGULAR), dtype=wp.int32, device=topology.device
         )
-        all_attaining: list[Attaining | None] = []
+        all_found: list[Attaining | None] = []
         for check, (per, share) in zip(self._checks, self._passes, strict=True):
-            attaining = check.attaining(check.all_ones(per)) if check.may_touch else None
-            all_attaining.append(attaining)
+            attaining = all_attaining(check, per) if check.may_touch else None
+            all_found.append(attaining)
             if check.may_touch:
-                inputs = [topology.moving_vertices, self._step.groups[per].group, check.tois[TOIS[per]], share]
-                inputs.append(check.ratings(per, attaining, self._hold, rating))
+                inputs = [topology.moving_vertices, self._step.groups[per].group, check.copies.arrays[TOIS[per]], share]
+                inputs.append(ratings_of(check, per, attaining, self._hold, rating))
                 launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
-        return rating, all_attaining
+        return rating, all_found
 
     def _shorten_back(
         self, check: KeptCheck, per: str, share: float, gradients: tuple[wp.array | None, wp.array | None]
     ) -> wp.array:
         """Turn the gradient of the end of a pass into that of its begin; returns that by the toi of each group."""
         topology, form, groups = self._step.topology, self._form, self._step.groups[per]
-        launch, moving = self._step.execution.launch, topology.moving_vertices
+        launch, moving = self._step.repeated.launch, topology.moving_vertices
         kernels = specialised("step.shorten_adjoint", real=form.real, dimension=topology.mesh.dimension)
         of_fraction, of_chunk, of_toi = (
             wp.empty(n, dtype=wp.float64, device=topology.device)
             for n in (len(moving), groups.num_chunks, groups.num_groups)
         )
-        inputs = [moving, groups.group, check.tois[TOIS[per]], share, check.start, check.end]
+        copies = check.copies.arrays
+        inputs = [moving, groups.group, copies[TOIS[per]], share, copies["start"], copies["end"]]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex)]
         launch(kernels.shorten_back, len(moving), inputs, [*gradients, of_fraction])
         inputs = [of_fraction, groups.order, groups.chunk_begin]

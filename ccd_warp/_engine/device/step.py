@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
+from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._touch import Touch
 from ccd_warp.kernels.pair.norm import is_ball
@@ -71,6 +73,9 @@ class DeviceStep(Plan):
     Attributes:
         result: The arrays of the result.
         contact_arrays: What its contacts are asked for beside their own arrays.
+        repeated: Launches that are not recorded.
+        kept_copies: Memory that launches on a tape have used, and will use again.
+        attaining: The same of backward passes.
     """
 
     goal: Goal = "contacts"
@@ -101,6 +106,7 @@ class DeviceStep(Plan):
         self._is_open = _low_half(self._counts, int(ANY_OPEN))
         self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
+        self.repeated, self.kept_copies, self.attaining = RepeatedLaunches(execution), list[Any](), list[Any]()
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
         quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
         layout = Layout(
@@ -244,6 +250,20 @@ class DeviceStep(Plan):
         """What counts as touching where nothing is held, with the radii of vertices where they are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
         return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
+
+    @cached_property
+    def found_on_host(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+        """The toi of the scene and the number of contacts, on the CPU the same memory as the arrays of the result."""
+        return self.result.toi.numpy(), self.result.contacts.count.numpy()
+
+    @cached_property
+    def gradient_query(self) -> Any:
+        """What counts as touching where nothing is held, as the struct of the kernels of gradients.
+
+        Raises:
+            ValueError: If the distance of a pair follows from its start.
+        """
+        return self.touch().query(is_planar=self._mesh.dimension == 2)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.

@@ -1,0 +1,133 @@
+"""What gradients of times of impact cost: launches and line searches on a tape, and their backward passes.
+
+    python -m ccd_warp.benchmarks.gradients --docs docs/gradients.md
+
+Processor time on one thread. A round makes each call without a tape, on a tape, and its backward pass; a figure is the
+median over rounds, and a part of the call without a tape is the quotient of two of them.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import warp as wp
+from ccd_warp.benchmarks import scenes, side_figures
+from ccd_warp.benchmarks.numbers import table
+from ccd_warp.benchmarks.timing import interleaved, medians
+
+import ccd_warp as ccd
+
+PLAIN, TAPED, BACKWARD = "plain", "on a tape", "backward"
+
+
+def all_scenes(scale: float) -> list[scenes.Scene]:
+    """The scenes that are measured, of sizes in proportion to the scale."""
+    sizes = (round(scale * n) for n in (10_000, 30_000, 100_000))
+    return [*map(scenes.cloth_over_sphere, sizes), pressed_spheres(round(scale * 40_000))]
+
+
+def pressed_spheres(num_faces: int) -> scenes.Scene:
+    """Two spheres that are pressed together by a fifth of their radius each."""
+    ball, faces = scenes.sphere(num_faces // 2, 0.5)
+    left, right = ball - [0.51, 0, 0], ball + [0.51, 0.013, 0.017]
+    move = np.array([0.11, 0, 0])
+    parts = [(left, left + move, faces), (right, right - move, faces)]
+    return scenes.joined(f"spheres pressed together, {num_faces:,}", parts)
+
+
+class Measured:
+    """A scene with its pipeline, and the calls that are timed on it."""
+
+    def __init__(self, scene: scenes.Scene) -> None:
+        self.mesh = scene.mesh(ccd)
+        self.pipeline = ccd.CollisionPipeline(self.mesh, device="cpu", num_threads=1)
+        self._ends = [self._array(x) for x in (scene.vertices_t0, scene.vertices_t1)]
+        self._given = [self._array(x, requires_grad=True) for x in (scene.vertices_t0, scene.vertices_t1)]
+        self._plain = wp.clone(self._ends[1])
+        self._ones = wp.full(self.mesh.num_vertices, value=1.0, dtype=wp.float64, device="cpu")
+        self._of_end = self._array(np.random.default_rng(0).standard_normal(scene.vertices_t0.shape))
+        found = self.pipeline.launch(*self._ends).to_host()
+        self.contacts = found.num_contacts
+        self.pipeline.reserve(max_pairs=2 * max(found.num_pairs.values()), max_contacts=2 * self.contacts + 1)
+        self._tape: wp.Tape
+
+    def _array(self, values: np.ndarray, *, requires_grad: bool = False) -> wp.array:
+        return wp.array(values, dtype=wp.vec3d, device="cpu", requires_grad=requires_grad)
+
+    def launch(self, name: str) -> dict[str, Callable[[], Any]]:
+        """A launch without and on a tape, and the gradient of the sum of the tois of a field of its result."""
+        ones = self._ones[:1] if name == "toi" else self._ones
+
+        def taped() -> None:
+            self._tape = wp.Tape()
+            with self._tape:
+                self._result = self.pipeline.launch(*self._given)
+
+        def backward() -> None:
+            self._tape.backward(grads={getattr(self._result, name): ones})
+
+        return {PLAIN: lambda: self.pipeline.launch(*self._ends), TAPED: taped, BACKWARD: backward}
+
+    def line_search(self, per: Any) -> dict[str, Callable[[], Any]]:
+        """A line search without and on a tape, and the gradient of a sum of all shortened coordinates."""
+
+        def plain() -> None:
+            wp.copy(self._plain, self._ends[1])
+            self.pipeline.launch_line_search(self._ends[0], self._plain, per=per)
+
+        def taped() -> None:
+            wp.copy(self._given[1], self._ends[1])
+            self._tape = wp.Tape()
+            with self._tape:
+                self.pipeline.launch_line_search(*self._given, per=per)
+
+        def backward() -> None:
+            wp.copy(self._given[1].grad, self._of_end)
+            self._tape.backward()
+
+        return {PLAIN: plain, TAPED: taped, BACKWARD: backward}
+
+
+def measure(scene: scenes.Scene, rounds: int) -> list[dict]:
+    """A row for each kind of call."""
+    measured = Measured(scene)
+    calls = {"`launch`, gradient of `toi`": measured.launch("toi")}
+    calls["`launch`, gradients of every `vertex_toi`"] = measured.launch("vertex_toi")
+    calls |= {f"`launch_line_search`, per {per}": measured.line_search(per) for per in ("scene", "vertex")}
+    rows = []
+    for name, of_call in calls.items():
+        seconds = medians(interleaved(of_call, rounds, clock=time.process_time))
+        rows.append({"scene": scene.name, "contacts": measured.contacts, "call": name, "seconds": seconds})
+    return rows
+
+
+def rows_table(rows: list[dict]) -> list[str]:
+    """The table of docs/gradients.md."""
+    header = ["scene", "contacts", "call", "ms", "on a tape", "backward"]
+    lines, before = [], None
+    for row in rows:
+        seconds, is_new = row["seconds"], row["scene"] != before
+        before = row["scene"]
+        taped, backward = (100.0 * seconds[name] / seconds[PLAIN] for name in (TAPED, BACKWARD))
+        cells = [row["scene"], f"{row['contacts']:,}"] if is_new else ["", ""]
+        cells += [row["call"], f"{1e3 * seconds[PLAIN]:.3g}", f"{taped - 100.0:+.1f} %", f"{backward:.1f} %"]
+        lines.append(cells)
+    return table(header, lines)
+
+
+def main() -> None:
+    """Measure, print a table and write the figures."""
+    parser = side_figures.parser("What gradients of times of impact cost", "docs/gradients.md")
+    parser.add_argument("--rounds", type=int, default=31)
+    parser.add_argument("--scale", type=float, default=1.0, help="size of the scenes")
+    options = parser.parse_args()
+    wp.config.log_level = wp.LOG_WARNING
+    rows = [row for scene in all_scenes(options.scale) for row in measure(scene, options.rounds)]
+    side_figures.publish(options, "what gradients cost", rows, rows_table(rows))
+
+
+if __name__ == "__main__":
+    main()
