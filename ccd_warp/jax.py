@@ -37,7 +37,7 @@ def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per:
         per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; within ``jax.vmap`` not ``"world"``.
 
     Returns:
-        An array of float64: of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
+        An array of float64, of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
         certainly no collision. Within ``jax.vmap`` those of one world.
 
     Raises:

@@ -41,7 +41,7 @@ def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per:
         per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``.
 
     Returns:
-        A tensor of float64: of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
+        A tensor of float64, of the scene of shape [], of worlds, bodies or vertices with one each; inf where there is
         certainly no collision.
 
     Raises:

@@ -18,8 +18,6 @@ from sphinx.domains.python import PyObject
 from sphinx.util.typing import stringify_annotation
 
 _ROOT = Path(__file__).resolve().parent.parent
-# `python -m sphinx` at the root would find ./ccd_warp, which lacks the kernels there, before an installed package.
-sys.path[:] = [entry for entry in sys.path if Path(entry or ".").resolve() != _ROOT]
 _PROJECT = tomllib.loads((_ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 project = "ccd_warp"
@@ -111,7 +109,7 @@ _CALLED = {
 # docs/reference.md explains.
 nitpick_ignore_regex = [
     ("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
-    ("py:.*", "NDArray|ArrayLike|Positions|Motion|Per|A tensor|An array|bool_|u?int(8|32|64)|float64"),
+    ("py:.*", "NDArray|ArrayLike|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
     ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence"),
 ]
 
