@@ -335,7 +335,8 @@ def collision_free_step(
 
     Args:
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
-            ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
+            ``RuntimeWarning`` says so, once for a mesh and the bodies that cross; the fraction stays what it is, that
+            of all that does not cross yet.
         **options: Options of :class:`ccd_warp.MeshOptions`. By default what starts within its distance may part and
             slide, and comes no closer (``start_gap_fraction``).
 
@@ -369,7 +370,8 @@ def is_step_collision_free(
 
     Args:
         check_start: Whether surfaces that cross at the start count, too: a step is not free where an edge is through
-            the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies.
+            the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies, once
+            for a mesh.
 
     Returns:
         True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or

@@ -27,7 +27,7 @@ from ccd_warp._engine.host.line_search import (
     search_step,
     validated_line_search,
 )
-from ccd_warp._engine.host.oddities import DistanceInEdges, warn
+from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
@@ -855,7 +855,7 @@ class CollisionPipeline:
         """What makes steps of a mesh of parts, between positions and along paths, with other options."""
         options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
         self._check_no_capture()
-        workspace = Workspace(parts.mesh, self._topology.device)
+        workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
         show = self._show_progress
         return lambda start, end, paths: Step(workspace, (start, end), options, 0.0, show, paths=paths)
@@ -877,7 +877,11 @@ class CollisionPipeline:
         timings["total"] += self.timings["total"]
         self.counts, self.timings = counts, timings
         if start.num_crossing:
-            warn(f"at the start {start[start.is_crossing].describe()}; what crosses already is not seen in the step")
+            crossing = start[start.is_crossing]
+            of_bodies = "crossing", frozenset(crossing.by_bodies())
+            if self._workspace is not None:
+                said = f"at the start {crossing.describe()}; what crosses already is not seen in the step"
+                self._workspace.warn_once(of_bodies, lambda: said)
         return start
 
     def collision_free_step(

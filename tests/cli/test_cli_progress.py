@@ -168,8 +168,8 @@ def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch
     flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     faces = np.arange(300).reshape(-1, 3)
     options = {"names": ["sheet", "far", "lining"], "self_collision": False}
-    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
     for pair_bytes in (1 << 30, 1):  # in one batch, and in several
+        mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
         monkeypatch.setattr("ccd_warp._engine.host.step.DEFAULT_PAIR_BYTES", pair_bytes)
         with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
             result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
