@@ -193,7 +193,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
         rounds * settings.batches[-1] * 3e-6,
         lambda: scaling.measure_batches(methods, settings.batches, rounds, about["memory_gib"]),
     )
-    yield from each("start", 20.0 * len(devices), lambda: scaling.measure_start(list(devices)))
+    yield from each("start", 35.0 * len(devices), lambda: scaling.measure_start(list(devices)))
     yield from each(
         "threads",
         10.0,

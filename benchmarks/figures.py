@@ -17,6 +17,7 @@ from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, ti
 from ccd_warp.benchmarks.raw_file import frame
 from ccd_warp.benchmarks.rigid_sections import draw_turns, of_what
 from ccd_warp.benchmarks.scene_sections import scene_name
+from ccd_warp.benchmarks.sections import FIRST_CALL
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -224,7 +225,8 @@ def draw_scaling(raw: dict) -> Figure:
                 each = row["seconds"] + row["call_overhead"]
                 line = {k: v for k, v in style(row["method"], methods).items() if k != "marker"}
                 rate.axhline(1 / each, label=f"{row['method']}, one by one", **line)
-    for row, line in zip(raw["start"], ("-", "--", "-.", ":") * 4, strict=False):
+    starts = [row for row in raw["start"] if row.get("call", FIRST_CALL) == FIRST_CALL]
+    for row, line in zip(starts, ("-", "--", "-.", ":") * 4, strict=False):
         where = f"{row['precision']}, {row['device']}"
         call.axhline(row["compile"], color="0.3", linestyle=line, linewidth=1, label=f"first call, compiling: {where}")
         call.axhline(row["load"], color="0.7", linestyle=line, linewidth=1, label=f"first call, cached: {where}")

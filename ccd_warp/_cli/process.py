@@ -20,6 +20,9 @@ from ccd_warp._runtime.launch import start_warp
 FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
 
+_closed: list[int] = []  # where stderr led before it was closed, the outermost first
+_closing = threading.Lock()  # while a line is written, and while stderr is closed and opened
+
 
 def say(line: str) -> None:
     """Print a line on stderr, where there is one; ``print`` would take stdout where there is none."""
@@ -146,27 +149,33 @@ def closed_stderr() -> Iterator[None]:
         yield
         return
     try:
-        with open(os.devnull, "wb") as null:
+        with open(os.devnull, "wb") as null, _closing:
+            _closed.append(saved)
             os.dup2(null.fileno(), 2)
         yield
     finally:
-        os.dup2(saved, 2)
-        os.close(saved)
+        with _closing:
+            os.dup2(saved, 2)
+            if saved in _closed:
+                _closed.remove(saved)
+            os.close(saved)
 
 
-@contextmanager
-def notice(message: str, *, seconds: float, is_quiet: bool) -> Iterator[None]:
-    """Say ``message`` on a terminal's stderr if the work inside takes longer than ``seconds``."""
-    if is_quiet or sys.stderr is None or not sys.stderr.isatty():
-        yield
-        return
-    timer = threading.Timer(seconds, lambda: say(message))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
+def has_terminal() -> bool:
+    """Whether stderr is a terminal, where it is not closed."""
+    if _closed:
+        return os.isatty(_closed[0])
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
+def write_to_terminal(text: str) -> None:
+    """Write a text to stderr at once, also while it is closed to native code."""
+    with _closing:
+        if _closed:
+            os.write(_closed[0], text.encode())
+        else:
+            sys.stderr.write(text)
+            sys.stderr.flush()
 
 
 @contextmanager

@@ -1,8 +1,11 @@
-"""A line on the terminal that shows the progress of a run and how long it will take."""
+"""A line on the terminal that shows what a command is doing, and how long it will take."""
 
-import sys
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from ccd_warp._cli.process import has_terminal, write_to_terminal
 from ccd_warp._runtime.progress import Progress
 
 _PATIENCE = 2.0  # seconds before the line appears
@@ -13,7 +16,7 @@ class ProgressLine:
     """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
 
     def __init__(self, is_quiet: bool) -> None:
-        self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
+        self._is_shown = not is_quiet and has_terminal()
         self._begin = self._stage_begin = time.monotonic()
         self._stage = ""
         self._length = 0
@@ -31,14 +34,12 @@ class ProgressLine:
         """Clear the line."""
         if self._length:
             self._write("")
-            sys.stderr.write("\r")
-            sys.stderr.flush()
+            write_to_terminal("\r")
 
     def _write(self, text: str) -> None:
         # the longer of both while an interrupt may come before the line is written or after it
         self._length = max(self._length, len(text))
-        sys.stderr.write(f"\r{text:{self._length}}")
-        sys.stderr.flush()
+        write_to_terminal(f"\r{text:{self._length}}")
         self._length = len(text)
 
 
@@ -62,6 +63,30 @@ class ItemsLine(ProgressLine):
     def show(self, progress: Progress) -> None:
         """Rewrite the line; the progress within an item only says that time goes by."""
         super().show(self._items)
+
+
+@contextmanager
+def waiting(what: str, *, is_quiet: bool) -> Iterator[None]:
+    """Show what the work inside is, once it has taken two seconds and until it is done, where no share is known."""
+    if is_quiet or not has_terminal():
+        yield
+        return
+    shown: list[str] = []
+
+    def show() -> None:
+        shown.append(f"{what} …")
+        write_to_terminal(f"\r{shown[0]}")
+
+    timer = threading.Timer(_PATIENCE, show)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        if shown:
+            write_to_terminal(f"\r{'':{len(shown[0])}}\r")
 
 
 def line_of(progress: Progress, seconds: float) -> str:

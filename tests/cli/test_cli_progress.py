@@ -18,11 +18,19 @@ pty = pytest.importorskip("pty", reason="terminals of POSIX")
 
 # Guards against hanging, not demands: the answer to Ctrl-C is due within half a second.
 _PATIENCE = 600.0
-# The command, whose line is shown at once; `overlaps` is the number of pairs from which on it warns.
+# The command, whose lines are shown at once; `overlaps` is the number of pairs from which on it warns.
 _RUN = """
-import sys
+import sys, threading
 import ccd_warp._cli.progress, ccd_warp._engine.host.oddities
 ccd_warp._cli.progress._PATIENCE = 0.0
+class AtOnce(threading.Timer):
+    def start(self):
+        self.function()
+        super().start()
+        self.join()
+    def run(self):
+        pass
+threading.Timer = AtOnce
 ccd_warp._engine.host.oddities._MANY_PAIRS = {overlaps}
 from ccd_warp._cli.command import run_program
 run_program()
@@ -100,7 +108,7 @@ def screen_of(shown):
         else:
             lines[-1] = lines[-1][:column] + letter + lines[-1][column + 1 :]
             column += 1
-    return [line.rstrip() for line in lines if line.strip() and not line.startswith("compiling kernels")]
+    return [line.rstrip() for line in lines if line.strip() and "compiling kernels" not in line]
 
 
 def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
@@ -115,6 +123,31 @@ def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
     status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
     assert status == 0
     assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown
+    assert screen_of(shown) == []
+
+
+def test_every_part_of_a_run_is_named_while_it_takes_long(triangles_in_a_plane, tmp_path):
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    written = ["--output", str(tmp_path / "out.json"), "--picture", str(tmp_path / "out.png")]
+    status, shown = at_terminal([*triangles_in_a_plane(100), *written])
+    assert status == 0
+    for part in (
+        "reading the files",
+        "loading kernels",
+        "making the mesh",
+        "writing the results",
+        "drawing the picture",
+    ):
+        assert f"\r{part} …" in shown, part
+    assert screen_of(shown) == []
+
+
+def test_pictures_of_an_animation_are_counted_although_stderr_is_closed_meanwhile(triangles_in_a_plane, tmp_path):
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    folder = ["--output", str(tmp_path / "out"), "--picture", str(tmp_path / "out.gif")]
+    status, shown = at_terminal([*triangles_in_a_plane(20), *folder], name="sequence")
+    assert status == 0
+    assert "\rreading the first step …" in shown and "pictures  [" in shown and shown.count("100%") == 2
     assert screen_of(shown) == []
 
 
