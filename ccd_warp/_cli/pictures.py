@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from ccd_warp._cli.process import closed_stderr
 from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.solve import SolvedStep
+from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._files.frames import InputError
 
 

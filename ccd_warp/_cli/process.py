@@ -13,15 +13,13 @@ from typing import Any, TextIO
 
 import warp as wp
 
+from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.options import resolve_device
 from ccd_warp._runtime.launch import start_warp
 
 FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
-
-_closed: list[int] = []  # where stderr led before it was closed, the outermost first
-_closing = threading.Lock()  # while a line is written, and while stderr is closed and opened
 
 
 def say(line: str) -> None:
@@ -138,44 +136,6 @@ def _heeded_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if caught:
         raise KeyboardInterrupt
-
-
-@contextmanager
-def closed_stderr() -> Iterator[None]:
-    """Drop what native code writes to stderr: without a CUDA driver Warp complains there, whatever its log level."""
-    try:
-        saved = os.dup(2)
-    except OSError:  # the process has no stderr
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as null, _closing:
-            _closed.append(saved)
-            os.dup2(null.fileno(), 2)
-        yield
-    finally:
-        with _closing:
-            os.dup2(saved, 2)
-            if saved in _closed:
-                _closed.remove(saved)
-            os.close(saved)
-
-
-def has_terminal() -> bool:
-    """Whether stderr is a terminal, where it is not closed."""
-    if _closed:
-        return os.isatty(_closed[0])
-    return sys.stderr is not None and sys.stderr.isatty()
-
-
-def write_to_terminal(text: str) -> None:
-    """Write a text to stderr at once, also while it is closed to native code."""
-    with _closing:
-        if _closed:
-            os.write(_closed[0], text.encode())
-        else:
-            sys.stderr.write(text)
-            sys.stderr.flush()
 
 
 @contextmanager

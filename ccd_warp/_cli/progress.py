@@ -5,7 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from ccd_warp._cli.process import has_terminal, write_to_terminal
+from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._runtime.progress import Progress
 
 _PATIENCE = 2.0  # seconds before the line appears
