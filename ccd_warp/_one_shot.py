@@ -47,7 +47,8 @@ def find_candidates(
     and pairs excluded by ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
 
     Four kinds of pair suffice: vertex-face, edge-edge, codimensional point with codimensional edge, and two
-    codimensional points. The sets that collide are faces, codimensional edges and codimensional points. All are convex.
+    codimensional points; and vertices with the planes of half-spaces, where there are any. The sets that collide
+    otherwise are faces, codimensional edges and codimensional points. All are convex.
     The distance of two convex sets A and B, in any norm, is the distance of the origin from the polytope A - B, and the
     nearest point lies on its boundary while they do not touch. For two faces, or a face and a codimensional edge, that
     boundary consists of differences (vertex) - (face) and (edge) - (edge), and where A - B is flat these cover all of
