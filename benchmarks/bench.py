@@ -290,7 +290,12 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | N
         bar_format = "{l_bar}{bar}| {elapsed} gone, about {postfix[0]} left: {postfix[1]}"
         total = sum(task.seconds for task in todo)
         with tqdm(
-            total=total, file=sys.stderr, bar_format=bar_format, postfix=["?", ""], disable=quiet, leave=False
+            total=total,
+            file=sys.stderr,
+            bar_format=bar_format,
+            postfix=["?", ""],
+            disable=quiet or None,  # None: where there is no terminal
+            leave=False,
         ) as bar:
             for task in todo:
                 if task.key in journal.records:
