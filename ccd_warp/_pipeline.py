@@ -47,6 +47,7 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.progress_line import CallLine
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 
@@ -125,7 +126,7 @@ class CollisionPipeline:
         self._workspace: Workspace | None = workspace
         self._device_step: DeviceLineSearch | None = None
         self._arc_step: DeviceArcStep | None = None  # of launches with a motion
-        self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
+        self._show_progress: Callable[[Progress], None] | None = None  # the command line has a line of its own
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh._vertices_in_space
@@ -244,8 +245,13 @@ class CollisionPipeline:
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
-            step = kind(workspace, (start, end), options or self._options, seconds, self._show_progress, **further)
-            result = work(step)
+            line = CallLine()
+            show = self._show_progress or line.show
+            step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
+            try:
+                result = work(step)
+            finally:
+                line.clear()
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings

@@ -5,8 +5,8 @@ from pathlib import Path
 from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._files.frames import InputError
+from ccd_warp._runtime.terminal import closed_stderr
 
 
 def check_picture(path: Path, option: str) -> None:

@@ -13,10 +13,10 @@ from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.options import resolve_device
 from ccd_warp._runtime.launch import start_warp
+from ccd_warp._runtime.terminal import closed_stderr
 
 FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended

@@ -14,7 +14,7 @@ from ccd_warp import CollisionPipeline
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import largest_displacement
 from ccd_warp._cli.process import warnings_on_stderr
-from ccd_warp._cli.progress import ProgressLine, waiting
+from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.scope import check_kinds
 from ccd_warp._contact_place import MovingVertices
@@ -25,6 +25,7 @@ from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import MeshResult
 from ccd_warp._runtime.kernel_cache import announced_compilation
+from ccd_warp._runtime.progress_line import ProgressLine
 
 
 @dataclass(frozen=True)
