@@ -34,6 +34,14 @@ RECORDS = Path("docs", "figures", "examples.json")
 _ALIKE, _MOST_UNLIKE = 0.2, 8
 
 
+# Tables between marks that only a run makes, as no raw figures are kept: by mark its page and command.
+ONLY_MEASURED = {
+    "stacks": ("docs/cuda.md", "-m ccd_warp.benchmarks.cuda_code"),
+    "what gradients cost": ("docs/gradients.md", "-m ccd_warp.benchmarks.gradients --docs docs/gradients.md"),
+    "planted faults": ("docs/how_it_is_tested.md", "tests/planted --table"),  # on the site alone
+}
+
+
 @dataclass(frozen=True)
 class Maker:
     """What makes some figures, and tables of some pages.
@@ -267,6 +275,9 @@ def main() -> int:
     chosen = [by_name[name] for name in names] or everything
     if options.list:
         print("\n".join(listed(chosen)))
+        if not names:
+            print("only measured, and not redrawn:")
+            print("\n".join(f"    {page}, {mark}: python {command}" for mark, (page, command) in ONLY_MEASURED.items()))
     elif options.check:
         return check(chosen)
     elif options.record:
