@@ -60,3 +60,9 @@ def long(session: nox.Session) -> None:
 def faults(session: nox.Session) -> None:
     """Plant faults in a copy, one by one, and let the tests find each: `-- NAME` some of them."""
     session.run("python", str(TESTS / "planted"), *session.posargs, external=True)
+
+
+@nox.session(venv_backend="none")
+def figures(session: nox.Session) -> None:
+    """Say which figures and tables of the pages are stale, in this environment: `-- method rotor` some of them."""
+    session.run("python", "docs/redraw.py", "--check", *session.posargs, external=True)

@@ -193,7 +193,7 @@ def tasks(settings: Settings, about: dict, quiet: bool) -> Iterator[Task]:
         rounds * settings.batches[-1] * 3e-6,
         lambda: scaling.measure_batches(methods, settings.batches, rounds, about["memory_gib"]),
     )
-    yield from each("start", 20.0 * len(devices), lambda: scaling.measure_start(list(devices)))
+    yield from each("start", 35.0 * len(devices), lambda: scaling.measure_start(list(devices)))
     yield from each(
         "threads",
         10.0,
@@ -290,7 +290,12 @@ def run(settings: Settings, folder: Path, *, quiet: bool = False, kept: dict | N
         bar_format = "{l_bar}{bar}| {elapsed} gone, about {postfix[0]} left: {postfix[1]}"
         total = sum(task.seconds for task in todo)
         with tqdm(
-            total=total, file=sys.stderr, bar_format=bar_format, postfix=["?", ""], disable=quiet, leave=False
+            total=total,
+            file=sys.stderr,
+            bar_format=bar_format,
+            postfix=["?", ""],
+            disable=quiet or None,  # None: where there is no terminal
+            leave=False,
         ) as bar:
             for task in todo:
                 if task.key in journal.records:

@@ -62,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
     from ccd_warp.benchmarks.raw_file import read_raw
     from ccd_warp.benchmarks.report import check_docs, document, summary, write_docs
 
+    from ccd_warp._cli.progress import waiting
+
     threshold = compare.DEFAULT_THRESHOLD if arguments.threshold is None else arguments.threshold
     if not threshold > 1:
         raise ValueError(f"threshold is {threshold}; expected a number above 1")
@@ -108,13 +110,15 @@ def run(arguments: argparse.Namespace) -> int:
     if raw is None:
         print("interrupted before the first figure", file=sys.stderr)
         return INTERRUPTED
-    written = draw_all(raw, folder)
-    (folder / "bench.md").write_text(document(raw, figures="."), encoding="utf-8")
+    with waiting("drawing the pictures and writing the report", is_quiet=arguments.quiet):
+        written = draw_all(raw, folder)
+        (folder / "bench.md").write_text(document(raw, figures="."), encoding="utf-8")
     for line in summary(raw):
         say(line)
     say(f"\nraw figures, {len(written)} pictures and bench.md are in {folder}")
     if arguments.docs is not None and raw["complete"]:
-        draw_all(raw, arguments.docs / "docs" / "figures")
+        with waiting("drawing the pictures of the docs", is_quiet=arguments.quiet):
+            draw_all(raw, arguments.docs / "docs" / "figures")
         for path in write_docs(arguments.docs, raw):
             say(f"wrote {path}")
     if not complete:

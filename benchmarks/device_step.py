@@ -89,16 +89,21 @@ def rows_table(rows: list[dict]) -> list[str]:
     return table(header, cells)
 
 
+def measure_all(device: str) -> list[dict]:
+    """The rows of all scenes."""
+    cases = []
+    for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
+        cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
+    return [measure(*case, device) for case in [*cases, *map(worlds, WORLDS)]]
+
+
 def main() -> None:
     """Measure, print a table and write the figures."""
     parser = side_figures.parser("Steps on the device", "docs/on_device.md")
     parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
     options = parser.parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    cases = []
-    for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
-        cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
-    rows = [measure(*case, options.device) for case in [*cases, *map(worlds, WORLDS)]]
+    rows = side_figures.rows_of(options, lambda: measure_all(options.device))
     side_figures.publish(options, "steps on the device", rows, rows_table(rows))
     print(f"{sum(row['different_toi'] for row in rows)} tois differ, {sum(row['later_toi'] for row in rows)} are later")
 

@@ -294,7 +294,7 @@ def draw(rows: list[dict], path: Path) -> None:
     axes.set_xticks(ranks, [f"{n:,}" for n in ranks])
     axes.minorticks_off()
     axes.legend(frameon=False)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=110, metadata={"Software": None})
 
 
 def main() -> None:
@@ -307,7 +307,9 @@ def main() -> None:
     wp.config.log_level = wp.LOG_WARNING
     begin = time.perf_counter()
     sizes, ranks = ([100_000], RANKS[:2]) if options.quick else (options.faces, RANKS)
-    rows = [row for name, make in all_scenes(sizes) for row in simulate(name, make(), ranks)]
+    rows = side_figures.rows_of(
+        options, lambda: [row for name, make in all_scenes(sizes) for row in simulate(name, make(), ranks)]
+    )
     side_figures.publish(options, "simulation", rows, rows_table(rows))
     print(f"{time.perf_counter() - begin:.0f} s; the time of a step is a model, not a measurement")
     if options.figure:

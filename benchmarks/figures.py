@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ import numpy as np
 import pandas as pd
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE
-from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, set_name, time_text
+from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, ratio_text, set_name, time_text
 from ccd_warp.benchmarks.raw_file import frame
 from ccd_warp.benchmarks.rigid_sections import draw_turns, of_what
-from ccd_warp.benchmarks.scene_sections import scene_name
+from ccd_warp.benchmarks.scene_sections import machine_of, scene_name
+from ccd_warp.benchmarks.sections import FIRST_CALL
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
@@ -38,7 +40,12 @@ _STYLES: dict[str, dict[str, Any]] = {
     "both ends": {"color": "0.65", "linestyle": ":", "marker": "x"},
 }
 _OTHER = [("tab:green", "P"), ("tab:purple", "X"), ("tab:brown", "*"), ("tab:olive", "h"), ("tab:cyan", "p")]
-_HATCHES = ("", "///", "...", "xxx", "\\\\\\", "ooo", "+++")
+# What the picture of the README shows; edge-edge queries are those on which the peers are fastest.
+_FEW_METHODS = ("ours float64", REFERENCE, "additive CCD", "cubic, closed form")
+_FEW_SETS = ("handcrafted EE", "simulation EE", "cloth like EE", "hard cases EE")
+# What the picture of all sets shows: one of the three ways to solve the cubic, which differ little, and one thread.
+_PARETO_METHODS = (*_FEW_METHODS, "ours float32", "plain bisection")
+_BESIDE: dict[str, Any] = {"textcoords": "offset points", "va": "center", "fontsize": 8}
 
 
 def style(method: str, methods: list[str]) -> dict[str, Any]:
@@ -54,13 +61,14 @@ def draw_all(raw: dict, folder: Path, prefix: str = "bench_") -> list[Path]:
     """Draw every picture that the raw figures have data for; the files written."""
     folder.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, (draw, has_data) in _PICTURES.items():
+    for name, (draw, section, has_data) in _PICTURES.items():
         if not has_data(raw):
             continue
         figure = draw(raw)
-        figure.text(0.995, 0.002, describe(raw["machine"]), ha="right", va="bottom", fontsize=6, color="0.35")
+        about = describe(machine_of(raw, section))
+        figure.text(0.995, 0.002, about, ha="right", va="bottom", fontsize=6, color="0.35")
         path = folder / f"{prefix}{name}.png"
-        figure.savefig(path, dpi=110)
+        figure.savefig(path, dpi=110, metadata={"Software": None})
         plt.close(figure)
         written.append(path)
     return written
@@ -100,31 +108,51 @@ def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
     )
 
 
-def draw_pareto(raw: dict) -> Figure:
-    """Time of a query against the 99th percentile of the error; crosses where a collision is missed or late."""
-    methods = [m for m in _methods(raw) if m != "both ends"]
-    by_set = _sweep(raw).groupby("name", sort=False)
-    figure, axes = _panels(len(by_set), 4)
-    for ax, (name, rows) in zip(axes, by_set, strict=True):
-        rows = rows.assign(error=rows["error.p99"].clip(lower=_LEAST_ERROR)).dropna(subset="error")
-        for method in methods:
-            points = rows[rows.method == method]
-            if points.empty:
-                continue
-            ax.plot(points.error, points.seconds, label=method, markersize=4.5, **style(method, _methods(raw)))
-            cut = points[points.limited.fillna(0) > _CUT_SHARE * points.queries]
-            ax.plot(cut.error, cut.seconds, "o", color="white", markersize=2.2, zorder=4)
-            bad = points[(points.missed > 0) | (points.late > 0)]
-            ax.plot(bad.error, bad.seconds, "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
-        ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses or is late")
-        ax.plot(
-            [], [], "o", color="0.3", markerfacecolor="white", markersize=5, label="with a white dot: over 5 % limited"
-        )
-        ax.set(xscale="log", yscale="log", title=name, xlabel="99th percentile of |error of toi|")
-        ax.set_ylabel("seconds a query")
-        ax.grid(alpha=0.3)
-    _legend_below(figure, axes)
+def draw_speed_error(raw: dict) -> Figure:
+    """Time of a query against the 99th percentile of the error, a few sets and methods: the picture of the README."""
+    sweep = _sweep(raw)
+    names = list(dict.fromkeys(sweep.name))
+    chosen = [name for name in _FEW_SETS if name in names] or names[:4]
+    figure, axes = _panels(len(chosen), 2, 4.6, 3.1)
+    for ax, name in zip(axes, chosen, strict=True):
+        _plot_pareto(ax, sweep[sweep.name == name], _FEW_METHODS, raw, marker_size=6)
+        ax.set_title(name.replace(" EE", ", edge-edge").replace(" VF", ", vertex-face"), fontsize=11)
+        ax.set(xlabel="99 in 100 errors of toi are below", ylabel="time of a query")
+        ax.yaxis.set_major_formatter(lambda value, _: time_text(value))
+    _legend_below(figure, axes, columns=3)
     return figure
+
+
+def draw_pareto(raw: dict) -> Figure:
+    """Time of a query against the 99th percentile of the error, every set, at the size of a page."""
+    by_set = _sweep(raw).groupby("name", sort=False)
+    figure, axes = _panels(len(by_set), 2, 5.4, 3.3)
+    methods = [m for m in _methods(raw) if m in _PARETO_METHODS or (m not in _STYLES and "threads" not in m)]
+    for ax, (name, rows) in zip(axes, by_set, strict=True):
+        _plot_pareto(ax, rows, methods, raw, marker_size=5)
+        ax.set_title(name, fontsize=11)
+        ax.set(xlabel="99 in 100 errors of toi are below", ylabel="time of a query")
+        ax.yaxis.set_major_formatter(lambda value, _: time_text(value))
+    _legend_below(figure, axes, columns=4)
+    return figure
+
+
+def _plot_pareto(ax: Axes, rows: pd.DataFrame, methods: Iterable[str], raw: dict, marker_size: float) -> None:
+    """A line for each method over the tolerances; crosses where a collision is missed or late."""
+    rows = rows.assign(error=rows["error.p99"].clip(lower=_LEAST_ERROR)).dropna(subset="error")
+    for method in methods:
+        points = rows[rows.method == method]
+        if points.empty:
+            continue
+        ax.plot(points.error, points.seconds, label=method, markersize=marker_size, **style(method, _methods(raw)))
+        cut = points[points.limited.fillna(0) > _CUT_SHARE * points.queries]
+        ax.plot(cut.error, cut.seconds, "o", color="white", markersize=0.45 * marker_size, zorder=4)
+        bad = points[(points.missed > 0) | (points.late > 0)]
+        ax.plot(bad.error, bad.seconds, "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
+    ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses a collision, or is late")
+    ax.plot([], [], "o", color="0.3", markerfacecolor="white", markersize=6, label="white dot: over 5 % cut short")
+    ax.set(xscale="log", yscale="log")
+    ax.grid(alpha=0.3)
 
 
 def draw_phantoms(raw: dict) -> Figure:
@@ -224,7 +252,8 @@ def draw_scaling(raw: dict) -> Figure:
                 each = row["seconds"] + row["call_overhead"]
                 line = {k: v for k, v in style(row["method"], methods).items() if k != "marker"}
                 rate.axhline(1 / each, label=f"{row['method']}, one by one", **line)
-    for row, line in zip(raw["start"], ("-", "--", "-.", ":") * 4, strict=False):
+    starts = [row for row in raw["start"] if row.get("call", FIRST_CALL) == FIRST_CALL]
+    for row, line in zip(starts, ("-", "--", "-.", ":") * 4, strict=False):
         where = f"{row['precision']}, {row['device']}"
         call.axhline(row["compile"], color="0.3", linestyle=line, linewidth=1, label=f"first call, compiling: {where}")
         call.axhline(row["load"], color="0.7", linestyle=line, linewidth=1, label=f"first call, cached: {where}")
@@ -247,29 +276,33 @@ def draw_scaling(raw: dict) -> Figure:
 
 
 def draw_steps(raw: dict) -> Figure:
-    """Shares of the stages in the time of a call, with the time itself and the peer's."""
+    """Time of a step of each scene, ours and the peer's, with their ratio."""
     rows = raw["steps"]
-    calls = ("find_candidates", "collision_free_step", "mesh_ccd")
-    names = list(dict.fromkeys(s for row in rows for c in calls for s in row["stages"][c] if s != "total"))
-    figure, axes = _panels(3, 3, 4.8, 0.42 * len(rows) + 1.2)
-    greys = np.linspace(0.95, 0.25, len(names))
-    for ax, call in zip(axes, calls, strict=True):
-        left = np.zeros(len(rows))
-        total = np.array([sum(t for s, t in row["stages"][call].items() if s != "total") for row in rows])
-        for name, grey, hatch in zip(names, greys, _HATCHES, strict=False):
-            width = np.array([row["stages"][call].get(name, 0.0) for row in rows]) / total
-            ax.barh(range(len(rows)), width, left=left, color=str(grey), hatch=hatch, edgecolor="black", label=name)
-            left += width
-        for y, row in enumerate(rows):
-            peer = row["seconds"]["peer build"] + (call != "find_candidates") * row["seconds"]["peer step"]
-            ax.text(1.02, y, f"{time_text(row['seconds'][call])} (peer {time_text(peer)})", va="center", fontsize=7)
-        ax.set_xlim(0, 1.75)
-        ax.set_xticks([0, 0.5, 1], ["0", "50 %", "100 %"])
-        labels = [scene_name(row) for row in rows] if ax is axes[0] else [""] * len(rows)
-        ax.set_yticks(range(len(rows)), labels, fontsize=8)
+    calls = {
+        "find_candidates": "find_candidates and LBVH",
+        "collision_free_step": "collision_free_step and LBVH with its step",
+        "mesh_ccd": "mesh_ccd and LBVH with its step",
+    }
+    figure, axes = _panels(3, 3, 4.4, 0.34 * len(rows) + 1.1)
+    places = np.arange(len(rows))
+    for ax, (call, title) in zip(axes, calls.items(), strict=True):
+        ours = np.array([row["seconds"][call] for row in rows])
+        peer = np.array([row["seconds"]["peer build"] for row in rows])
+        if call != "find_candidates":
+            peer += [row["seconds"]["peer step"] for row in rows]
+        ax.hlines(places, ours, peer, color="0.7", linewidth=1.2, zorder=1)
+        ax.plot(ours, places, "o", color="black", label="ccd_warp", zorder=2)
+        ax.plot(peer, places, "s", color="tab:red", label="ipc-toolkit", zorder=2)
+        for y, ratio in enumerate(peer / ours):
+            ax.annotate(f"{ratio_text(ratio)} ×", (max(ours[y], peer[y]), y), (7, 0), **_BESIDE)
+        ax.set(xscale="log", xlabel="time of a step", title=title)
+        ax.xaxis.set_major_formatter(lambda value, _: time_text(value))
+        ax.set_xlim(right=ax.get_xlim()[1] * 5)  # room for the ratios
+        ax.title.set_fontsize(10)
+        ax.set_yticks(places, [scene_name(row) for row in rows] if ax is axes[0] else [""] * len(rows), fontsize=9)
         ax.invert_yaxis()
-        ax.set(xlabel="share of the call's time", title=call)
-    _legend_below(figure, axes, columns=len(names))
+        ax.grid(axis="x", alpha=0.3)
+    _legend_below(figure, axes)
     return figure
 
 
@@ -296,12 +329,14 @@ def draw_growth(raw: dict) -> Figure:
     return figure
 
 
+# How each picture is drawn, of which part, and whether the raw figures have what it needs.
 _PICTURES = {
-    "pareto": (draw_pareto, lambda raw: raw["sweep"]),
-    "phantoms": (draw_phantoms, lambda raw: raw["sweep"]),
-    "cases": (draw_cases, lambda raw: raw["cases"]),
-    "scaling": (draw_scaling, lambda raw: raw["batches"]),
-    "steps": (draw_steps, lambda raw: raw["steps"]),
-    "growth": (draw_growth, lambda raw: len(raw["growth"]) > 1),
-    "turns": (draw_turns, lambda raw: of_what(raw, "turns")),
+    "speed_error": (draw_speed_error, "sweep", lambda raw: raw["sweep"]),
+    "pareto": (draw_pareto, "sweep", lambda raw: raw["sweep"]),
+    "phantoms": (draw_phantoms, "sweep", lambda raw: raw["sweep"]),
+    "cases": (draw_cases, "cases", lambda raw: raw["cases"]),
+    "scaling": (draw_scaling, "batches", lambda raw: raw["batches"]),
+    "steps": (draw_steps, "steps", lambda raw: raw["steps"]),
+    "growth": (draw_growth, "growth", lambda raw: len(raw["growth"]) > 1),
+    "turns": (draw_turns, "rigid", lambda raw: of_what(raw, "turns")),
 }

@@ -64,7 +64,11 @@ def document(raw: dict, figures: str = "figures") -> str:
             "",
             *sections.peer_ratios(raw),
             "",
-            *picture("pareto", "Time of a query against the error of its toi"),
+            *picture("speed_error", "Time of a query against the error of its toi, for four sets"),
+            "A line is a method, and each of its points a tolerance; those of ours lie on each other where the "
+            "tolerance changes nothing. At a white dot more than one answer in twenty was cut short by a limit, of "
+            "work or of time. [All sets](#the-sweep).",
+            "",
             *picture("phantoms", "Phantom contacts against the tolerance"),
             "## Where another method is ahead",
             "",
@@ -124,7 +128,7 @@ def document(raw: dict, figures: str = "figures") -> str:
             "",
             *scene_sections.steps(raw),
             "",
-            *picture("steps", "Time by stage"),
+            *picture("steps", "Time of a step by scene, ours and the peer's, and their ratio; logarithmic scales"),
         ]
     if raw.get("broad"):
         lines += [
@@ -171,6 +175,7 @@ def document(raw: dict, figures: str = "figures") -> str:
         lines += ["## Rigid bodies that turn", "", *rigid_sections.rigid(raw, figures), ""]
     if raw["sweep"]:
         lines += ["## The sweep", "", "Time of a query, and the 99th percentile of the error of its toi.", ""]
+        lines += picture("pareto", "Time of a query against the error of its toi, for every set")
         lines += [*sections.by_tolerance(raw), "", "## Every figure at the default tolerance", ""]
         for unit in at_default(raw):
             lines += [f"### {set_name(unit)}", "", *sections.by_method(unit), ""]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -19,11 +21,23 @@ import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads
 
 FAMILY = "random_colliding"
-_FIRST_CALL = (
-    "import time, numpy as np, ccd_warp as ccd, warp as wp; wp.config.log_level = wp.LOG_ERROR; "
-    "x = np.zeros((1, 4, 3)); a = time.perf_counter(); ccd.vertex_face_ccd(x, x, precision='{precision}', "
-    "device='{device}'); print(time.perf_counter() - a)"
-)
+# A first call, between what prepares it and its seconds, of the clock and of the processor.
+_FIRST_CALL = """
+import json, time, numpy as np, ccd_warp as ccd, warp as wp
+wp.config.log_level = wp.LOG_ERROR
+options = {{"precision": "{precision}", "device": "{device}"}}
+x = np.zeros((1, 4, 3))
+mesh = ccd.CollisionMesh.from_arrays([([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])] * 2)
+begin = time.perf_counter(), time.process_time()
+{call}
+print(json.dumps([time.perf_counter() - begin[0], time.process_time() - begin[1]]))
+"""
+_FIRST_CALLS = {
+    "vertex_face_ccd": "ccd.vertex_face_ccd(x, x, **options)",
+    "mesh_ccd": "ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **options)",
+    "ccd-warp demo": "from ccd_warp._cli.command import main; main(['demo', '--quiet'] + "
+    "[f'--{name}={value}' for name, value in options.items()])",
+}
 
 
 def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: float) -> dict:
@@ -52,18 +66,29 @@ def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int,
 def measure_start(devices: list[str]) -> list[dict]:
     """Seconds of the first call of a process without imports: with nothing compiled, and with cached kernels."""
     rows = []
-    for device in devices:
-        for precision in ("float64", "float32"):
-            code = _FIRST_CALL.format(precision=precision, device=device)
-            with tempfile.TemporaryDirectory() as cache:
-                environment = {**os.environ, "WARP_CACHE_PATH": cache}
-                compiled, loaded = (_last_number(code, environment) for _ in range(2))
-            rows.append({"device": device, "precision": precision, "compile": compiled, "load": loaded})
+    calls = [(name, precision) for precision in ("float64", "float32") for name in _FIRST_CALLS]
+    for device, (name, precision) in product(devices, calls[: len(_FIRST_CALLS) + 1]):  # of float32 the first alone
+        code = _FIRST_CALL.format(precision=precision, device=device, call=_FIRST_CALLS[name])
+        with tempfile.TemporaryDirectory() as cache:
+            environment = {**os.environ, "WARP_CACHE_PATH": cache}
+            compiled, loaded = (_last_line(code, environment) for _ in range(2))
+        rows.append(
+            {
+                "device": device,
+                "precision": precision,
+                "call": name,
+                "compile": compiled[0],
+                "load": loaded[0],
+                "compile_processor": compiled[1],
+                "load_processor": loaded[1],
+            }
+        )
     return rows
 
 
-def _last_number(code: str, environment: dict[str, str]) -> float:
-    return float(run_apart([sys.executable, "-P", "-c", code], environment).split()[-1])
+def _last_line(code: str, environment: dict[str, str]) -> list[float]:
+    found: list[float] = json.loads(run_apart([sys.executable, "-P", "-c", code], environment).splitlines()[-1])
+    return found
 
 
 def run_apart(command: list[str], environment: dict[str, str] | None = None) -> str:

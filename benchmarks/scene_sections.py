@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import statistics
+
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.numbers import memory_text, ratio_text, table, time_text
 
@@ -45,7 +47,8 @@ def steps(raw: dict) -> list[str]:
     ]
     header = ["ratio of times, peer's to ours", *(f"`{name}`" for name in _CALLS)]
     header += ["first `collision_free_step`", "first `mesh_ccd`", "step: ours / peer's", "candidates: ours / peer's"]
-    return [*lines, "", *table([*header, "other than the peer's", "rounds"], ratios)]
+    lines += ["", *table([*header, "other than the peer's", "rounds"], ratios)]
+    return [*lines, *beside_the_other(raw, "steps"), *apart(raw, "steps")]
 
 
 def broad(raw: dict) -> list[str]:
@@ -65,7 +68,7 @@ def broad(raw: dict) -> list[str]:
     )
     header = ["scene, faces", "LBVH", "`find_candidates`: tree", "hash", "boxes: tree", "hash", "pairs: tree", "hash"]
     header += ["`mesh_ccd`: tree", "hash", "candidates", "equal", "other than the peer's", "rounds"]
-    return [*table(header, rows), *apart(raw, "broad")]
+    return [*table(header, rows), *beside_the_other(raw, "broad"), *apart(raw, "broad")]
 
 
 # Calls of the table of many worlds; `many_worlds.measure` names them.
@@ -120,6 +123,46 @@ def single_pairs(raw: dict) -> list[str]:
     """Times of a call with one pair."""
     rows = ([pair_name(row), *map(time_text, row["seconds"].values())] for row in raw["pairs"])
     return [*table(["a call with one pair", "additive CCD", "ours"], rows), *apart(raw, "pairs")]
+
+
+def machine_of(raw: dict, section: str) -> dict:
+    """The machine, and the date, of a part."""
+    about: dict = raw.get("measured_apart", {}).get(section, raw)["machine"]
+    return about
+
+
+# The parts with a table of whole scenes, and in each the figure of the same call of the peer and of ours.
+_SAME_CALLS = {"steps": ("peer build", "find_candidates"), "broad": ("LBVH", "tree find_candidates")}
+_SCENE_PLACES = {"steps": "[whole steps](#whole-steps)", "broad": "[broad phases](#broad-phases)"}
+# Ratios of the same call in two parts within which the machine is taken to have been as fast.
+_ALIKE = 1.25
+
+
+def beside_the_other(raw: dict, here: str) -> list[str]:
+    """What the reader of a table of scenes has to know who has read the other one: the same calls, at another time."""
+    (other,) = _SAME_CALLS.keys() - {here}
+    rows = {part: {scene_name(row): row["seconds"] for row in raw.get(part) or []} for part in _SAME_CALLS}
+    common = rows[here].keys() & rows[other].keys()
+    if not common:
+        return []
+    calls = list(zip(_SAME_CALLS[here], _SAME_CALLS[other], strict=True))
+    ratios = [[rows[here][name][at] / rows[other][name][there] for name in common] for at, there in calls]
+    is_slower = statistics.median(ratios[0]) >= 1.0
+    if not is_slower:
+        ratios = [[1.0 / ratio for ratio in values] for values in ratios]
+    texts = [" to ".join(f"{of(values):.1f}" for of in (min, max)) for values in ratios]
+    of_this, of_that = ("Here", "there") if is_slower else ("There", "here")
+    text = (
+        f"The table of {_SCENE_PLACES[other]} has LBVH and `find_candidates` of the same scenes, too, measured at "
+        f"another time. {of_this} LBVH takes {texts[0]} times as long as {of_that}, and `find_candidates` {texts[1]} "
+        "times."
+    )
+    if max(max(*values, *(1.0 / ratio for ratio in values)) for values in ratios) > _ALIKE:
+        text += (
+            " LBVH is the same program, called alike and on all cores for both, so the ratios say how free the machine "
+            "was at either time. The calls of one table take turns and met the same conditions: compare within a table."
+        )
+    return ["", text]
 
 
 def apart(raw: dict, section: str) -> list[str]:

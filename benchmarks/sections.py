@@ -6,6 +6,7 @@ import pandas as pd
 from ccd_warp.benchmarks.machine import describe
 from ccd_warp.benchmarks.methods import REFERENCE, SHORT
 from ccd_warp.benchmarks.numbers import (
+    DEFAULT_TOLERANCE,
     OURS,
     PEERS,
     at_default,
@@ -55,11 +56,19 @@ def conditions(raw: dict) -> list[str]:
         "- `MiB` is what a call takes at its peak beside its input: for ours and the baselines of a whole batch, for a "
         "peer what its process grew by, query after query.",
     ]
+    if marks := raw.get("measured_apart", {}):
+        runs: dict[tuple[str, str], list[str]] = {}
+        for part, mark in marks.items():
+            runs.setdefault((mark["machine"]["date"], mark["fingerprint"][:12]), []).append(part)
+        said = "; ".join(f"{', '.join(parts)} on {date}, {code}" for (date, code), parts in sorted(runs.items()))
+        lines.append(f"- Parts that were measured in runs of their own, by date and code: {said}.")
     if not raw["complete"]:
         lines += ["", "**The run was interrupted: parts are missing.**"]
     return lines
 
 
+# The first call that every raw file has.
+FIRST_CALL = "vertex_face_ccd"
 # Tolerances of the table that helps to choose one.
 _CHOICES = (1e-2, 1e-4, 1e-6, 1e-9, 1e-12)
 
@@ -178,7 +187,19 @@ def ours_by_tolerance(raw: dict) -> list[str]:
     rows = texts.groupby(["set", "precision"], sort=False).agg(" / ".join).reset_index().values
     at = " / ".join(f"{t:.0e}" for t in tolerances)
     header = ["set", "precision", f"time of a query at {at}", "99 % of errors below", "largest error", "phantoms"]
-    return table(header, rows)
+    return [*table(header, rows), "", _gain_of_float32(of_methods)]
+
+
+def _gain_of_float32(rows: pd.DataFrame) -> str:
+    """A sentence on the time of float32 against float64."""
+    seconds = rows.pivot_table(index=["set", "kind", "tolerance"], columns="method", values="seconds")
+    ratios = seconds["ours float32"] / seconds["ours float64"]
+    at_default = ratios.xs(DEFAULT_TOLERANCE, level="tolerance")
+    return (
+        f"At the default tolerance float32 takes {at_default.min():.2f} to {at_default.max():.2f} of the time of "
+        f"float64, by set; over all tolerances of the table {ratios.min():.2f} to {ratios.max():.2f}, in the median "
+        f"{ratios.median():.2f}."
+    )
 
 
 def cell_text(row: dict) -> str:
@@ -243,8 +264,23 @@ def batches(raw: dict) -> list[str]:
 
 
 def first_calls(raw: dict) -> list[str]:
-    rows = [[f"{r['precision']}, {r['device']}", time_text(r["compile"]), time_text(r["load"])] for r in raw["start"]]
+    """Seconds of first calls; figures of processor time, and calls but one, are in newer raw files only."""
+
+    def seconds(row: dict, name: str) -> str:
+        of_processor = row.get(f"{name}_processor")
+        return time_text(row[name]) + ("" if of_processor is None else f" ({time_text(of_processor)})")
+
+    rows = [
+        [
+            f"`{row.get('call', FIRST_CALL)}`, {row['precision']}, {row['device']}",
+            seconds(row, "compile"),
+            seconds(row, "load"),
+        ]
+        for row in raw["start"]
+    ]
     header = ["first call of a process, imports aside", "nothing compiled before", "kernels in Warp's cache"]
+    has_processor = any("compile_processor" in row for row in raw["start"])
+    header[1:] = [f"{name}: clock (processor)" if has_processor else name for name in header[1:]]
     return table(header, rows)
 
 

@@ -57,7 +57,7 @@ def main() -> None:
     """Measure, print a table and write the figures."""
     options = side_figures.parser("What a minimum separation costs", "docs/choosing.md").parse_args()
     wp.config.log_level = wp.LOG_WARNING
-    rows = measure(NUM_FACES)
+    rows = side_figures.rows_of(options, lambda: measure(NUM_FACES))
     side_figures.publish(options, "separation", rows, rows_table(rows))
 
 

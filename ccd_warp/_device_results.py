@@ -36,8 +36,9 @@ class LaunchResult(OnDevice):
         contacts: Every pair with a finite toi, up to the capacity.
         flags: :class:`ccd_warp.LaunchFlag` of the scene, int32, shape [1].
         world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
-        num_pairs: Number of pairs of each :class:`ccd_warp.PairKind` that the cull left, including those beyond the
-            capacity, int64, shape [5].
+        num_pairs: For each :class:`ccd_warp.PairKind`, in their order, how many pairs the cull left, those beyond
+            ``max_pairs`` included, int64, shape [5]: vertex-face, edge-edge, point-segment, point-point, vertex-plane.
+            The last are vertices that meet a half-space, which take no capacity.
         body_fraction: With a ``motion``, the fraction of its path by which each rigid body goes, 1 of all other bodies,
             float64, shape [B]: below 1 where :meth:`ccd_warp.CollisionPipeline.launch_line_search` has shortened it.
             None without a motion.

@@ -47,7 +47,8 @@ def find_candidates(
     and pairs excluded by ``body_pairs``, ``exclude_pairs``, ``exclusion_rings`` or ``vertex_world``.
 
     Four kinds of pair suffice: vertex-face, edge-edge, codimensional point with codimensional edge, and two
-    codimensional points. The sets that collide are faces, codimensional edges and codimensional points. All are convex.
+    codimensional points; and vertices with the planes of half-spaces, where there are any. The sets that collide
+    otherwise are faces, codimensional edges and codimensional points. All are convex.
     The distance of two convex sets A and B, in any norm, is the distance of the origin from the polytope A - B, and the
     nearest point lies on its boundary while they do not touch. For two faces, or a face and a codimensional edge, that
     boundary consists of differences (vertex) - (face) and (edge) - (edge), and where A - B is flat these cover all of
@@ -335,7 +336,8 @@ def collision_free_step(
 
     Args:
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`. Where some do, a
-            ``RuntimeWarning`` says so; the fraction stays what it is, that of all that does not cross yet.
+            ``RuntimeWarning`` says so, once for a mesh and the bodies that cross; the fraction stays what it is, that
+            of all that does not cross yet.
         **options: Options of :class:`ccd_warp.MeshOptions`. By default what starts within its distance may part and
             slide, and comes no closer (``start_gap_fraction``).
 
@@ -369,7 +371,8 @@ def is_step_collision_free(
 
     Args:
         check_start: Whether surfaces that cross at the start count, too: a step is not free where an edge is through
-            the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies.
+            the inside of a face at its start, which no contact shows. A ``RuntimeWarning`` says of which bodies, once
+            for a mesh.
 
     Returns:
         True if no pair touches (or comes within the minimum separation) in [0, t_max]. False if a pair touches, or

@@ -27,7 +27,7 @@ from ccd_warp._engine.host.line_search import (
     search_step,
     validated_line_search,
 )
-from ccd_warp._engine.host.oddities import DistanceInEdges, warn
+from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
@@ -47,6 +47,7 @@ from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.progress_line import CallLine
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 
@@ -125,7 +126,7 @@ class CollisionPipeline:
         self._workspace: Workspace | None = workspace
         self._device_step: DeviceLineSearch | None = None
         self._arc_step: DeviceArcStep | None = None  # of launches with a motion
-        self._show_progress: Callable[[Progress], None] | None = None  # set by the command line
+        self._show_progress: Callable[[Progress], None] | None = None  # the command line has a line of its own
         self._lock = threading.Lock()
         self._capacities = Capacities.default(self.mesh)
         self._layout = self.mesh._vertices_in_space
@@ -244,8 +245,13 @@ class CollisionPipeline:
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
-            step = kind(workspace, (start, end), options or self._options, seconds, self._show_progress, **further)
-            result = work(step)
+            line = CallLine()
+            show = self._show_progress or line.show
+            step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
+            try:
+                result = work(step)
+            finally:
+                line.clear()
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
@@ -855,7 +861,7 @@ class CollisionPipeline:
         """What makes steps of a mesh of parts, between positions and along paths, with other options."""
         options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
         self._check_no_capture()
-        workspace = Workspace(parts.mesh, self._topology.device)
+        workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
         show = self._show_progress
         return lambda start, end, paths: Step(workspace, (start, end), options, 0.0, show, paths=paths)
@@ -877,7 +883,11 @@ class CollisionPipeline:
         timings["total"] += self.timings["total"]
         self.counts, self.timings = counts, timings
         if start.num_crossing:
-            warn(f"at the start {start[start.is_crossing].describe()}; what crosses already is not seen in the step")
+            crossing = start[start.is_crossing]
+            of_bodies = "crossing", frozenset(crossing.by_bodies())
+            if self._workspace is not None:
+                said = f"at the start {crossing.describe()}; what crosses already is not seen in the step"
+                self._workspace.warn_once(of_bodies, lambda: said)
         return start
 
     def collision_free_step(

@@ -149,7 +149,7 @@ class HostLaunchResult(Outcome):
         contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
         flags: Flags of the scene.
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
-        num_pairs: Number of pairs of each kind that the cull left, including those beyond the capacity.
+        num_pairs: For each :class:`ccd_warp.PairKind` how many pairs the cull left, those beyond the capacity, too.
         num_contacts: Number of contacts found, including those beyond the capacity.
         body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
         motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.

@@ -8,7 +8,7 @@ from ccd_warp.kernels.step import minima
 
 
 class PairKind(IntEnum):
-    """Kind of a primitive pair."""
+    """Kind of a primitive pair; where a result has a number for each kind, they are in this order."""
 
     VERTEX_FACE = int(pair_kind.VERTEX_FACE)
     EDGE_EDGE = int(pair_kind.EDGE_EDGE)

@@ -1,12 +1,14 @@
-"""Take the pictures of the page of ``ccd-warp explore``: ``python docs/make_explore_pictures.py``, with a Chromium."""
+"""Take the pictures of the page of ``ccd-warp explore``: ``python docs/make_explore_pictures.py [FOLDER]``.
+
+It needs a Chromium.
+"""
 
 import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(
-    0, str(Path(__file__).resolve().parent.parent / "tests")
-)  # the tests drive the page by the same browser
+# the tests drive the page by the same browser
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 
 from browser import find_browser, opened_browser
 
@@ -22,6 +24,7 @@ PICTURES = {
 
 
 def main() -> None:
+    to = Path(sys.argv[1] if len(sys.argv) > 1 else FIGURES)
     browser = find_browser()
     if browser is None:
         sys.exit("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
@@ -34,9 +37,9 @@ def main() -> None:
         for name, (first, last) in PICTURES.items():
             top = page.evaluate(f"document.querySelector('{first}').getBoundingClientRect().top + scrollY")
             bottom = page.evaluate(f"document.querySelector('{last}').getBoundingClientRect().bottom + scrollY")
-            path = FIGURES / f"{name}.png"
+            path = to / f"{name}.png"
             page.picture(path, clip=(0, top - 8, WIDTH, bottom - top + 16))
-            print(f"figures/{path.name}  {path.stat().st_size // 1000} kB")
+            print(f"{path.name}  {path.stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":

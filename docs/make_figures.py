@@ -1,10 +1,11 @@
-"""Draw the figures of docs/method.md: ``python docs/make_figures.py``, with ``pip install -e '.[docs]'``.
+"""Draw the figures of docs/method.md: ``python docs/make_figures.py [FOLDER]``, with ``pip install -e '.[docs]'``.
 
 Bounds of the toi and counts are those of the library: with ``max_iterations=k`` it reports the lower bound that it has
-reached after k steps. It does not give out its boxes, nor the single clips of a step. These come from two illustrations
-in NumPy, ``illustrated_boxes`` and ``illustrated_clips``: the same mathematics, without the rounding bounds.
+reached after k boxes, or k rounds of the default method. The boxes of the bisection themselves, which it does not give
+out, are those of ``illustrated_boxes``, which is checked to test as many.
 """
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
@@ -26,7 +27,6 @@ FIGURES = Path(__file__).parent / "figures"
 BOX_TOLERANCE = 1e-2  # of the boxes drawn: smaller ones are not seen
 TOLERANCE = 1e-6  # of the convergence
 MANY = 10_000_000
-SMALLEST_ERROR = 1e-15  # of the illustrated clips, which have no rounding bounds
 ROUNDING = 25 * 2.0**-53  # about the library's, of boxes, relative to the largest corner per axis
 DARK, MID, LIGHT = "0.0", "0.45", "0.85"
 
@@ -143,50 +143,8 @@ def illustrated_boxes(case: Case, tolerance: float) -> list[tuple[tuple[float, .
     return boxes
 
 
-def hull_crossing(b: np.ndarray) -> float:
-    """Fraction of the interval at which the hull of Bernstein coefficients first reaches 0; inf if it does not."""
-    n = len(b)
-    crossings = [
-        (i + (j - i) * b[i] / (b[i] - b[j])) / (n - 1) for i in range(n) for j in range(i, n) if b[i] > 0 >= b[j]
-    ]
-    return 0.0 if b[0] <= 0 else min(crossings, default=np.inf)
-
-
-def volume_coefficients(case: Case, t: float, x: float) -> list[np.ndarray]:
-    """Bernstein coefficients of P·(Q×R) on [t, x], positive at t; from its values at four times."""
-    times = np.linspace(t, x, 4)
-    values = [np.linalg.det(np.array([w[0], w[1] - w[0], w[2] - w[0]])) for w in map(case.corners, times)]
-    a, b, c, d = np.array(values) * np.sign(values[0])
-    return [np.array([a, (-5 * a + 18 * b - 9 * c + 2 * d) / 6, (2 * a - 9 * b + 18 * c - 5 * d) / 6, d])]
-
-
-def facet_coefficients(case: Case, t: float, x: float) -> list[np.ndarray]:
-    """Bernstein coefficients on [t, x] of d·W for the three corners W, with d the moving normal of the edge f1-f2."""
-    w_t, w_x = case.corners(t), case.corners(x)
-    d_t, d_x = (np.cross(w[1] - w[2], [0.0, 0.0, 1.0]) for w in (w_t, w_x))
-    sign = np.sign(d_t @ w_t[0])
-    return [sign * np.array([d_t @ a, (d_t @ b + d_x @ a) / 2, d_x @ b]) for a, b in zip(w_t, w_x, strict=True)]
-
-
-def illustrated_clips(case: Case, coefficients: Callable[[Case, float, float], list[np.ndarray]]) -> list[float]:
-    """Times up to which one step of the default method clips, one after the other."""
-    t, x = 0.0, 1.0
-    times = [t]
-    for _ in range(16):
-        first = min(hull_crossing(b) for b in coefficients(case, t, x))
-        if np.isinf(first):
-            t, x = x, min(1.0, x + 4 * (x - t))
-        else:
-            s = t + (x - t) * first * (1 - 1e-15)
-            if s <= t:
-                break
-            t, x = s, min(1.0, s + 2 * (s - t))
-        times.append(t)
-    return times
-
-
 def reached_bounds(case: Case, method: str, limits: list[int]) -> np.ndarray:
-    """The library's own lower bounds of the toi after a number of boxes or steps."""
+    """The library's own lower bounds of the toi after a number of boxes or rounds."""
     return np.array([case.solved(method=method, max_iterations=k, tolerance=TOLERANCE).toi[0] for k in limits])
 
 
@@ -194,7 +152,7 @@ def draw_boxes(ax: Axes, case: Case) -> None:
     boxes = illustrated_boxes(case, BOX_TOLERANCE)
     count = int(case.solved(method="bisection", tolerance=BOX_TOLERANCE, max_iterations=MANY).iterations[0])
     if count != len(boxes):
-        print(f"{case.name}: the library tests {count} boxes, the illustration {len(boxes)}")
+        raise RuntimeError(f"{case.name}: the library tests {count} boxes, the illustration {len(boxes)}")
     # the widest first, so that none hides another
     free = sorted((b for b, fate in boxes if fate == "free"), key=lambda b: -(b[1] - b[0]) * (b[3] - b[2]))
     rectangles = [Rectangle((b[0], b[2]), b[1] - b[0], b[3] - b[2]) for b in free]
@@ -208,17 +166,22 @@ def draw_boxes(ax: Axes, case: Case) -> None:
     ax.legend(loc="upper right", framealpha=1.0)
 
 
-def draw_intervals(ax: Axes, case: Case, clips: list[float]) -> None:
-    shown = clips[1:7]
-    for k, t in enumerate(shown):
-        ax.barh(k + 1, t, height=0.7, color=LIGHT, edgecolor=DARK, linewidth=0.8)
+def rounds_of(case: Case) -> np.ndarray:
+    """Times up to which the library has shown the pair free after each round of the default method."""
+    count = int(case.solved(tolerance=TOLERANCE).iterations[0])
+    return reached_bounds(case, "clipping", list(range(1, count + 1)))
+
+
+def draw_intervals(ax: Axes, case: Case, rounds: np.ndarray) -> None:
+    for k, t in enumerate(rounds, start=1):
+        ax.barh(k, t, height=0.7, color=LIGHT, edgecolor=DARK, linewidth=0.8)
     ax.axvline(case.toi(), color=DARK, linewidth=1.0, linestyle="--")
-    ax.set(xlim=(0, 1), ylim=(len(shown) + 0.6, 0.4), yticks=range(1, len(shown) + 1), ylabel="clip")
+    ax.set(xlim=(0, 1), ylim=(len(rounds) + 0.6, 0.4), yticks=range(1, len(rounds) + 1), ylabel="round")
     ax.set_xlabel("t, as a fraction of the step")
-    ax.set_title("Default method: certified free after each clip", fontsize=10)
+    ax.set_title("Default method: certified free after each round", fontsize=10)
 
 
-def draw_convergence(ax: Axes, case: Case, clips: list[float]) -> None:
+def draw_convergence(ax: Axes, case: Case, rounds: np.ndarray) -> None:
     toi = case.toi()
 
     def error(t: Any) -> Any:
@@ -229,44 +192,38 @@ def draw_convergence(ax: Axes, case: Case, clips: list[float]) -> None:
     limits = sorted({int(k) for k in np.geomspace(1, count, 60)})
     ax.step(limits, error(reached_bounds(case, "bisection", limits)), where="post", color=MID, linewidth=1.6)
     ax.text(count, float(error(answer.toi)[0]) * 0.3, f"bisection,\n{count:,} boxes", ha="right", va="top", color=MID)
-    steps = int(case.solved(tolerance=TOLERANCE).iterations[0])
-    bounds = reached_bounds(case, "clipping", list(range(1, steps + 1)))
-    clips = [t for t in clips[1:] if error(t) > SMALLEST_ERROR]
-    at = len(clips) + 1 + np.arange(steps)
-    ax.plot(range(1, len(clips) + 1), error(clips), "o-", color=DARK, markersize=3.5, linewidth=0.8)
-    ax.plot(at, error(bounds), "s", color=DARK, markerfacecolor="white", markersize=7)
-    ax.plot([], [], "o", color=DARK, markersize=3.5, label="default: clips of step 1")
-    ax.plot([], [], "s", color=DARK, markerfacecolor="white", markersize=7, label=f"bound after steps 1 to {steps}")
+    ax.plot(range(1, len(rounds) + 1), error(rounds), "s-", color=DARK, markerfacecolor="white", linewidth=0.8)
+    ax.plot([], [], "s-", color=DARK, markerfacecolor="white", linewidth=0.8, label="default method, by rounds")
+    ax.plot([], [], color=MID, linewidth=1.6, label="plain bisection, by boxes")
     ax.set(xscale="log", yscale="log", ylim=(1e-16, 3), xlim=(0.8, max(2 * count, 1000)))
-    ax.set_xlabel("boxes, or clips")
+    ax.set_xlabel("boxes, or rounds")
     ax.set_ylabel("exact toi − lower bound")
     ax.set_title(f"How early the bound of toi still is, δ = {TOLERANCE:g}", fontsize=10)
     ax.grid(True, color="0.9", linewidth=0.6)
     ax.legend(loc="lower right", framealpha=1.0)
 
 
-def draw(case: Case) -> Path:
-    coefficients = facet_coefficients if case.name == "in_plane" else volume_coefficients
-    clips = illustrated_clips(case, coefficients)
+def draw(case: Case, folder: Path) -> Path:
+    rounds = rounds_of(case)
     figure = plt.figure(figsize=(9.0, 4.6), layout="constrained")
     grid = figure.add_gridspec(2, 2, height_ratios=(1.7, 1.0), width_ratios=(1.1, 1.0))
     boxes = figure.add_subplot(grid[0, 0])
     draw_boxes(boxes, case)
-    draw_intervals(figure.add_subplot(grid[1, 0], sharex=boxes), case, clips)
-    draw_convergence(figure.add_subplot(grid[:, 1]), case, clips)
+    draw_intervals(figure.add_subplot(grid[1, 0], sharex=boxes), case, rounds)
+    draw_convergence(figure.add_subplot(grid[:, 1]), case, rounds)
     figure.suptitle(case.title, fontsize=11, fontweight="bold")
-    path = FIGURES / f"{case.name}.png"
+    path = folder / f"{case.name}.png"
     figure.savefig(path, dpi=130, metadata={"Software": None})
     plt.close(figure)
     return path
 
 
 def main() -> None:
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else FIGURES
     plt.rcParams.update({"font.size": 9, "legend.fontsize": 8, "axes.axisbelow": True})
-    FIGURES.mkdir(exist_ok=True)
     for case in CASES:
-        path = draw(case)
-        print(f"{path.relative_to(FIGURES.parent)}  {path.stat().st_size // 1000} kB")
+        path = draw(case, folder)
+        print(f"{path.name}  {path.stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":

@@ -1,17 +1,25 @@
-"""Draw the demo's scenes for README and docs: ``python docs/make_pictures.py``, with ``pip install -e '.[viz]'``."""
+"""Draw the pictures of the README: ``python docs/make_pictures.py [FOLDER]``, with ``pip install -e '.[viz]'``.
 
+One is of the demo's cloth; the other of the first block of Python that the README has, run as it stands.
+"""
+
+import contextlib
+import io
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
 
 import ccd_warp as ccd
 from ccd_warp import viz
-from ccd_warp._cli.demo import DemoScene, bullet_scene, cloth_scene
+from ccd_warp._cli.demo import DemoScene, cloth_scene
 
-FIGURES = Path(__file__).parent / "figures"
+ROOT = Path(__file__).resolve().parents[1]
+FIGURES = ROOT / "docs" / "figures"
 
 
-def draw(scene: DemoScene) -> Path:
+def draw_scene(scene: DemoScene, path: Path) -> None:
     mesh = ccd.CollisionMesh.from_arrays(
         [(body.vertices_t0, body.faces) for body in scene.bodies],
         static=[k for k, body in enumerate(scene.bodies) if body.is_static],
@@ -22,16 +30,25 @@ def draw(scene: DemoScene) -> Path:
         np.vstack([getattr(body, frame) for body in scene.bodies]) for frame in ("vertices_t0", "vertices_t1")
     )
     result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1)
-    path = FIGURES / f"demo_{scene.name}.png"
     viz.render_step(mesh, vertices_t0, vertices_t1, result, path)
-    return path
+
+
+def draw_first_block(page: Path, path: Path) -> None:
+    """Run the first block of Python of a page, which leaves a mesh, its positions and a result, and draw these."""
+    block = re.search(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    assert block is not None, page
+    left: dict[str, object] = {}
+    with contextlib.redirect_stdout(io.StringIO()):
+        exec(compile(block[1], page.name, "exec"), left)
+    viz.render_step(*(left[name] for name in ("mesh", "start", "end", "result")), path)  # type: ignore[arg-type]
 
 
 def main() -> None:
-    FIGURES.mkdir(exist_ok=True)
-    for scene in (bullet_scene(), cloth_scene()):
-        path = draw(scene)
-        print(f"{path.relative_to(FIGURES.parent)}  {path.stat().st_size // 1000} kB")
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else FIGURES)
+    draw_scene(cloth_scene(), folder / "demo_cloth.png")
+    draw_first_block(ROOT / "README.md", folder / "readme_bullet.png")
+    for name in ("demo_cloth.png", "readme_bullet.png"):
+        print(f"{name}  {(folder / name).stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Draw the figure of docs/rigid.md: ``python docs/make_rigid_figure.py``, with ``pip install -e '.[docs]'``.
+"""Draw the figure of docs/rigid.md: ``python docs/make_rigid_figure.py [FOLDER]``, with ``pip install -e '.[docs]'``.
 
 What moves on arcs is placed by ``RigidMotion.at``; chords join the places of a vertex at both ends of the step.
 """
 
+import sys
 from pathlib import Path
 
 import matplotlib
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 import ccd_warp as ccd
 
-PATH = Path(__file__).parent / "figures" / "arcs.png"
+FIGURES = Path(__file__).parent / "figures"
 DARK, MID, LIGHT = "0.0", "0.45", "0.8"
 TIMES = np.linspace(0.0, 1.0, 5)
 FINE = np.linspace(0.0, 1.0, 101)
@@ -80,10 +81,10 @@ def main() -> None:
         ax.set(xlim=(-1.15, 1.15), ylim=(-1.15, 1.15))
     for ax in axes[2:]:
         ax.set(xlim=(-0.4, 2.8), ylim=(-0.4, 2.8))
-    PATH.parent.mkdir(exist_ok=True)
-    figure.savefig(PATH, dpi=130, metadata={"Software": None})
+    path = Path(sys.argv[1] if len(sys.argv) > 1 else FIGURES) / "arcs.png"
+    figure.savefig(path, dpi=130, metadata={"Software": None})
     plt.close(figure)
-    print(f"{PATH.relative_to(PATH.parent.parent)}  {PATH.stat().st_size // 1000} kB")
+    print(f"{path.name}  {path.stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._cli.process import closed_stderr
 from ccd_warp._cli.progress import ItemsLine
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.sequence_records import StepRecord
 from ccd_warp._contact_place import MovingVertices
+from ccd_warp._runtime.terminal import closed_stderr
 
 
 def draw_animation(

@@ -38,7 +38,7 @@ def run_demo(arguments: argparse.Namespace) -> int:
         if not arguments.quiet:
             _print(number, scene, step, {**timings, **step.timings} if number == 0 else step.timings, arguments.verbose)
         if pictures is not None:
-            draw_step(pictures / f"{scene.name}.png", step)
+            draw_step(pictures / f"{scene.name}.png", step, is_quiet=arguments.quiet)
         if folder is not None:
             _write(folder, scene, step)
     if folder is not None and not arguments.quiet:

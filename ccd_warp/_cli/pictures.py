@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-from ccd_warp._cli.process import closed_stderr
+from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.frames import InputError
+from ccd_warp._runtime.terminal import closed_stderr
 
 
 def check_picture(path: Path, option: str) -> None:
@@ -27,11 +28,11 @@ def check_drawing(option: str) -> None:
         raise InputError(f"{option}: {error}") from error
 
 
-def draw_step(path: Path, step: SolvedStep) -> Path:
+def draw_step(path: Path, step: SolvedStep, *, is_quiet: bool) -> Path:
     """Draw a step at its start, toi and end; return the path."""
     from ccd_warp import viz
 
-    with replacing(path) as to, closed_stderr():
+    with waiting("drawing the picture", is_quiet=is_quiet), replacing(path) as to, closed_stderr():
         viz.render_step(
             step.mesh,
             step.vertices_t0,

@@ -16,6 +16,7 @@ import warp as wp
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.options import resolve_device
 from ccd_warp._runtime.launch import start_warp
+from ccd_warp._runtime.terminal import closed_stderr
 
 FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
@@ -135,38 +136,6 @@ def _heeded_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
     if caught:
         raise KeyboardInterrupt
-
-
-@contextmanager
-def closed_stderr() -> Iterator[None]:
-    """Drop what native code writes to stderr: without a CUDA driver Warp complains there, whatever its log level."""
-    try:
-        saved = os.dup(2)
-    except OSError:  # the process has no stderr
-        yield
-        return
-    try:
-        with open(os.devnull, "wb") as null:
-            os.dup2(null.fileno(), 2)
-        yield
-    finally:
-        os.dup2(saved, 2)
-        os.close(saved)
-
-
-@contextmanager
-def notice(message: str, *, seconds: float, is_quiet: bool) -> Iterator[None]:
-    """Say ``message`` on a terminal's stderr if the work inside takes longer than ``seconds``."""
-    if is_quiet or sys.stderr is None or not sys.stderr.isatty():
-        yield
-        return
-    timer = threading.Timer(seconds, lambda: say(message))
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 @contextmanager

@@ -1,45 +1,13 @@
-"""A line on the terminal that shows the progress of a run and how long it will take."""
+"""Lines on the terminal that show what a command is doing."""
 
-import sys
-import time
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+from ccd_warp._runtime import progress_line
 from ccd_warp._runtime.progress import Progress
-
-_PATIENCE = 2.0  # seconds before the line appears
-_WIDTH = 24
-
-
-class ProgressLine:
-    """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
-
-    def __init__(self, is_quiet: bool) -> None:
-        self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
-        self._begin = self._stage_begin = time.monotonic()
-        self._stage = ""
-        self._length = 0
-
-    def show(self, progress: Progress) -> None:
-        """Rewrite the line, once the run has taken two seconds."""
-        now = time.monotonic()
-        if progress.stage != self._stage:
-            self._stage, self._stage_begin = progress.stage, now
-        if not self._is_shown or now - self._begin < _PATIENCE:
-            return
-        self._write(line_of(progress, now - self._stage_begin))
-
-    def clear(self) -> None:
-        """Clear the line."""
-        if self._length:
-            self._write("")
-            sys.stderr.write("\r")
-            sys.stderr.flush()
-
-    def _write(self, text: str) -> None:
-        # the longer of both while an interrupt may come before the line is written or after it
-        self._length = max(self._length, len(text))
-        sys.stderr.write(f"\r{text:{self._length}}")
-        sys.stderr.flush()
-        self._length = len(text)
+from ccd_warp._runtime.progress_line import ProgressLine
+from ccd_warp._runtime.terminal import has_terminal, write_to_terminal
 
 
 class ItemsLine(ProgressLine):
@@ -64,13 +32,25 @@ class ItemsLine(ProgressLine):
         super().show(self._items)
 
 
-def line_of(progress: Progress, seconds: float) -> str:
-    """The line of a stage that has taken ``seconds`` so far."""
-    share = min(1.0, progress.done / max(progress.total, 1))
-    bar = f"{'#' * int(share * _WIDTH):{_WIDTH}}"
-    left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "…"
-    return f"{progress.stage}  [{bar}] {share:4.0%}  {left}"
+@contextmanager
+def waiting(what: str, *, is_quiet: bool) -> Iterator[None]:
+    """Show what the work inside is, once it has taken two seconds and until it is done, where no share is known."""
+    if is_quiet or not has_terminal():
+        yield
+        return
+    shown: list[str] = []
 
+    def show() -> None:
+        shown.append(f"{what} …")
+        write_to_terminal(f"\r{shown[0]}")
 
-def _duration(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
+    timer = threading.Timer(progress_line.PATIENCE, show)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+        if shown:
+            write_to_terminal(f"\r{'':{len(shown[0])}}\r")

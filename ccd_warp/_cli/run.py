@@ -11,6 +11,7 @@ from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.poses import check_poses, pose_sequence
 from ccd_warp._cli.process import report_on, start_quietly, warn
+from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
@@ -38,11 +39,13 @@ def run_step(arguments: argparse.Namespace) -> int:
             raise InputError(
                 "END is missing; expected the mesh at the end of the step, or --poses; see ccd-warp run --help"
             )
-        bodies = read_frames(arguments.start, arguments.end, **how).split()
-        bodies += [body for path in arguments.static for body in read_static(path, **how).split()]
+        with waiting("reading the files", is_quiet=arguments.quiet):
+            bodies = read_frames(arguments.start, arguments.end, **how).split()
+            bodies += [body for path in arguments.static for body in read_static(path, **how).split()]
         bodies += half_space_bodies(arguments.half_space)
     else:
-        sequence = pose_sequence(arguments.start, arguments)
+        with waiting("reading the files", is_quiet=arguments.quiet):
+            sequence = pose_sequence(arguments.start, arguments)
         if len(sequence) != 2:
             raise InputError(
                 f"--poses {arguments.poses}: holds poses at {len(sequence)} times; expected 2, those of both ends of "
@@ -75,11 +78,12 @@ def run_step(arguments: argparse.Namespace) -> int:
     written: list[Path] = []
     if arguments.output is not None:
         begin = time.perf_counter()
-        written = write_result(arguments.output, step)
+        with waiting("writing the results", is_quiet=arguments.quiet):
+            written = write_result(arguments.output, step)
         timings["write files"] = time.perf_counter() - begin
     if arguments.picture is not None:
         begin = time.perf_counter()
-        written.append(draw_step(arguments.picture, step))
+        written.append(draw_step(arguments.picture, step, is_quiet=arguments.quiet))
         timings["draw picture"] = time.perf_counter() - begin
     if not arguments.quiet:
         report = report_on(arguments.output)

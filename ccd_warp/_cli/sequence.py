@@ -24,7 +24,7 @@ from ccd_warp._cli.process import (
     warn,
     warnings_on_stderr,
 )
-from ccd_warp._cli.progress import ItemsLine
+from ccd_warp._cli.progress import ItemsLine, waiting
 from ccd_warp._cli.replacing import replacing
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.sequence_records import COLUMNS, StepRecord, csv_text, draw_plot
@@ -56,7 +56,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     start_quietly(arguments.device)
     if arguments.picture is not None:
         check_animation(arguments.picture, "--picture")
-    with noted_files() as opened:
+    with noted_files() as opened, waiting("reading the first step", is_quiet=arguments.quiet):
         sequence = _open(arguments)
     given = given_options(arguments)
     at_start = _moving(sequence, 0).all_at(0.0)
@@ -106,7 +106,7 @@ def run_sequence(arguments: argparse.Namespace) -> int:
                 journal.add(str(k), record.plain())
             line.advance()
         if arguments.picture is not None:
-            written.append(_draw(arguments.picture, sequence, records, solved, line))
+            written.append(_draw(arguments.picture, sequence, records, solved, line, is_quiet=arguments.quiet))
     except KeyboardInterrupt:
         is_complete = False
     finally:
@@ -202,12 +202,16 @@ def _draw(
     records: dict[int, StepRecord],
     solved: Callable[[int], SolvedStep],
     line: ItemsLine,
+    *,
+    is_quiet: bool,
 ) -> Path:
     """Draw the animation, or the first step that has a contact."""
     if path.suffix.lower() != ".png":
         return draw_animation(path, partial(_moving, sequence), records, line)
     bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
-    return draw_step(path, solved(bad))
+    step = solved(bad)
+    line.clear()
+    return draw_step(path, step, is_quiet=is_quiet)
 
 
 def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: bool) -> list[Path]:
@@ -218,7 +222,7 @@ def _write(folder: Path, records: list[StepRecord], t_max: float, *, is_quiet: b
     with replacing(folder / CSV) as beside:
         beside.write_text(csv_text(records), encoding="utf-8")
     try:
-        with replacing(folder / PLOT) as beside:
+        with waiting(f"drawing {PLOT}", is_quiet=is_quiet), replacing(folder / PLOT) as beside:
             draw_plot(beside, records, t_max)
         written.append(folder / PLOT)
     except ImportError:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.motion import largest_displacement
-from ccd_warp._cli.process import notice, warnings_on_stderr
-from ccd_warp._cli.progress import ProgressLine
+from ccd_warp._cli.process import warnings_on_stderr
+from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.scene import SceneArguments, StartContacts
 from ccd_warp._cli.scope import check_kinds
 from ccd_warp._contact_place import MovingVertices
@@ -23,6 +24,8 @@ from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import MeshResult
+from ccd_warp._runtime.kernel_cache import announced_compilation
+from ccd_warp._runtime.progress_line import ProgressLine
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,8 @@ def solve_scene(
 ) -> SolvedStep:
     """Make the mesh of one step and run ``mesh_ccd``; with a motion all bodies are rigid that are not static."""
     begin = time.perf_counter()
-    mesh = scene.mesh(bodies, rigid=[] if motion is None else moving_bodies(bodies))
+    with waiting("making the mesh", is_quiet=is_quiet or not shows_progress):
+        mesh = scene.mesh(bodies, rigid=[] if motion is None else moving_bodies(bodies))
     build_seconds = time.perf_counter() - begin
     at_start = moving_vertices(mesh, bodies, motion).all_at(0.0)
     options = make_options(given, mesh, None if motion is None else at_start)
@@ -176,7 +180,8 @@ def load_kernels(
         motion = RigidMotion([[0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 1.0]], [[0.0, 0.1, -0.5, 0.0, 0.0, 0.0, 1.0]])
     bodies += half_space_bodies(["0,0,0,0,0,1"]) if has_half_space else []
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
-    with notice("compiling kernels (first run only) …", seconds=2.0, is_quiet=is_quiet):
+    announced = nullcontext() if is_quiet else announced_compilation()
+    with announced, waiting("loading kernels", is_quiet=is_quiet):
         scene = SceneArguments(self_collision=False, radius=["0.1"] if has_radius else [])
         solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False, motion=motion)
     return time.perf_counter() - begin

@@ -42,6 +42,7 @@ from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method, all_methods
 from ccd_warp.benchmarks.numbers import bound
 from ccd_warp.benchmarks.peers import Peer
 from ccd_warp.benchmarks.query_sets import make_set
+from ccd_warp.benchmarks.scene_sections import beside_the_other
 
 from ccd_warp._files.journal import Journal
 
@@ -360,6 +361,40 @@ def _raw(*, ours=1e-6, peer=1e-3, step=20.0, bound=0.5, small=2.0, single=3.0, *
     parts = {name: [] for name in ("methods", "sets", "cases", "batches", "start", "threads")}
     parts |= {"small": [few], "pairs": [one]}
     return {"machine": {}, "settings": {}, "complete": True, "sweep": [unit], "steps": [scene], **parts}
+
+
+def _scenes(of_steps: float, of_broad: float, name: str = "s") -> dict:
+    scene = {"scene": name, "device": "cpu"}
+    return {
+        "machine": {"date": "today"},
+        "steps": [scene | {"seconds": {"peer build": 1.0 * of_steps, "find_candidates": 0.5 * of_steps}}],
+        "broad": [scene | {"seconds": {"LBVH": 1.0 * of_broad, "tree find_candidates": 0.25 * of_broad}}],
+    }
+
+
+@pytest.mark.parametrize(
+    ("times", "in_steps", "in_broad"),
+    [
+        ((1.0, 4.0), "There LBVH takes 4.0 to 4.0 times", "Here LBVH takes 4.0 to 4.0 times"),
+        ((4.0, 1.0), "Here LBVH takes 4.0 to 4.0 times", "There LBVH takes 4.0 to 4.0 times"),
+    ],
+)
+def test_two_tables_of_the_same_calls_say_how_they_differ(times, in_steps, in_broad):
+    raw = _scenes(*times)
+    for here, there, sentence in (("steps", "broad", in_steps), ("broad", "steps", in_broad)):
+        (_, text) = beside_the_other(raw, here)
+        assert f"(#{'broad-phases' if there == 'broad' else 'whole-steps'})" in text
+        assert sentence in text and "compare within a table" in text
+    alike = _scenes(1.0, 1.1)
+    alike["broad"][0]["seconds"]["tree find_candidates"] = 0.5
+    (_, text) = beside_the_other(alike, "steps")
+    assert "There LBVH takes 1.1 to 1.1 times" in text and "compare within a table" not in text
+
+
+def test_tables_of_other_scenes_say_nothing_of_each_other():
+    raw = _scenes(1.0, 4.0)
+    raw["broad"] = []
+    assert beside_the_other(raw, "steps") == []
 
 
 @pytest.mark.parametrize(

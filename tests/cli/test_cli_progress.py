@@ -11,21 +11,41 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
-from ccd_warp._cli.progress import ProgressLine, line_of
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.progress_line import ProgressLine, line_of
 
 pty = pytest.importorskip("pty", reason="terminals of POSIX")
 
 # Guards against hanging, not demands: the answer to Ctrl-C is due within half a second.
 _PATIENCE = 600.0
-# The command, whose line is shown at once; `overlaps` is the number of pairs from which on it warns.
+# The command, whose lines are shown at once; `overlaps` is the number of pairs from which on it warns.
 _RUN = """
-import sys
-import ccd_warp._cli.progress, ccd_warp._engine.host.oddities
-ccd_warp._cli.progress._PATIENCE = 0.0
+import sys, threading
+import ccd_warp._runtime.progress_line, ccd_warp._runtime.threads, ccd_warp._engine.host.oddities
+ccd_warp._runtime.progress_line.PATIENCE = 0.0
+ccd_warp._runtime.threads._TICK = 1e-2
+class AtOnce(threading.Timer):
+    def start(self):
+        self.function()
+        super().start()
+        self.join()
+    def run(self):
+        pass
+threading.Timer = AtOnce
 ccd_warp._engine.host.oddities._MANY_PAIRS = {overlaps}
 from ccd_warp._cli.command import run_program
 run_program()
+"""
+# A program that calls the library, whose line is shown at once.
+_CALL = """
+import warp
+import ccd_warp as ccd
+import ccd_warp._runtime.progress_line, ccd_warp._runtime.threads
+ccd_warp._runtime.progress_line.PATIENCE = 0.0
+ccd_warp._runtime.threads._TICK = 1e-3
+{setting}
+frames = ccd.read_frames(*{paths})
+ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, device="cpu")
 """
 # The module of the mesh reader is imported by code that catches whatever an import raises, as trimesh itself does.
 _INTERRUPTED_IMPORT = """
@@ -62,9 +82,15 @@ def triangles_in_a_plane(tmp_path):
 
 
 def at_terminal(arguments, *, stop_at=None, overlaps=10**6, name="run"):
-    """Status and what stderr, a terminal, was sent; Ctrl-C is pressed as soon as it shows some words."""
+    """Status of a command, and what stderr, a terminal, was sent; Ctrl-C is pressed once it shows some words."""
+    command = ["-c", _RUN.format(overlaps=overlaps), name, *arguments, "--device", "cpu"]
+    return shown_by(command, stop_at=stop_at)
+
+
+def shown_by(command, *, stop_at=None):
+    """The same of Python with some arguments."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-P", "-c", _RUN.format(overlaps=overlaps), name, *arguments, "--device", "cpu"]
+    command = [sys.executable, "-P", *command]
     process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.DEVNULL, start_new_session=True)
     os.close(theirs)
     shown, end = b"", time.monotonic() + _PATIENCE
@@ -100,7 +126,7 @@ def screen_of(shown):
         else:
             lines[-1] = lines[-1][:column] + letter + lines[-1][column + 1 :]
             column += 1
-    return [line.rstrip() for line in lines if line.strip() and not line.startswith("compiling kernels")]
+    return [line.rstrip() for line in lines if line.strip() and "compiling kernels" not in line]
 
 
 def test_long_run_shows_how_far_it_is_and_leaves_the_terminal_as_it_was(triangles_in_a_plane):
@@ -115,6 +141,39 @@ def test_sequence_shows_how_many_steps_are_done(triangles_in_a_plane, tmp_path):
     status, shown = at_terminal([*frames, "--output", str(tmp_path / "out")], name="sequence")
     assert status == 0
     assert "steps  [" in shown and " 33%" in shown and "narrow phase" not in shown
+    assert screen_of(shown) == []
+
+
+def test_every_part_of_a_run_is_named_while_it_takes_long(triangles_in_a_plane, tmp_path):
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    written = ["--output", str(tmp_path / "out.json"), "--picture", str(tmp_path / "out.png")]
+    status, shown = at_terminal([*triangles_in_a_plane(100), *written])
+    assert status == 0
+    for part in (
+        "reading the files",
+        "loading kernels",
+        "making the mesh",
+        "writing the results",
+        "drawing the picture",
+    ):
+        assert f"\r{part} …" in shown, part
+    assert screen_of(shown) == []
+
+
+def test_pictures_of_an_animation_are_counted_although_stderr_is_closed_meanwhile(triangles_in_a_plane, tmp_path):
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    folder = ["--output", str(tmp_path / "out"), "--picture", str(tmp_path / "out.gif")]
+    status, shown = at_terminal([*triangles_in_a_plane(20), *folder], name="sequence")
+    assert status == 0
+    assert "\rreading the first step …" in shown and "pictures  [" in shown and shown.count("100%") == 2
+    assert screen_of(shown) == []
+
+
+@pytest.mark.parametrize("setting, is_shown", [("", True), ("warp.config.log_level = warp.LOG_ERROR", False)])
+def test_a_long_call_of_the_library_shows_how_far_it_is_unless_warp_is_silent(triangles_in_a_plane, setting, is_shown):
+    status, shown = shown_by(["-c", _CALL.format(paths=triangles_in_a_plane(700), setting=setting)])
+    assert status == 0
+    assert ("\rccd_warp: narrow phase  [" in shown) is is_shown
     assert screen_of(shown) == []
 
 
@@ -168,8 +227,8 @@ def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch
     flat = np.pad(rng.uniform(-1, 1, (300, 2)), ((0, 0), (0, 1)))
     faces = np.arange(300).reshape(-1, 3)
     options = {"names": ["sheet", "far", "lining"], "self_collision": False}
-    mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
     for pair_bytes in (1 << 30, 1):  # in one batch, and in several
+        mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces), (flat, faces)], **options)
         monkeypatch.setattr("ccd_warp._engine.host.step.DEFAULT_PAIR_BYTES", pair_bytes)
         with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
             result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
@@ -214,7 +273,7 @@ def test_line_that_an_interrupt_has_cut_short_is_cleared_whole(monkeypatch):
 
     terminal = Terminal()
     monkeypatch.setattr("sys.stderr", terminal)
-    monkeypatch.setattr("ccd_warp._cli.progress._PATIENCE", 0.0)
+    monkeypatch.setattr("ccd_warp._runtime.progress_line.PATIENCE", 0.0)
     line = ProgressLine(is_quiet=False)
     line.show(Progress(None, "pairs", 0, 100))
     terminal.is_pressed = True

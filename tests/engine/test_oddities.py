@@ -1,5 +1,7 @@
 """Lengths that hardly mean what they say: positions that blow up, and a distance of many edges."""
 
+import warnings
+
 import numpy as np
 import pytest
 import scenes
@@ -37,8 +39,10 @@ def test_a_vertex_that_blows_up_is_named_where_rounding_hides_all_gaps(size, pre
 
 
 def test_a_step_of_0_says_that_positions_blow_up():
-    mesh = two_sheets()
-    for frames in ((mesh.vertices, with_one_at(mesh.vertices, 1e20)), (with_one_at(mesh.vertices, 1e20),) * 2):
+    for is_at_start in (False, True):
+        mesh = two_sheets()  # a mesh that has warned once does not warn again
+        far = with_one_at(mesh.vertices, 1e20)
+        frames = (far if is_at_start else mesh.vertices, far)
         with pytest.warns(RuntimeWarning, match="is 1e[+]20 from the others at the") as warned:
             assert ccd.collision_free_step(mesh, *frames) == 0.0
         assert warned[0].filename == __file__
@@ -108,12 +112,12 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
         assert pipeline.collision_free_step(mesh.vertices, end) == 0.0
     assert not any(pipeline.counts.num_after_cull.values())
     assert len(warned) == 1 and warned[0].filename == __file__
-    with pytest.warns(RuntimeWarning, match=sentence):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the pipeline has said so
         assert not pipeline.is_step_collision_free(mesh.vertices, end)
-    assert not any(pipeline.counts.num_after_cull.values())
-    with pytest.warns(RuntimeWarning, match=sentence):
+        assert not any(pipeline.counts.num_after_cull.values())
         assert pipeline.mesh_ccd(mesh.vertices, end).toi == 0.0
-    assert any(pipeline.counts.num_after_cull.values())
+        assert any(pipeline.counts.num_after_cull.values())
 
 
 @pytest.mark.parametrize("per", ["scene", "vertex"])
@@ -153,3 +157,44 @@ def test_nothing_is_said_where_neighbours_are_excluded_or_there_are_none(recwarn
     mesh = two_sheets(height=10.0, self_collision=False)
     assert ccd.collision_free_step(mesh, mesh.vertices, mesh.vertices, minimum_distance=5.0) == 1.0
     assert not recwarn.list
+
+
+def frames_that_blow_up(mesh, count):
+    """Steps of which each has one vertex farther away than the one before, so that no two are described alike."""
+    return [(mesh.vertices, with_one_at(mesh.vertices, 1e20 * (k + 1))) for k in range(count)]
+
+
+@pytest.mark.parametrize("form", ["pipeline", "function"])
+def test_a_loop_of_steps_warns_once_and_each_result_still_says_what_is_odd(form):
+    mesh = two_sheets()
+    call = ccd.CollisionPipeline(mesh).mesh_ccd if form == "pipeline" else lambda *frames: ccd.mesh_ccd(mesh, *frames)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        results = [call(*frames) for frames in frames_that_blow_up(mesh, 4)]
+    assert [str(each.message).partition(":")[0].split()[0] for each in warned] == ["rounding"]
+    for k, result in enumerate(results):
+        assert {*result.contacts.status.tolist()} == {int(HIDDEN)}
+        assert f"is {1e20 * (k + 1):.3g} from the others at the end" in repr(result)
+
+
+def test_another_pipeline_and_another_oddity_are_warned_of():
+    mesh = two_sheets()
+    (frames,) = frames_that_blow_up(mesh, 1)
+    tilted = mesh.vertices + [0.01, 0.02, -1.0] * (mesh.vertex_body * (mesh.vertices[:, 0] + 0.1))[:, None]
+    for _ in range(2):
+        pipeline = ccd.CollisionPipeline(mesh)
+        with pytest.warns(RuntimeWarning, match="rounding at the size"):
+            assert pipeline.mesh_ccd(*frames).toi == 0.0
+        with pytest.warns(RuntimeWarning, match="pass through each other: [0-9]+ of floor and sheet") as warned:
+            starts = [pipeline.mesh_ccd(tilted, tilted, check_start=True).start for _ in range(2)]
+        assert len(warned) == 1 and starts[0].num_crossing == starts[1].num_crossing > 0
+
+
+def test_a_warning_that_is_an_error_is_raised_each_time():
+    mesh = two_sheets()
+    pipeline = ccd.CollisionPipeline(mesh)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        for frames in frames_that_blow_up(mesh, 2):
+            with pytest.raises(RuntimeWarning, match="rounding at the size"):
+                pipeline.mesh_ccd(*frames)

@@ -10,7 +10,7 @@ import pytest
 import warp as wp
 
 from ccd_warp._runtime import kernel_cache
-from ccd_warp._runtime.kernel_cache import load_or_repair
+from ccd_warp._runtime.kernel_cache import announced_compilation, load_or_repair
 from ccd_warp._runtime.launch import start_warp
 
 
@@ -88,6 +88,21 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(is_terminal, log_leve
         _load_anew()
         _load_anew()
     assert stderr.getvalue().count("ccd_warp: compiling kernels") == num_lines
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_the_command_announces_them_although_it_keeps_warp_silent(is_terminal, tmp_path, monkeypatch):
+    stderr = io.StringIO()
+    stderr.isatty = lambda: is_terminal
+    monkeypatch.setattr(sys, "stderr", stderr)
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_ERROR)
+    monkeypatch.setattr(kernel_cache, "_is_said", False)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    with announced_compilation():
+        _load_anew()
+        _load_anew()
+    line = f"\rccd_warp: compiling kernels, about 10 s on two free cores; they are kept in {tmp_path}\n"
+    assert stderr.getvalue() == (line if is_terminal else "")
 
 
 def test_the_command_says_so_in_one_line(tmp_path):

@@ -23,7 +23,6 @@ from ccd_warp._engine.host.oddities import (
     are_many,
     hidden_sentence,
     overlaps_described,
-    warn,
 )
 from ccd_warp._engine.host.pair_memory import KEY_BYTES, MOST_PAIRS
 from ccd_warp._engine.host.plan import HostPlan
@@ -103,7 +102,7 @@ class Step:
         self.positions = positions
         self.counts: Counts  # from `finish_counts` on
         self._num_active_bodies = self.mesh.num_bodies
-        self.is_warned = self._has_boxes = False
+        self.is_explained = self._has_boxes = False
         self.holds = self.is_held = False
         workspace.progress.show = show
         self.arcs: Arcs | None = None
@@ -178,28 +177,29 @@ class Step:
         if found is None or not found.is_many:
             return False
         if found.distance > self.mesh.exclusion_rings * found.edge:
-            self.is_warned = True  # nothing has to be said of the many pairs that follow from it
-            warn(found.described())
+            self.is_explained = True  # nothing has to be said of the many pairs that follow from it
+            self.workspace.warn_once("distance", found.described)
         return True
 
     def _warn_of_size(self) -> None:
         """Name the vertex at whose size rounding hides gaps at the start, if there is one, where a toi is 0."""
         found = Farthest.of(self.positions)
         if found.hides_gaps(self.options.tolerance, self.length_scale):
-            warn(
-                f"rounding at the size of the positions is more than the tolerance and hides gaps at the start, so "
-                f"toi is 0: {found.described(self.mesh)}"
-            )
+            said = "rounding at the size of the positions is more than the tolerance and hides gaps at the start"
+            self.workspace.warn_once("size", lambda: f"{said}, so toi is 0: {found.described(self.mesh)}")
 
     def _warn_of_overlaps(self, num_pairs: int, found: Mapping[PairKind, int]) -> None:
-        """Say once that so many pairs are left that parts of the scene seem to overlap.
+        """Say that so many pairs are left that parts of the scene seem to overlap.
 
         ``found`` are the pairs of the last batch, whose keys the plan still has.
         """
-        if not self.is_warned and are_many(self.mesh, num_pairs):
-            self.is_warned = True
+
+        def described() -> str:
             keys = {kind: self.plan.found_keys(kind, count) for kind, count in found.items() if count}
-            warn(overlaps_described(self.mesh, num_pairs, keys))
+            return overlaps_described(self.mesh, num_pairs, keys)
+
+        if not self.is_explained and are_many(self.mesh, num_pairs):
+            self.workspace.warn_once("overlaps", described)
 
     def _hidden_gaps(self, contacts: Contacts) -> str:
         """A sentence on the pairs whose gaps rounding hides, empty if there are none."""

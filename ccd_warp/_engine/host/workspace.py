@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.step_boxes import StepBoxes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
+from ccd_warp._engine.host.oddities import warn
 from ccd_warp._engine.mesh.scene import norm_of, plane_query
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._input.options import Options
@@ -31,8 +32,17 @@ class Workspace:
     After a step that fails it may be inconsistent; it is then discarded, and the next step makes a new one.
     """
 
-    def __init__(self, mesh: CollisionMesh, device: Any, topology: Topology | None = None) -> None:
-        """The state for a mesh; ``topology`` is another than its own, for a search of another kind."""
+    def __init__(
+        self, mesh: CollisionMesh, device: Any, topology: Topology | None = None, beside: "Workspace | None" = None
+    ) -> None:
+        """The state for a mesh.
+
+        Args:
+            mesh: The mesh.
+            device: The Warp device.
+            topology: Another than that of the mesh, for a search of another kind.
+            beside: The state of which this is a part for a search of its own: each warns of what the other has not.
+        """
         self.topology = topology or Topology.of(mesh, device)
         self.buffers = Buffers(device)
         self.flag = StopFlag(device)
@@ -44,6 +54,16 @@ class Workspace:
         self._active: wp.array | None = None
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
+        self._said: set[object] = set() if beside is None else beside._said
+
+    def warn_once(self, what: object, message: Callable[[], str]) -> None:
+        """Warn of something, with a message made only then, unless a step of this mesh has warned of it before.
+
+        A warning that is an error is raised each time.
+        """
+        if what not in self._said:
+            warn(message())
+            self._said.add(what)
 
     def at_one_time(self, goal: str, topology_of: Callable[[Topology], Topology] | None = None) -> "Workspace":
         """The state of calls at one time with a goal, whose boxes have another size than those of a step.
@@ -54,7 +74,7 @@ class Workspace:
         """
         if goal not in self._at_one_time:
             topology = self.topology if topology_of is None else topology_of(self.topology)
-            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology)
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology, beside=self)
         return self._at_one_time[goal]
 
     @lazy_property

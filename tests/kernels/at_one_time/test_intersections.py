@@ -1,5 +1,6 @@
 """What touches or passes through another at one time, judged by linear programs in rational numbers over all pairs."""
 
+import copy
 import importlib.metadata
 import itertools
 
@@ -401,13 +402,17 @@ def test_every_call_of_a_step_says_where_surfaces_cross_at_its_start_if_it_is_as
     assert ccd.collision_free_step(mesh, *frames) == 1.0 and ccd.is_step_collision_free(mesh, *frames)
     assert ccd.line_search(mesh, *frames).start is None and not recwarn.list
     sentence = "at the start 2 pairs pass through each other: 2 of sheet and blade"
+
+    def anew():  # a mesh whose calls have not warned yet
+        return copy.copy(mesh)
+
     calls = [
-        (1.0, lambda **given: ccd.collision_free_step(mesh, *frames, **given)),
-        (1.0, lambda **given: pipeline.collision_free_step(*frames, **given)),
-        (False, lambda **given: ccd.is_step_collision_free(mesh, *frames, **given)),
-        (False, lambda **given: pipeline.is_step_collision_free(*frames, **given)),
-        (1.0, lambda **given: ccd.line_search(mesh, *frames, **given).fraction),
-        (1.0, lambda **given: pipeline.line_search(*frames, **given).fraction),
+        (1.0, lambda **given: ccd.collision_free_step(anew(), *frames, **given)),
+        (1.0, lambda **given: ccd.CollisionPipeline(mesh).collision_free_step(*frames, **given)),
+        (False, lambda **given: ccd.is_step_collision_free(anew(), *frames, **given)),
+        (False, lambda **given: ccd.CollisionPipeline(mesh).is_step_collision_free(*frames, **given)),
+        (1.0, lambda **given: ccd.line_search(anew(), *frames, **given).fraction),
+        (1.0, lambda **given: ccd.CollisionPipeline(mesh).line_search(*frames, **given).fraction),
     ]
     for expected, call in calls:
         with pytest.warns(
@@ -420,6 +425,7 @@ def test_every_call_of_a_step_says_where_surfaces_cross_at_its_start_if_it_is_as
     with pytest.warns(RuntimeWarning):
         found = ccd.line_search(mesh, *frames, check_start=True)
     assert found.start.num_crossing == 2 and repr(found).endswith(f"\n{sentence})")
+    assert ccd.line_search(mesh, *frames, check_start=True).start.num_crossing == 2 and not recwarn.list  # is known
     lifted = start + [0, 0, 5] * (mesh.vertex_body == 1)[:, None]
     assert pipeline.is_step_collision_free(lifted, lifted, check_start=True) and not recwarn.list
 

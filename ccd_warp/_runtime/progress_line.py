@@ -1,0 +1,80 @@
+"""A line on the terminal that shows the stage of a step, a bar, and how long it will take."""
+
+import threading
+import time
+
+import warp as wp
+
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.terminal import has_terminal, write_to_terminal
+
+PATIENCE = 2.0  # seconds before a line appears
+_WIDTH = 24
+
+
+class ProgressLine:
+    """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
+
+    prefix = ""
+
+    def __init__(self, is_quiet: bool) -> None:
+        self._is_shown = not is_quiet and has_terminal()
+        self._begin = self._stage_begin = time.monotonic()
+        self._stage = ""
+        self._length = 0
+
+    def show(self, progress: Progress) -> None:
+        """Rewrite the line, once the run has taken two seconds."""
+        now = time.monotonic()
+        if progress.stage != self._stage:
+            self._stage, self._stage_begin = progress.stage, now
+        if not self._is_shown or now - self._begin < PATIENCE:
+            return
+        self._write(self.prefix + line_of(progress, now - self._stage_begin))
+
+    def clear(self) -> None:
+        """Clear the line."""
+        if self._length:
+            self._write("")
+            write_to_terminal("\r")
+
+    def _write(self, text: str) -> None:
+        # the longer of both while an interrupt may come before the line is written or after it
+        self._length = max(self._length, len(text))
+        write_to_terminal(f"\r{text:{self._length}}")
+        self._length = len(text)
+
+
+class CallLine:
+    """The line of a call of the library, which costs nothing before the call has taken long.
+
+    There is none where Warp is to be silent, and on other threads than the main one, where others may show theirs.
+    """
+
+    def __init__(self) -> None:
+        self._line: ProgressLine | None = None
+
+    def show(self, progress: Progress) -> None:
+        """Rewrite the line, once the call has taken two seconds."""
+        if self._line is None:
+            is_main = threading.current_thread() is threading.main_thread()
+            self._line = ProgressLine(is_quiet=wp.config.log_level > wp.LOG_INFO or not is_main)
+            self._line.prefix = "ccd_warp: "
+        self._line.show(progress)
+
+    def clear(self) -> None:
+        """Clear the line, if there is one."""
+        if self._line is not None:
+            self._line.clear()
+
+
+def line_of(progress: Progress, seconds: float) -> str:
+    """The line of a stage that has taken ``seconds`` so far."""
+    share = min(1.0, progress.done / max(progress.total, 1))
+    bar = f"{'#' * int(share * _WIDTH):{_WIDTH}}"
+    left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "…"
+    return f"{progress.stage}  [{bar}] {share:4.0%}  {left}"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
