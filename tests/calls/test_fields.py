@@ -86,7 +86,7 @@ READ = {
     "examples/cloth_drop.py": "direction normal primitives weights",
     "examples/dice.py": "bodies direction distance points",
     "examples/fsi_membrane.py": "direction normal parameters primitives",
-    "examples/mesh_against_mesh.py": "normal primitives",
+    "examples/mesh_against_mesh.py": "normal point primitives",
     "examples/newton_cloth.py": "normal parameters primitives",
     "examples/rotor.py": "direction distance normal primitives relative_velocity",
     "examples/two_layers.py": "direction distance weights",

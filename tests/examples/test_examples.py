@@ -44,7 +44,8 @@ def test_no_example_is_left_out():
 
 
 def test_bullet_through_wall(tmp_path):
-    output = _run("bullet_through_wall.py", tmp_path)
+    output = _run("bullet_through_wall.py", tmp_path, "--output", str(tmp_path))
+    assert (tmp_path / "bullet_through_wall.png").stat().st_size > 10_000
     assert re.search(r"test at the start of the step:\s+MISS", output)
     assert re.search(r"test at the end of the step:\s+MISS", output)
     toi = _number(output, r"CCD over the whole step:\s+toi =")
@@ -76,17 +77,19 @@ def test_bullet_2d(tmp_path):
 
 
 def test_mesh_against_mesh(tmp_path):
-    output = _run("mesh_against_mesh.py", tmp_path)
-    toi, step = _number(output, "scene toi"), _number(output, "free step")
+    output = _run("mesh_against_mesh.py", tmp_path, "--output", str(tmp_path))
+    toi, step = _number(output, "first contact +toi ="), _number(output, "free step")
     assert 0.0 < step < toi < 1.0
-    assert min(_number(output, f"body {k} toi") for k in (0, 1)) == toi
     assert _number(output, "contacts") >= 1
     # a vertex of the small ball, which comes from the left, and a face of the large one: the normal points to the left
-    vertex, face = map(int, re.search(r"^first contact +vertex-face \[(\d+), (\d+)\]$", output, re.M).groups())
+    found = re.search(r", vertex (\d+) of the small ball and face (\d+) of the large ball$", output, re.M)
+    vertex, face = map(int, found.groups())
     assert vertex < 642 and face >= 1280
-    normal = [float(number) for number in re.search(r"normal +\[(.*)\]", output)[1].split(", ")]
-    assert normal[0] < -0.9 and math.isclose(math.hypot(*normal), 1.0, abs_tol=1e-5)
-    assert "surfaces touch after it: False" in output
+    normal = [float(number) for number in re.search(r"normal \((.*)\)", output)[1].split(", ")]
+    assert normal[0] < -0.9 and math.isclose(math.hypot(*normal), 1.0, abs_tol=1e-3)
+    assert re.search(r"^free step .* 0 intersections", output, re.M)
+    assert int(re.search(r"^whole step .* (\d+) intersections", output, re.M)[1]) > 0
+    assert (tmp_path / "mesh_against_mesh.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("name", ["bullet", "cloth"])
