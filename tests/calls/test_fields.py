@@ -85,7 +85,7 @@ READ = {
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal primitives weights",
     "examples/dice.py": "bodies direction distance points",
-    "examples/fsi_membrane.py": "direction normal parameters primitives",
+    "examples/fsi_membrane.py": "direction normal parameters",
     "examples/mesh_against_mesh.py": "normal point primitives",
     "examples/newton_cloth.py": "normal parameters primitives",
     "examples/rotor.py": "direction distance normal primitives relative_velocity",

@@ -33,6 +33,8 @@ def test_no_example_is_left_out():
         "cloth_drop.py",
         "dice.py",
         "fsi_membrane.py",
+        "key_frames.py",
+        "many_worlds.py",
         "mesh_against_mesh.py",
         "mpi_cloth.py",
         "newton_cloth.py",
