@@ -40,4 +40,4 @@ def draw_rows(
         plotter.close()
     from PIL import Image  # a dependency of PyVista
 
-    Image.fromarray(image).quantize(128).save(path, optimize=True)
+    Image.fromarray(image).quantize(256).save(path, optimize=True)

@@ -83,7 +83,7 @@ READ = {
     "docs/solver.md": "bodies body_contact direction distance edge_parameter features gap is_crossing normal "
     "parameters point points primitives struck touching vertex_contact weights world_contact",
     "examples/bullet_2d.py": "gap parameters",
-    "examples/cloth_drop.py": "direction normal primitives weights",
+    "examples/cloth_drop.py": "direction normal weights",
     "examples/dice.py": "bodies direction distance points",
     "examples/fsi_membrane.py": "direction normal parameters",
     "examples/mesh_against_mesh.py": "normal point primitives",
