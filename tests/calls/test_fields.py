@@ -87,7 +87,7 @@ READ = {
     "examples/dice.py": "bodies direction distance points",
     "examples/fsi_membrane.py": "direction normal parameters",
     "examples/mesh_against_mesh.py": "normal point primitives",
-    "examples/newton_cloth.py": "normal parameters primitives",
+    "examples/newton_cloth.py": "bodies normal weights",
     "examples/rotor.py": "direction distance normal primitives relative_velocity",
     "examples/two_layers.py": "direction distance weights",
 }
