@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from conftest import loaded_example
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -22,6 +23,51 @@ def _number(text: str, label: str) -> float:
     found = re.search(rf"^{label}\s+([^\s,]+)", text, flags=re.MULTILINE)
     assert found, f"{label!r} is not in:\n{text}"
     return float(found[1])
+
+
+NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "key_frames")
+
+
+def _refused(name: str, monkeypatch, *arguments: str) -> SystemExit:
+    """How an example ends that does not get to run."""
+    if name == "newton_cloth":
+        pytest.importorskip("newton", reason="the extra newton is not installed")
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    with loaded_example(name) as module:
+        if arguments[0] == "--output":
+            monkeypatch.setattr(module, "find_spec", lambda _: None)
+        with pytest.raises(SystemExit) as error:
+            module.main()
+    return error.value
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_example_is_read_in_ten_minutes_and_says_how_long_it_takes(name, monkeypatch, capsys):
+    lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
+    assert len(lines) <= 200 and re.search(r"\btakes\b", "\n".join(lines[:30]))
+    if name == "mpi_cloth":  # in a process of its own, as MPI starts with its import
+        done = subprocess.run([sys.executable, EXAMPLES / "mpi_cloth.py", "--help"], capture_output=True, text=True)
+        if "needs mpi4py and an MPI" in done.stderr:
+            pytest.skip("no MPI")
+        text = done.stdout
+    else:
+        assert _refused(name, monkeypatch, "--help").code == 0
+        text = capsys.readouterr().out
+    assert "--output" in text and re.search(r"\d s\b|some\s+seconds|minute", text)
+
+
+# newton's extra has that of pictures, and MPI starts with the import of its example
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("newton_cloth", "mpi_cloth")])
+def test_a_picture_without_its_extra_is_refused_by_the_name_of_the_extra(name, monkeypatch, capsys, tmp_path):
+    assert _refused(name, monkeypatch, "--output", str(tmp_path)).code == 2
+    assert "pip install 'ccd-warp[viz]'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "module"), [("newton_cloth", "newton"), ("mpi_cloth", "mpi4py")])
+def test_what_cannot_run_without_an_extra_names_it(name, module, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(SystemExit, match=r"pip install 'ccd-warp\["), loaded_example(name):
+        pass
 
 
 def test_no_example_is_left_out():
