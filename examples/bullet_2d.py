@@ -38,10 +38,10 @@ def draw(path: Path) -> None:
     toi = solve("clipping", 1e-4).toi[0]
     scene.plot(*np.transpose([a, b]), color="black", linewidth=4)
     scene.plot(*np.transpose([p0, p1]), color="tab:blue", linestyle=":")
-    for t, label, offset in ((0.0, "t = 0", 8), (1.0, "t = 1", -30), (toi, f"toi = {toi:.4f}", -86)):
+    for t, label, offset in ((0.0, "t = 0", (8, 10)), (1.0, "t = 1", (-30, 10)), (toi, f"toi = {toi:.4f}", (10, -18))):
         place = p0 + t * (p1 - p0)
         scene.plot(*place, "o", color="tab:red" if t == toi else "tab:blue", markersize=9)
-        scene.annotate(label, place, xytext=(offset, 10), textcoords="offset points")
+        scene.annotate(label, place, xytext=offset, textcoords="offset points")
     scene.set(xlim=(0, 10), ylim=(0, 7), aspect="equal", title="a point and a wall in one step")
     tolerances = 10.0 ** np.arange(-1.0, -9.0, -1.0)
     for method, unit in METHODS.items():

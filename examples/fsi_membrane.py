@@ -1,6 +1,6 @@
 """A fluid on a trampoline: the membrane throws particles up and catches them, and none gets to its other side.
 
-Position-based dynamics moves fluid and membrane, rows of one float32 array on the device, by up to two edge lengths of
+Position-based dynamics moves fluid and membrane, rows of one float32 array on the device, by up to 2.5 edge lengths of
 the membrane a frame: edges keep their lengths, and particles push each other apart. ccd_warp works on the same arrays:
 
 1. `launch` finds which particles meet which faces on the way to where they would go; the pairs are kept apart;

@@ -91,6 +91,14 @@ def test_no_example_is_left_out():
     }
 
 
+def test_key_frames_of_both_runs_are_drawn_from_any_folder(tmp_path):
+    output = _run("dice.py", tmp_path, "--frames", "2", "--dice", "2", "--output", "new/folder")
+    assert len(re.findall(r"^with(?:out)? CCD: \d of 2 frames", output, re.M)) == 2
+    image = pytest.importorskip("PIL.Image").open(tmp_path / "new" / "folder" / "dice.png")
+    assert image.size == (2 * 360, 2 * 300)  # two frames of two runs
+    assert len(image.convert("RGB").getcolors(1 << 16)) > 50
+
+
 def test_bullet_through_wall(tmp_path):
     output = _run("bullet_through_wall.py", tmp_path, "--output", str(tmp_path))
     assert (tmp_path / "bullet_through_wall.png").stat().st_size > 10_000
