@@ -110,8 +110,8 @@ def draw(errors: list[NDArray[np.float64]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Throws aimed at a cloth that waves, by gradients, in some seconds.")
-    parser.add_argument("--throws", type=int, default=2000)
-    parser.add_argument("--corrections", type=int, default=5)
+    parser.add_argument("--throws", type=int, default=2000, help="default 2000")
+    parser.add_argument("--corrections", type=int, default=5, help="default 5")
     parser.add_argument("--output", type=Path, help="folder for aim.png")
     arguments = parser.parse_args()
     if arguments.output and find_spec("matplotlib") is None:

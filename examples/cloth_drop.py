@@ -16,7 +16,7 @@ cloth has a thickness, twice the `radius` of its vertices, and no path enters it
 
     pip install -e '.[viz]' && python examples/cloth_drop.py --output drop
 
-takes 35 s on two cores, with the same scene without CCD, and draws drop/cloth_drop.png.
+takes 40 s on two cores, with the same scene without CCD, and draws drop/cloth_drop.png.
 """
 
 import argparse
@@ -171,9 +171,9 @@ def draw(pyvista, plotter, state: tuple[ClothDrop, NDArray[np.float64]]) -> None
 def main() -> None:
     """Run with CCD and without, count what intersects, print, and draw."""
     parser = argparse.ArgumentParser(
-        description="A cloth in a globe that is kicked about, with CCD and without, in 35 s."
+        description="A cloth in a globe that is kicked about, with CCD and without, in 40 s."
     )
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=60, help="default 60")
     parser.add_argument("--resolution", type=int, default=41, help="vertices along a side of the cloth (default 41)")
     parser.add_argument("--output", type=Path, help="folder for cloth_drop.png (none is drawn without)")
     options = parser.parse_args()

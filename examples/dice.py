@@ -171,8 +171,8 @@ def draw(pyvista, plotter, poses: NDArray[np.float64]) -> None:
 def main() -> None:
     """Throw with CCD and without, check, print, and draw."""
     parser = argparse.ArgumentParser(description="Dice thrown on a table, with CCD and without, in 10 s.")
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--dice", type=int, default=12)
+    parser.add_argument("--frames", type=int, default=60, help="default 60")
+    parser.add_argument("--dice", type=int, default=12, help="default 12")
     parser.add_argument("--output", type=Path, help="folder for dice.png (none is drawn without)")
     options = parser.parse_args()
     if options.output and find_spec("pyvista") is None:

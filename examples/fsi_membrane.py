@@ -173,7 +173,7 @@ def draw(pyvista, plotter, state: tuple[Trampoline, np.ndarray]) -> None:
 def main() -> None:
     """Run with CCD and without, count, print, and draw."""
     parser = argparse.ArgumentParser(description="A fluid on a membrane, with CCD and without, in 20 s.")
-    parser.add_argument("--frames", type=int, default=90)
+    parser.add_argument("--frames", type=int, default=90, help="default 90")
     parser.add_argument("--resolution", type=int, default=20, help="cells along a side of the membrane (default 20)")
     parser.add_argument("--output", type=Path, help="folder for fsi_membrane.png (none is drawn without)")
     options = parser.parse_args()

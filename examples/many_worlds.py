@@ -91,7 +91,7 @@ def draw(pyvista, plotter, way: NDArray[np.float64]) -> None:
 def main() -> None:
     """Search with CCD and without, print, and draw."""
     parser = argparse.ArgumentParser(description="A search in thousands of worlds, with CCD and without, in 10 s.")
-    parser.add_argument("--generations", type=int, default=25)
+    parser.add_argument("--generations", type=int, default=25, help="default 25")
     parser.add_argument("--ways", type=int, default=1000, help="ways in a generation, of six legs (default 1000)")
     parser.add_argument("--output", type=Path, help="folder for many_worlds.png (none is drawn without)")
     options = parser.parse_args()

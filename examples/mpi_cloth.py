@@ -165,7 +165,7 @@ def draw(pyvista, plotter, state: tuple[NDArray[np.float64], int]) -> None:
 def main() -> None:
     """Run on all ranks; print and draw on rank 0."""
     parser = argparse.ArgumentParser(description="A cloth, cut over the ranks of MPI, falls on a ball, in 10 s.")
-    parser.add_argument("--frames", type=int, default=40)
+    parser.add_argument("--frames", type=int, default=40, help="default 40")
     parser.add_argument("--resolution", type=int, default=41, help="vertices along a side of the cloth (default 41)")
     parser.add_argument("--output", type=Path, help="folder for mpi_cloth.png (none is drawn without)")
     options = parser.parse_args()

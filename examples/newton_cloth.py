@@ -172,7 +172,7 @@ def draw(pyvista, plotter, state: tuple[ccd.CollisionMesh, NDArray[np.float64]])
 def main() -> None:
     """Throw with ccd_warp and with newton's own contacts, count, print, and draw."""
     parser = argparse.ArgumentParser(description="A newton cloth thrown at obstacles, with CCD and without, in 20 s.")
-    parser.add_argument("--frames", type=int, default=20)
+    parser.add_argument("--frames", type=int, default=20, help="default 20")
     parser.add_argument("--resolution", type=int, default=24, help="cells along a side of the cloth (default 24)")
     parser.add_argument("--output", type=Path, help="folder for newton_cloth.png (none is drawn without)")
     options = parser.parse_args()

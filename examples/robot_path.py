@@ -155,8 +155,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="A path for an arm among shelves, over edges certain to be free, in 10 s."
     )
-    parser.add_argument("--edges", type=int, default=600)
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--edges", type=int, default=600, help="default 600")
+    parser.add_argument("--seed", type=int, default=0, help="default 0")
     parser.add_argument("--output", type=Path, help="folder of the picture (none is drawn without)")
     options = parser.parse_args()
     if options.output and find_spec("pyvista") is None:

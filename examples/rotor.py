@@ -175,8 +175,8 @@ def draw(pyvista, plotter, state: tuple[Mixer, float, NDArray[np.float64]]) -> N
 def main() -> None:
     """Run with arcs and with chords, count, print, and draw."""
     parser = argparse.ArgumentParser(description="A rotor in a bed of grains, on arcs and on chords, in 20 s.")
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--grains", type=int, default=1000)
+    parser.add_argument("--frames", type=int, default=60, help="default 60")
+    parser.add_argument("--grains", type=int, default=1000, help="default 1000")
     parser.add_argument("--output", type=Path, help="folder for rotor.png (none is drawn without)")
     options = parser.parse_args()
     if options.output and find_spec("pyvista") is None:

@@ -118,7 +118,7 @@ def draw(pyvista, plotter, state: tuple[TwoLayers, NDArray[np.float64]]) -> None
 def main() -> None:
     """Run with CCD and without, check, print, and draw."""
     parser = argparse.ArgumentParser(description="Two layers of cloth on a ball, pressed and lifted, in 20 s.")
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=60, help="default 60")
     parser.add_argument("--resolution", type=int, default=24, help="vertices along a side of the cloth (default 24)")
     parser.add_argument("--output", type=Path, help="folder for two_layers.png (none is drawn without)")
     options = parser.parse_args()
