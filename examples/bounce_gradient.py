@@ -6,10 +6,13 @@ the ball comes then only shifts the end, so the derivative is 1, and a smaller s
 sign: who starts higher arrives later, and has come up less. With the toi of `launch`, which has a gradient of its own,
 the ball goes to the floor and back within the step, and the derivative tends to the true one.
 
-Run it: python examples/bounce_gradient.py [--output FOLDER], with pip install -e '.[examples]' for the figure.
+    pip install -e '.[viz]' && python examples/bounce_gradient.py --output bounce
+
+takes some seconds, the loading of the kernels included, and draws bounce/bounce_gradient.png.
 """
 
 import argparse
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -137,9 +140,12 @@ def draw(sizes: list[float], with_toi: list[float], without: list[float], path: 
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description="The gradient of a bounce, with and without toi, in some seconds.")
     parser.add_argument("--output", type=Path, help="folder for bounce_gradient.png")
     arguments = parser.parse_args()
+    if arguments.output and find_spec("matplotlib") is None:
+        parser.error("--output needs matplotlib; install it with: pip install 'ccd-warp[viz]'")
+    wp.config.log_level = wp.LOG_WARNING
     wp.set_device("cpu")
     floor = (FLOOR, np.array([[0, 1, 2]]))
     mesh = ccd.CollisionMesh.from_arrays([floor, (BALL + [0, 0, HEIGHT], np.array(FACES))], static=[0])
