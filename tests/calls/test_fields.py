@@ -79,13 +79,14 @@ READ = {
     "docs/coming_from_ipc_toolkit.md": "direction distance gap is_crossing parameters weights",
     "docs/command_line.md": "bodies gap primitives",
     "docs/distributed.md": "bodies primitives",
-    "docs/gradients.md": "bodies distance weights",
+    "docs/gradients.md": "bodies body_contact distance vertex_contact weights",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
     "docs/on_device.md": "bodies body_contact gap normal parameters point points primitives vertex_contact "
     "world_contact",
     "docs/rigid.md": "body_fraction",
-    "docs/solver.md": "bodies body_contact point points touching vertex_contact world_contact",
+    "docs/solver.md": "bodies body_contact distance point points touching vertex_contact world_contact",
+    "examples/barrier_solver.py": "direction distance weights",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal weights",
     "examples/dice.py": "bodies direction distance points",
@@ -94,6 +95,7 @@ READ = {
     "examples/newton_cloth.py": "bodies normal weights",
     "examples/rotor.py": "direction distance normal primitives relative_velocity",
     "examples/two_layers.py": "direction distance weights",
+    "examples/valve.py": "direction weights",
 }
 DISTANCE = 0.1
 TESTED: set[str] = set()

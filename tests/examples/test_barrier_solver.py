@@ -2,6 +2,7 @@
 
 import re
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from conftest import loaded_example
 
 import ccd_warp as ccd
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 # tetrahedra across, deep and along the strip: coarse, so that a step takes a hundredth of a second
 CELLS = (1, 2, 20)
 NUM_FRAMES, FOLDED = 80, 12
@@ -17,9 +19,11 @@ NUM_FRAMES, FOLDED = 80, 12
 
 @pytest.fixture(scope="module")
 def barrier_solver():
+    """The example, on a path as where it runs: it imports what examples share, and one imports another."""
     for name in ("skfem", "igl.copyleft.cgal", "tqdm", "pyvista"):
         pytest.importorskip(name, reason="the extra examples is not installed")
-    with loaded_example("barrier_solver") as module:
+    with pytest.MonkeyPatch.context() as patch, loaded_example("barrier_solver") as module:
+        patch.syspath_prepend(EXAMPLES)
         module.CELLS = CELLS
         yield module
 
@@ -133,20 +137,21 @@ def test_ipctk_has_the_same_energy_and_gradient(barrier_solver, fold):
             np.testing.assert_allclose(push, expected, rtol=0.0, atol=1e-10 * np.abs(expected).max())
 
 
-def test_both_codes_agree_until_the_strip_buckles(barrier_solver, monkeypatch, capsys):
+def test_both_codes_agree_until_the_strip_buckles(barrier_solver, monkeypatch, capsys, tmp_path):
     pytest.importorskip("ipctk", reason="the extra bench is not installed")
-    monkeypatch.setattr(sys, "argv", ["barrier_ipctk.py", "--frames", "4"])
+    monkeypatch.setattr(sys, "argv", ["barrier_ipctk.py", "--frames", "4", "--output", str(tmp_path)])
     with loaded_example("barrier_ipctk") as module:
         module.main()
     output = capsys.readouterr().out
     assert all(f"{name}: 4 frames, 0 with faces that cross" in output for name in ("ccd_warp", "ipctk"))
+    assert (tmp_path / "barrier_ipctk.png").stat().st_size > 10_000
     # both stop where the next step is less than this in a frame, and converge at least linearly
     tolerance = 1e3 * barrier_solver.TOLERANCE * barrier_solver.FRAME_TIME
     assert float(re.search(r"^at most (\S+) mm apart", output, re.MULTILINE)[1]) < 100.0 * tolerance
 
 
 def test_it_prints_what_it_finds_and_draws(barrier_solver, monkeypatch, capsys, tmp_path):
-    monkeypatch.setattr(sys, "argv", ["barrier_solver.py", "--frames", "4", "--no-ccd", "--output", str(tmp_path)])
+    monkeypatch.setattr(sys, "argv", ["barrier_solver.py", "--frames", "4", "--output", str(tmp_path)])
     barrier_solver.main()
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == "with CCD: 4 frames, 0 with faces that cross, at most 0 pairs"

@@ -25,14 +25,18 @@ def _number(text: str, label: str) -> float:
     return float(found[1])
 
 
+FEM = ("barrier_ipctk", "barrier_solver", "valve")
 NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "key_frames")
 
 
 def _refused(name: str, monkeypatch, *arguments: str) -> SystemExit:
     """How an example ends that does not get to run."""
-    if name == "newton_cloth":
-        pytest.importorskip("newton", reason="the extra newton is not installed")
+    for module in {"newton_cloth": ["newton"], "barrier_ipctk": ["skfem", "ipctk"]}.get(
+        name, ["skfem"] * (name in FEM)
+    ):
+        pytest.importorskip(module, reason="an extra is not installed")
     monkeypatch.setattr(sys, "argv", [name, *arguments])
+    monkeypatch.syspath_prepend(EXAMPLES)  # one example imports another
     with loaded_example(name) as module:
         if arguments[0] == "--output":
             monkeypatch.setattr(module, "find_spec", lambda _: None)
@@ -56,8 +60,8 @@ def test_an_example_is_read_in_ten_minutes_and_says_how_long_it_takes(name, monk
     assert "--output" in text and re.search(r"\d s\b|some\s+seconds|minute", text)
 
 
-# newton's extra has that of pictures, and MPI starts with the import of its example
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("newton_cloth", "mpi_cloth")])
+# the extras of newton and of finite elements have that of pictures, and MPI starts with the import of its example
+@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("newton_cloth", "mpi_cloth", *FEM)])
 def test_a_picture_without_its_extra_is_refused_by_the_name_of_the_extra(name, monkeypatch, capsys, tmp_path):
     assert _refused(name, monkeypatch, "--output", str(tmp_path)).code == 2
     assert "pip install 'ccd-warp[viz]'" in capsys.readouterr().err

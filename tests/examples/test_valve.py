@@ -100,9 +100,6 @@ def test_the_program_prints_and_draws_both_runs(valve, monkeypatch, tmp_path, ca
     assert "with CCD: 24 frames, 0 with crossings\n  beat 1:" in output
     assert "without CCD: 24 frames" in output and "without CCD: 24 frames, 0 with" not in output
     assert (tmp_path / "out" / "valve.png").read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr(sys, "argv", ["valve.py", "--frames", "2", "--no-ccd"])
-    valve.main()
-    assert capsys.readouterr().out.startswith("without CCD: 2 frames, 0 with crossings")
 
 
 def test_what_is_missing_is_named(tmp_path):
