@@ -34,8 +34,6 @@ RECORDS = Path("docs", "figures", "examples.json")
 _ALIKE, _MOST_UNLIKE = 0.2, 8
 
 
-# What examples are told beside the folder of their figure.
-OPTIONS = {"barrier_solver": " --no-ccd"}
 # Tables between marks that only a run makes, as no raw figures are kept: by mark its page and command.
 ONLY_MEASURED = {
     "stacks": ("docs/cuda.md", "-m ccd_warp.benchmarks.cuda_code"),
@@ -112,7 +110,7 @@ def examples(root: Path = ROOT) -> list[Maker]:
     """The examples whose figure is on a page: each has the name of its figure, and draws it into a folder."""
     names = sorted(path.stem for path in (root / "docs" / "figures").glob("*.png"))
     return [
-        Maker(name, f"examples/{name}.py{OPTIONS.get(name, '')} --output {{root}}/{name}", (name,), is_example=True)
+        Maker(name, f"examples/{name}.py --output {{root}}/{name}", (name,), is_example=True)
         for name in names
         if (root / "examples" / f"{name}.py").is_file()
     ]
