@@ -4,6 +4,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import Enum
 from html import escape
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -69,8 +70,10 @@ def start_sentence(pairs: Counter[tuple[str, str]]) -> str:
 
 
 def point_text(point: Iterable[float]) -> str:
-    """A position in six digits, for reading only."""
-    return f"({', '.join(f'{x + 0.0:.6g}' for x in point)})"
+    """A position in six digits, for reading only: what is rounding beside the largest coordinate is 0."""
+    values = [float(x) for x in point]
+    rounding = 1e-12 * max((abs(x) for x in values if isfinite(x)), default=0.0)
+    return f"({', '.join('0' if abs(x) <= rounding else f'{x:.6g}' for x in values)})"
 
 
 def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], total: int | None = None) -> str:

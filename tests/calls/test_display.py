@@ -12,6 +12,7 @@ from scenes import crowd, random_pairs, sheet_over_ball
 
 import ccd_warp as ccd
 from ccd_warp import datasets
+from ccd_warp._display import point_text
 
 
 def _named():
@@ -125,3 +126,9 @@ def test_help_of_every_call_fits_on_a_screen_or_two():
         text = pydoc.plain(pydoc.render_doc(call))
         # lines as a terminal shows them that is 120 columns wide: a signature is one line of the text
         assert sum(max(1, math.ceil(len(line) / 120)) for line in text.splitlines()) <= 80, name
+
+
+def test_a_place_shows_no_rounding():
+    assert point_text([1.0, 6e-17, -0.0]) == "(1, 0, 0)" and point_text([0.0, -0.0, 0.0]) == "(0, 0, 0)"
+    assert point_text([1e-300, 2e-300, -1e-311]) == "(1e-300, 2e-300, -1e-311)"
+    assert point_text([np.inf, 1.0, np.nan]) == "(inf, 1, nan)"

@@ -191,7 +191,7 @@ def test_every_format_says_where_the_first_contact_is_and_of_which_bodies(scene,
     report = capfd.readouterr().out
     first = result.first
     point = first.point.tolist()
-    assert f"at ({', '.join(f'{x + 0.0:.6g}' for x in point)})" in report
+    assert f"at ({', '.join(f'{round(x, 13) + 0.0:.6g}' for x in point)})" in report
     data = json.loads((scene / "out.json").read_text())
     with (scene / "out.csv").open() as file:
         rows = list(csv.DictReader(file))

@@ -82,7 +82,8 @@ class LineSearchResult:
         touching = f"{len(self.touching)} touching{struck}, {self.num_rounds} rounds{limited}"
         crossing = crossing_at_start(self.start)
         at_start = f";\n{crossing}" if crossing else ""
-        return f"LineSearchResult(least fraction {self.fraction!r} of {len(self.vertices):,} vertices, {touching}{at_start})"
+        least = f"least fraction {self.fraction!r} of {len(self.vertices):,} vertices"
+        return f"LineSearchResult({least}, {touching}{at_start})"
 
 
 def check_step_is_whole(t_max: float) -> None:
