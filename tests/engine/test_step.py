@@ -494,3 +494,20 @@ def test_positions_of_a_large_mesh_are_let_go(call):
     getattr(pipeline, call)(start, end)
     del start, end
     assert [array() for array in arrays] == [None, None]
+
+
+def test_bodies_that_stay_far_apart_have_the_stages_and_the_least_memory_of_others():
+    triangle, face = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), [[0, 1, 2]]
+    bodies = [(triangle, face), (triangle + [50.0, 0, 9], face)]
+    pipeline = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays(bodies, self_collision=False), device="cpu")
+    far = pipeline.mesh.vertices
+    near = far - [49.5, 0, 9] * (pipeline.mesh.vertex_body == 1)[:, None]
+    for call in (pipeline.mesh_ccd, pipeline.collision_free_step):
+        stages = []
+        for end in (far, near):
+            call(far, end)
+            stages.append(pipeline.timings.keys())
+        assert stages[0] == stages[1]
+    for call in (ccd.mesh_ccd, ccd.collision_free_step):
+        with pytest.raises(ValueError, match=r"memory_limit is 1 bytes; expected at least \d{6}"):
+            call(pipeline.mesh, far, far + 1.0, memory_limit=1)

@@ -45,6 +45,7 @@ class StepAtOneTime(Step):
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
         plan = self.begin(self.goal, 1.0, half_up(distance))
+        self.timings.setdefault("distances", 0.0)
         plan.set_search(1.0, half_up(distance), distance)
         return plan
 

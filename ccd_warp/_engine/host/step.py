@@ -225,6 +225,12 @@ class Step:
         """Whether nothing has to be searched, given the bodies that may collide."""
         return near is not None and not near.any()
 
+    def _check_idle(self, bytes_per_pair: int) -> None:
+        """Check the memory limit of a step, or slice, that searches nothing, and count its stages as others'."""
+        self.capacity(bytes_per_pair)
+        for stage in ("pairs", "narrow phase"):
+            self.timings.setdefault(stage, 0.0)
+
     def timed(self, stage: str) -> "AbstractContextManager[None]":
         """Add the time of a stage; on CUDA by events, which are read once the result is available."""
         return self._timed_by_events(stage) if self.topology.device.is_cuda else _Timer(self.timings, stage)
@@ -353,6 +359,7 @@ class Step:
         t_end = self.options.t_max
         plan = self.begin("bound", t_end, part=part)
         if plan.is_idle and not plan.has_planes:
+            self._check_idle(plan.memory.pair_bytes + TOI_BYTES)
             return best
         self.bind_options(plan, part)
         searches: tuple[bool, ...] = (True, False) if self.topology.samples_queries and part is None else (False,)
@@ -501,6 +508,7 @@ class Step:
                 store.begin(self.execution, self.largest_contacts())
                 plan.reset_minima(store.count)
             if plan.is_idle and not plan.has_planes:
+                self._check_idle(plan.memory.pair_bytes + BYTES_PER_CONTACT)
                 return
             self.bind_options(plan, part)
             plan.set_search(self.options.t_max if part is None else 1.0, self.inflation, self.separation)
