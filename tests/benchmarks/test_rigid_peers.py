@@ -117,14 +117,14 @@ def test_the_page_tells_what_is_missed_and_who_is_not_installed(monkeypatch):
     monkeypatch.setattr(rigid_arm, "find_spec", lambda module: None)
     monkeypatch.setattr(rigid_arm, "arm_edges", partial(rigid_arm.arm_edges, faces=500, obstacles=20))
     records = [call() for call in rigid.calls(SIZES).values()]
-    assert [record["what"] for record in records] == 3 * ["steps"] + 2 * ["turns", "pairs"] + ["dice", "edges"]
-    for record in records[:3]:
+    assert [record["what"] for record in records] == 4 * ["steps"] + 2 * ["turns", "pairs"] + ["dice", "edges"]
+    for record in records[:4]:
         assert (record["evidence"]["missed"], record["evidence"]["late"]) == (0, 0)
         assert len(record["rows"]) == 3 and record["versions"] == {}
         record["rows"][1]["missed"] = 3
     page = rigid_sections.rigid({"rigid": records}, ".")
-    assert sum("| **3** |" in line for line in page) == 3
-    assert sum("Not installed: python-fcl, coal, drake, py-parry3d" in line for line in page) == 3
+    assert sum("| **3** |" in line for line in page) == 4
+    assert sum("Not installed: python-fcl, coal, drake, py-parry3d" in line for line in page) == 4
     assert sum(line.startswith(("| vertex-face | 0.5 |", "| edge-edge | 0.001 |")) for line in page) == 2
     assert sum("6 edges" in line or "edges of a motion planner" in line for line in page) == 1
     rigid_sections.draw_turns({"rigid": records})
