@@ -85,7 +85,7 @@ READ = {
     "docs/on_device.md": "bodies body_contact gap normal parameters point points primitives vertex_contact "
     "world_contact",
     "docs/rigid.md": "body_fraction",
-    "docs/solver.md": "bodies body_contact distance point points touching vertex_contact world_contact",
+    "docs/solver.md": "bodies body_contact distance normal point points touching vertex_contact world_contact",
     "examples/barrier_solver.py": "direction distance weights",
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal weights",
