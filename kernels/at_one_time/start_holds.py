@@ -69,10 +69,10 @@ def note_near_contacts(
     # out
     world_near: wp.array[wp.int32],
 ):
-    """Note the worlds of contacts that start within the distance, or pass by; those beyond the list may be in any world.
+    """Note the worlds of contacts that start within the distance, or pass by at it.
 
-    Without positions at the end, as of what moves on arcs, none passes by. What passes keeps its distance but for the
-    slack that ``reach`` has beyond it.
+    Those beyond the list may be in any world. Without positions at the end, as on arcs, none passes by. What passes
+    keeps its distance but for the slack that ``reach`` has beyond it.
     """
     n = begin + wp.tid()
     if n == 0 and count[0] > kinds.shape[0]:

@@ -45,7 +45,7 @@ is_euclidean = is_ball(norm)
 has_own = is_by_pair(norm)
 simd64 = specialised("pair.simd", width=width)
 if has_own:
-    without_margin = specialised("pair.pair_options", real=real, width=width, norm=norm).without_margin
+    from .pair_options import held_lanes, without_margin
 Corners64 = specialised("pair.patch", width=width).Corners
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
@@ -225,17 +225,20 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         separation_length = without_margin(separation_length, most, points_t0, points_t1, options)
     else:
         separation_length = simd64.least(options.minimum_separation * scale, limit)
+    gap_length = delta_length
+    if wp.static(has_own and not has_arcs(norm)):
+        gap_length = simd64.select(simd64.mask_of(held_lanes(options)), wp.float64(0.0), delta_length)
     separation = simd64.vec(separation_length, separation_length, separation_length)
     if wp.static(has_arcs(norm)):
         separation = simd64.least(separation + options.sagitta, simd64.vec(limit, limit, limit))
     if wp.static(is_euclidean):
         # one scale for all axes, so that the ball stays a ball
         shared = inverse_power_of_two(simd64.greatest(most, delta_length))
-        return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation, delta_length)
+        return scaled_pair(n, c0, c1, m, simd64.vec(shared, shared, shared), separation, gap_length)
     # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
     s = simd64.vec(
         inverse_power_of_two(simd64.greatest(m.x, delta_length)),
         inverse_power_of_two(simd64.greatest(m.y, delta_length)),
         inverse_power_of_two(simd64.greatest(m.z, delta_length)),
     )
-    return scaled_pair(n, c0, c1, m, s, separation, delta_length)
+    return scaled_pair(n, c0, c1, m, s, separation, gap_length)

@@ -11,8 +11,8 @@ the axes and their cross products with the edges. All of them are tried here. Fo
 tried again with what is left of the step.
 
 Held pairs (`hold`) have a slack of few roundings, so directions are to be accurate: of two edges that are nearly
-parallel, the cross product is made orthogonal to the longer one again, and what lies across an edge is so twice. Nothing
-here carries a guarantee but that of `inclusion`.
+parallel, the cross product is made orthogonal to the longer one again, and what lies across an edge is so twice.
+Nothing here carries a guarantee but that of `inclusion`.
 """
 
 import warp as wp

@@ -77,13 +77,11 @@ def longest_side(a: Points, b: Points) -> simd.Lanes:
 @simd.func
 def farthest(a: Points, b: Points) -> simd.Lanes:
     """Largest |coordinate| of the points at both ends of the step."""
-    of_a = simd.greatest(
-        simd.greatest(simd.magnitude(a.p0), simd.magnitude(a.p1)), simd.greatest(simd.magnitude(a.p2), simd.magnitude(a.p3))
-    )
-    of_b = simd.greatest(
-        simd.greatest(simd.magnitude(b.p0), simd.magnitude(b.p1)), simd.greatest(simd.magnitude(b.p2), simd.magnitude(b.p3))
-    )
-    return simd.greatest_of(simd.greatest(of_a, of_b))
+    first = simd.greatest(simd.magnitude(a.p0), simd.magnitude(b.p0))
+    second = simd.greatest(simd.magnitude(a.p1), simd.magnitude(b.p1))
+    third = simd.greatest(simd.magnitude(a.p2), simd.magnitude(b.p2))
+    fourth = simd.greatest(simd.magnitude(a.p3), simd.magnitude(b.p3))
+    return simd.greatest_of(simd.greatest(simd.greatest(first, second), simd.greatest(third, fourth)))
 
 
 @wp.func

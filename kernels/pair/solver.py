@@ -158,6 +158,8 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
             is_cut = is_cut or length == FAR
             n.problem.separation[k] = real(length) * round_up
             length = wp.min(delta_length * unit * s[k], FAR)
+            if wp.static(not on_arcs):
+                length = wp.where(options.margin > wp.float64(0.0), wp.float64(0.0), length)
             n.problem.delta[k] = real(length)
         n.size = vec3(wp.cw_mul(m, s))
         n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)

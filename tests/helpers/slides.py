@@ -2,9 +2,9 @@
 
 The ground is a sheet of eight faces below the plane z = 0, which it touches: flat, or falling on one side of its middle
 line or on both, or on all sides of its middle; or a valley along that line. What slides, a particle, a segment or a
-triangle, has its lowest vertices at a height h, all of them above what touches the plane, so no pair is nearer than h at
-any time, while something is at h from the start. Half of the segments and triangles have a side that is parallel to an
-edge of the ground.
+triangle, has its lowest vertices at a height h, all of them above what touches the plane, so no pair is nearer than h
+at any time, while something is at h from the start. Half of the segments and triangles have a side that is parallel to
+an edge of the ground.
 """
 
 import numpy as np
@@ -37,7 +37,7 @@ def _ground(rng, count, kind):
 
 
 def drawn_slides(rng, count, slider, distance, kinds):
-    """Start and end of ``count`` worlds, [n, 9 + m, 3] each, and the kind of each ground."""
+    """Start and end of ``count`` worlds, [n, 9 + m, 3] each."""
     m, every = SLIDERS[slider], np.arange(count)
     kind = rng.choice(kinds, count)
     ground, normal = _ground(rng, count, kind)
@@ -55,7 +55,8 @@ def drawn_slides(rng, count, slider, distance, kinds):
     over = np.isin(kind, [RIDGE, APEX])
     low, high = shape.min(1), shape.max(1)
     half = np.where(over[:, None], [0.65, 0.65], [0.28, 0.65])
-    shape *= (np.minimum(1, half / np.maximum((high - low) / 2, 1e-9)).min(1) * 10.0 ** -rng.uniform(0, 1.5, count))[:, None, None]
+    fits = np.minimum(1, half / np.maximum((high - low) / 2, 1e-9)).min(1)
+    shape *= (fits * 10.0 ** -rng.uniform(0, 1.5, count))[:, None, None]
     low, high = shape.min(1), shape.max(1)
     centre = np.where(over[:, None], 0, [-0.35, 0]) + (half - (high - low) / 2) * rng.uniform(-1, 1, (count, 2))
     weights = rng.dirichlet(np.ones(m), count)
@@ -85,7 +86,7 @@ def drawn_slides(rng, count, slider, distance, kinds):
     start = np.concatenate([ground, p], 1)
     end = start.copy()
     end[:, GROUND:] += motion
-    return start, end, kind
+    return start, end
 
 
 def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=False, offset=0.0, **options):
@@ -93,7 +94,7 @@ def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=Fal
     rng = np.random.default_rng(seed)
     # a particle stands on no ridge; and the nearest points of a box are not above each other, but within a face
     kinds = [FLAT, FALLING, VALLEY] if slider == "particle" or norm == "minimum_separation" else range(5)
-    start, end, kind = drawn_slides(rng, count, slider, distance, kinds)
+    start, end = drawn_slides(rng, count, slider, distance, kinds)
     if drifts:
         end += rng.normal(size=(count, 1, 3)) * rng.choice([0, 1e-3, 1], (count, 1, 1))
     turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
@@ -112,4 +113,4 @@ def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=Fal
     ).replicate(count)
     if norm == "minimum_separation":
         options["length_scale"] = scale
-    return ccd.CollisionPipeline(mesh, device="cpu", **options), start, end, kind
+    return ccd.CollisionPipeline(mesh, device="cpu", **options), start, end
