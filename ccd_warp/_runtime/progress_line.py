@@ -3,10 +3,8 @@
 import threading
 import time
 
-import warp as wp
-
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.terminal import has_terminal, write_to_terminal
+from ccd_warp._runtime.terminal import has_terminal, is_warp_silent, write_to_terminal
 
 PATIENCE = 2.0  # seconds before a line appears
 _WIDTH = 24
@@ -49,16 +47,27 @@ class CallLine:
     """The line of a call of the library, which costs nothing before the call has taken long.
 
     There is none where Warp is to be silent, and on other threads than the main one, where others may show theirs.
+    Within ``with CallLine(progress)`` it shows what is told to ``progress``.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, progress: Progress | None = None) -> None:
         self._line: ProgressLine | None = None
+        self._progress = progress
+
+    def __enter__(self) -> None:
+        assert self._progress is not None
+        self._progress.show = self.show
+
+    def __exit__(self, *_: object) -> None:
+        assert self._progress is not None
+        self._progress.show = None
+        self.clear()
 
     def show(self, progress: Progress) -> None:
         """Rewrite the line, once the call has taken two seconds."""
         if self._line is None:
             is_main = threading.current_thread() is threading.main_thread()
-            self._line = ProgressLine(is_quiet=wp.config.log_level > wp.LOG_INFO or not is_main)
+            self._line = ProgressLine(is_quiet=is_warp_silent() or not is_main)
             self._line.prefix = "ccd_warp: "
         self._line.show(progress)
 
