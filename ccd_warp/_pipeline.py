@@ -282,7 +282,8 @@ class CollisionPipeline:
         What :meth:`launch_proximity` and :meth:`launch_displacement_bounds` need is allocated by their first calls.
 
         Later launches no longer write to the previous result. A graph captured before still writes to it, as long as
-        that result is kept alive: capture a new graph.
+        that result is kept alive: capture a new graph. A distance of pairs that is three median edges long, or more, is
+        warned of here, and where a first launch begins, once.
 
         Args:
             max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
@@ -480,7 +481,8 @@ class CollisionPipeline:
 
         Returns:
             The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
-            this pass had to stop is finite. The flags cover all passes, but for that of contacts. With a motion,
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts, which is of the last;
+            on a tape it is of all, as each passes gradients. ``num_pairs`` are the most of any pass. With a motion,
             ``body_fraction`` and ``motion`` say where the rigid bodies are at the end.
 
         Raises:

@@ -17,6 +17,7 @@ _NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 # Bits of the features of a pair that spans the inside of a face, or of both edges, and that no other pair has.
 _INSIDE = wp.constant(15)
 _ONE = wp.constant(wp.float64(1.0))
+_MINUS_ONE = wp.constant(wp.float64(-1.0))
 
 
 @wp.func
@@ -146,7 +147,10 @@ def fill_weights(
     # out
     weights: wp.array[wp.vec4d],
 ):
-    """The weights of the vertices of each contact in the difference of its closest points."""
+    """The weights of the vertices of each contact in the difference of its closest points, with the bits of the host.
+
+    There the opposite of 0 is -0, which Warp's own minus sign does not give.
+    """
     n = begin + wp.tid()
     if n < contacts.count[0]:
         kind = contacts.kind[n]
@@ -155,14 +159,14 @@ def fill_weights(
         w = wp.vec4d()
         w[0] = _ONE
         if kind == VERTEX_FACE:
-            w = wp.vec4d(_ONE, u + v - _ONE, -u, -v)
+            w = wp.vec4d(_ONE, u + v - _ONE, _MINUS_ONE * u, _MINUS_ONE * v)
         elif kind == EDGE_EDGE:
-            w = wp.vec4d(_ONE - u, u, v - _ONE, -v)
+            w = wp.vec4d(_ONE - u, u, v - _ONE, _MINUS_ONE * v)
         elif kind == POINT_SEGMENT:
             w[2] = u - _ONE
-            w[3] = -u
+            w[3] = _MINUS_ONE * u
         elif kind == POINT_POINT:
-            w[2] = -_ONE
+            w[2] = _MINUS_ONE
         weights[n] = w
 
 
