@@ -135,7 +135,7 @@ class CollisionPipeline:
         self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._radius: wp.array | None = None
         self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
-        self._progress = Progress()  # of launches
+        self._line = CallLine()  # of launches
         self._is_distance_checked = False  # at the positions of a launch
         norm_of(self.mesh, options)
 
@@ -250,10 +250,8 @@ class CollisionPipeline:
             line = CallLine()
             show = self._show_progress or line.show
             step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
-            try:
+            with line:
                 result = work(step)
-            finally:
-                line.clear()
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
@@ -312,7 +310,7 @@ class CollisionPipeline:
             if vertices is not None:
                 layout = self.mesh._in_space(self.mesh.frame(vertices, "vertices").copy())
             self._check_distance(lambda: self._layout if layout is None else layout)
-            with CallLine(self._progress):
+            with self._line:
                 self._reserve(capacities, layout)
             assert self._device_step
             return self._device_step.result
@@ -330,7 +328,7 @@ class CollisionPipeline:
 
     def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
         """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
-        if not self._is_distance_checked and not self._topology.device.is_capturing:
+        if not self._topology.device.is_capturing:
             self._check_distance(lambda: step.start_of(prepared))
             self._is_distance_checked = True
 
@@ -345,7 +343,7 @@ class CollisionPipeline:
             placed = layout
         layout = self._layout if layout is None else layout
         try:
-            arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._progress
+            arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._line.progress
             step = DeviceLineSearch(*arguments)
         except RuntimeError as error:  # of Warp; what it has allocated so far is freed
             if "allocate" not in str(error):
@@ -527,10 +525,11 @@ class CollisionPipeline:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
             layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
-            of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius, self._progress
-            step = DeviceArcStep(*of_step)
+            of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
+            step = DeviceArcStep(*of_step, self._line.progress)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
-        self._check_first_distance(step, prepared)
+        if not self._is_distance_checked:
+            self._check_first_distance(step, prepared)
         self._check_places(step, prepared)
         step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
@@ -558,7 +557,7 @@ class CollisionPipeline:
                 "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
                 "motion.gradient_by_poses() and gradient_by_twist() take"
             )
-        with self._lock, CallLine(self._progress):
+        with self._lock, self._line:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
             vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
@@ -571,7 +570,8 @@ class CollisionPipeline:
             step = self._device_step
             assert step
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
-            self._check_first_distance(step, prepared)
+            if not self._is_distance_checked:
+                self._check_first_distance(step, prepared)
             taped = self._taped(step, prepared, given) if is_taped else None
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
@@ -654,13 +654,13 @@ class CollisionPipeline:
                     f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
                     "which alone have gradients; expected an array that requires none, or no tape"
                 )
-        with self._lock, CallLine(self._progress):
+        with self._lock, self._line:
             step = self._at_one_time.get(kind)
             if step is None:
                 if self._topology.device.is_capturing:
                     raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
-                of_step = self._topology, self._options, self._capacities, self._layout, self.radius, self._progress
-                step = kind(*of_step)
+                of_step = self._topology, self._options, self._capacities, self._layout, self.radius
+                step = kind(*of_step, self._line.progress)
             prepared = step.prepare_positions(positions)
             self._at_one_time.pop(kind, None)
             step.launch_within(prepared, step.values(length))

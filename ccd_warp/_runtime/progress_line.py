@@ -47,21 +47,21 @@ class CallLine:
     """The line of a call of the library, which costs nothing before the call has taken long.
 
     There is none where Warp is to be silent, and on other threads than the main one, where others may show theirs.
-    Within ``with CallLine(progress)`` it shows what is told to ``progress``.
+    Each ``with`` is another call, of which ``progress`` is told.
     """
 
-    def __init__(self, progress: Progress | None = None) -> None:
+    def __init__(self) -> None:
         self._line: ProgressLine | None = None
-        self._progress = progress
+        self.progress = Progress()
 
     def __enter__(self) -> None:
-        assert self._progress is not None
-        self._progress.show = self.show
+        self.progress.show = self.show
 
     def __exit__(self, *_: object) -> None:
-        assert self._progress is not None
-        self._progress.show = None
-        self.clear()
+        self.progress.show = None
+        if self._line is not None:
+            self._line.clear()
+            self._line = None
 
     def show(self, progress: Progress) -> None:
         """Rewrite the line, once the call has taken two seconds."""
@@ -70,11 +70,6 @@ class CallLine:
             self._line = ProgressLine(is_quiet=is_warp_silent() or not is_main)
             self._line.prefix = "ccd_warp: "
         self._line.show(progress)
-
-    def clear(self) -> None:
-        """Clear the line, if there is one."""
-        if self._line is not None:
-            self._line.clear()
 
 
 def line_of(progress: Progress, seconds: float) -> str:
