@@ -36,6 +36,15 @@ class DevicePairs(OnDevice, Placed):
         return self._known().contact_arrays.vertices()
 
     @property
+    def weights(self) -> wp.array:
+        """Weights of the four ``vertices`` in the difference of the closest points, vec4d, shape [max_contacts].
+
+        As in :class:`ccd_warp.Contacts`: a force of magnitude f that pushes the two apart is f times the weight times
+        ``normal`` on each vertex.
+        """
+        return self._known().contact_arrays.weights()
+
+    @property
     def bodies(self) -> wp.array:
         """Bodies of the first and the second primitive of each pair, vec2i, shape [max_contacts]."""
         return self._known().contact_arrays.bodies()

@@ -38,7 +38,8 @@ class LaunchResult(OnDevice):
         world_flags: Flags of each world, int32, shape [W]; with a single world the array ``flags`` itself.
         num_pairs: For each :class:`ccd_warp.PairKind`, in their order, how many pairs the cull left, those beyond
             ``max_pairs`` included, int64, shape [5]: vertex-face, edge-edge, point-segment, point-point, vertex-plane.
-            The last are vertices that meet a half-space, which take no capacity.
+            The last are vertices that meet a half-space, which take no capacity. Of a launch in several passes, or in
+            the slices of a motion, the most of any.
         body_fraction: With a ``motion``, the fraction of its path by which each rigid body goes, 1 of all other bodies,
             float64, shape [B]: below 1 where :meth:`ccd_warp.CollisionPipeline.launch_line_search` has shortened it.
             None without a motion.
@@ -102,12 +103,13 @@ class LaunchResult(OnDevice):
         contacts = self.contacts.to_host(vertices_t0, vertices_t1)
         names = ("world_toi", "body_toi", "vertex_toi", "world_flags")
         arrays = {name: getattr(self, name).numpy().copy() for name in names}
+        most_before = 0 if self._step is None else self._step.most_contacts  # in earlier passes
         return HostLaunchResult(
             toi=float(self.toi.numpy()[0]),
             contacts=contacts,
             flags=LaunchFlag(int(self.flags.numpy()[0])),
             num_pairs={kind: int(count) for kind, count in zip(PairKind, self.num_pairs.numpy(), strict=True)},
-            num_contacts=int(self.contacts.count.numpy()[0]),
+            num_contacts=max(int(self.contacts.count.numpy()[0]), most_before),
             body_fraction=None if self.body_fraction is None else self.body_fraction.numpy().copy(),
             motion=self.motion,
             **arrays,
@@ -126,8 +128,8 @@ class DeviceProximities(DevicePairs):
 
     The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
     :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
-    captured graph uses, so keep it as long as the graph. What is beside the fields is computed as that of
-    :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
+    captured graph uses, so keep it as long as the graph. What is beside the fields, :meth:`unique` included, is
+    computed as that of :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
 
     Attributes:
         count: Number of pairs within the distance, which may exceed the capacity; int32, shape [1].
@@ -152,6 +154,22 @@ class DeviceProximities(DevicePairs):
     flags: wp.array
     world_flags: wp.array
     num_pairs: wp.array
+
+    @property
+    def normal(self) -> wp.array:
+        """``direction``, by the name that it has in contacts."""
+        return self.direction
+
+    def unique(self) -> wp.array:
+        """Which pairs :meth:`ccd_warp.Proximities.unique` keeps: each two closest features once.
+
+        Returns:
+            A mask on the device, bool, shape [max_contacts], False from ``count`` on.
+
+        Raises:
+            RuntimeError: If a graph is being captured and there was no earlier call.
+        """
+        return self._known().contact_arrays.unique(self.features)
 
     def to_host(self) -> Proximities:
         """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.

@@ -32,7 +32,11 @@ def launched(launch: Callable[..., LaunchResult], arrays: Sequence[wp.array]) ->
     if tape is not None:
         needed |= LaunchFlag.CONTACTS_OVERFLOW
     if flags & needed:
-        raise RuntimeError(f"the launch has {flags & needed!r}; expected larger capacities, of pipeline.reserve()")
+        pairs, contacts = int(result.num_pairs.numpy().max()), result.to_host().num_contacts
+        raise RuntimeError(
+            f"the launch has {flags & needed!r}, with {pairs:,} pairs of a kind and {contacts:,} contacts; expected "
+            f"capacities of twice as many, by pipeline.reserve(max_pairs=..., max_contacts=...)"
+        )
     return tape, result
 
 

@@ -135,6 +135,8 @@ class CollisionPipeline:
         self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._radius: wp.array | None = None
         self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
+        self._line = CallLine()  # of launches
+        self._is_distance_checked = False  # at the positions of a launch
         norm_of(self.mesh, options)
 
     @property
@@ -248,10 +250,8 @@ class CollisionPipeline:
             line = CallLine()
             show = self._show_progress or line.show
             step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
-            try:
+            with line:
                 result = work(step)
-            finally:
-                line.clear()
             if "total" not in step.timings:
                 step.finish_timings()
             self.timings = step.timings
@@ -280,7 +280,8 @@ class CollisionPipeline:
         What :meth:`launch_proximity` and :meth:`launch_displacement_bounds` need is allocated by their first calls.
 
         Later launches no longer write to the previous result. A graph captured before still writes to it, as long as
-        that result is kept alive: capture a new graph.
+        that result is kept alive: capture a new graph. A distance of pairs that is three median edges long, or more, is
+        warned of here, and where a first launch begins, once.
 
         Args:
             max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
@@ -308,9 +309,28 @@ class CollisionPipeline:
             layout = None
             if vertices is not None:
                 layout = self.mesh._in_space(self.mesh.frame(vertices, "vertices").copy())
-            self._reserve(capacities, layout)
+            self._check_distance(lambda: self._layout if layout is None else layout)
+            with self._line:
+                self._reserve(capacities, layout)
             assert self._device_step
             return self._device_step.result
+
+    def _check_distance(self, start: Callable[[], NDArray[np.float64]]) -> None:
+        """Warn once of a distance of pairs that is many edges long at the start positions of launches."""
+        separation = self._options.separation(length_scale_of(self.mesh, self._options))
+        if not separation > 0.0 and self.mesh.radius is None:
+            return
+        radius = None if self._radius is None else self._radius.numpy()
+        found = DistanceInEdges.of(self._topology, start(), separation, radius)
+        if found is not None and found.reaches_beyond(self.mesh.exclusion_rings):
+            self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
+            self._workspace.warn_once("distance", found.described)
+
+    def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
+        """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
+        if not self._topology.device.is_capturing:
+            self._check_distance(lambda: step.start_of(prepared))
+            self._is_distance_checked = True
 
     def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
         """Make the device step, laid out for other positions if they are given."""
@@ -323,7 +343,8 @@ class CollisionPipeline:
             placed = layout
         layout = self._layout if layout is None else layout
         try:
-            step = DeviceLineSearch(self._topology, self._options, capacities, layout, placed, self.radius)
+            arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._line.progress
+            step = DeviceLineSearch(*arguments)
         except RuntimeError as error:  # of Warp; what it has allocated so far is freed
             if "allocate" not in str(error):
                 raise
@@ -458,7 +479,8 @@ class CollisionPipeline:
 
         Returns:
             The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
-            this pass had to stop is finite. The flags cover all passes, but for that of contacts. With a motion,
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts, which is of the last;
+            on a tape it is of all, as each passes gradients. ``num_pairs`` are the most of any pass. With a motion,
             ``body_fraction`` and ``motion`` say where the rigid bodies are at the end.
 
         Raises:
@@ -503,8 +525,11 @@ class CollisionPipeline:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
             layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
-            step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
+            of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
+            step = DeviceArcStep(*of_step, self._line.progress)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
+        if not self._is_distance_checked:
+            self._check_first_distance(step, prepared)
         self._check_places(step, prepared)
         step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
@@ -532,7 +557,7 @@ class CollisionPipeline:
                 "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
                 "motion.gradient_by_poses() and gradient_by_twist() take"
             )
-        with self._lock:
+        with self._lock, self._line:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
             vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
@@ -545,6 +570,8 @@ class CollisionPipeline:
             step = self._device_step
             assert step
             prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
+            if not self._is_distance_checked:
+                self._check_first_distance(step, prepared)
             taped = self._taped(step, prepared, given) if is_taped else None
             if self._is_placing and not prepared.places_static:
                 raise RuntimeError(
@@ -627,12 +654,13 @@ class CollisionPipeline:
                     f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
                     "which alone have gradients; expected an array that requires none, or no tape"
                 )
-        with self._lock:
+        with self._lock, self._line:
             step = self._at_one_time.get(kind)
             if step is None:
                 if self._topology.device.is_capturing:
                     raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
-                step = kind(self._topology, self._options, self._capacities, self._layout, self.radius)
+                of_step = self._topology, self._options, self._capacities, self._layout, self.radius
+                step = kind(*of_step, self._line.progress)
             prepared = step.prepare_positions(positions)
             self._at_one_time.pop(kind, None)
             step.launch_within(prepared, step.values(length))

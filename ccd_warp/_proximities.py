@@ -54,6 +54,11 @@ class Proximities(ClosePairs):
     def _known_mesh(self) -> CollisionMesh:
         return self.mesh
 
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """``direction``, by the name that it has in contacts."""
+        return self.direction
+
     @lazy_property
     def points(self) -> NDArray[np.float64]:
         """The closest points of the first and the second primitive, a length, float64, shape [m, 2, 3] or [m, 2, 2]."""

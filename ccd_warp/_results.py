@@ -149,8 +149,10 @@ class HostLaunchResult(Outcome):
         contacts: Every pair with a finite toi, up to the capacity, in the order of :class:`Contacts`.
         flags: Flags of the scene.
         world_flags: :class:`ccd_warp.LaunchFlag` of each world, int32, shape [W].
-        num_pairs: For each :class:`ccd_warp.PairKind` how many pairs the cull left, those beyond the capacity, too.
-        num_contacts: Number of contacts found, including those beyond the capacity.
+        num_pairs: For each :class:`ccd_warp.PairKind` how many pairs the cull left, those beyond the capacity, too; of
+            a line search the most of any pass. What ``max_pairs`` has to hold.
+        num_contacts: Number of contacts found, including those beyond the capacity; of a line search the most of any
+            pass, while ``contacts`` are those of the last. What ``max_contacts`` has to hold.
         body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
         motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.
     """

@@ -84,7 +84,8 @@ class LaunchFlag(IntFlag):
     """There are more than ``max_pairs`` pairs of a kind; the excess counts with toi 0 and is not among the contacts."""
 
     CONTACTS_OVERFLOW = int(minima.CONTACTS_OVERFLOW)
-    """There are more than ``max_contacts`` contacts; the excess is missing only from the list of contacts."""
+    """There are more than ``max_contacts`` contacts; the excess is missing only from the list of contacts, of a line
+    search from that of its last pass, and on a tape from the gradients of any."""
 
     INVALID_INPUT = int(minima.INVALID_INPUT)
     """A coordinate is not finite, and every toi of its world is 0."""

@@ -143,8 +143,7 @@ class Trampoline:
                 near = self.finder.launch(self.x, wish).contacts
             else:  # only what is near at one instant is known
                 near = self.finder.launch_proximity(wish, ACTIVATION * self.spacing)
-            normal = near.normal if self.with_ccd else near.direction
-            pairs = [near.count, near.vertices, near.parameters, normal]
+            pairs = [near.count, near.vertices, near.parameters, near.normal]
             self.grid.build(wish[m:], self.spacing)
             for _ in range(ITERATIONS):
                 self.relax(push_particles, len(wish) - m, self.grid.id)

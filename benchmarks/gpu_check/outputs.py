@@ -12,7 +12,7 @@ import ccd_warp as ccd
 # Times that calls took, and what tells how the work was divided, which is for each device to choose.
 _NOT_COMPARED = {"timings", "num_boxes", "num_sorted_sets", "num_searches", "num_batches"}
 # What contacts know beside their fields.
-_OF_CONTACTS = ("points", "vertices", "bodies", "world")
+_OF_CONTACTS = ("points", "vertices", "weights", "bodies", "world")
 
 Outputs = dict[str, np.ndarray]
 

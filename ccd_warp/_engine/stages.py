@@ -163,7 +163,7 @@ class Stages:
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
         search = self.search_kernel(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
         # the first to be compiled makes Warp's header for all: one that begins soon, beside the solver
-        load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device)
+        load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device, launcher.progress)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
         """Compute the AABBs of the given vertices, empty ones for those of bodies that are not active."""

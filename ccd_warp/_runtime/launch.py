@@ -42,20 +42,28 @@ def block_dim_of(kernel: Any, device: Any) -> int | None:
     return kernel.module.options["block_dim"] if device.is_cuda else None
 
 
-def load(kernel: Any, device: Any) -> None:
+def load(kernel: Any, device: Any, progress: Progress | None = None) -> None:
     """Compile and load a kernel once, on another thread, so that an interrupt is handled meanwhile."""
-    load_all([kernel], device)
+    load_all([kernel], device, progress)
 
 
-def load_all(kernels: Iterable[Any], device: Any) -> None:
-    """Compile and load kernels once, their modules side by side; what takes longest comes first."""
+def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = None) -> None:
+    """Compile and load kernels once, their modules side by side; what takes longest comes first.
+
+    How many of them are ready is told to ``progress``, which then goes on with its stage.
+    """
     wanted = {(kernel.module, str(device)): kernel for kernel in kernels}
     missing = {key: kernel for key, kernel in wanted.items() if key not in _loaded}
     if not missing:
         return
 
+    progress = progress or Progress()
+    stage = progress.stage, progress.total, progress.done
+    progress.begin("compiling kernels", len(missing))
+
     def load_module(kernel: Any) -> None:
         load_or_repair(kernel, device, block_dim_of(kernel, device))
+        progress.done += 1
 
     def load_modules() -> None:
         with building, uncollected():
@@ -68,7 +76,8 @@ def load_all(kernels: Iterable[Any], device: Any) -> None:
     if device.is_capturing:  # Warp allows it only on the thread of the capture
         load_modules()
     else:
-        run_aside(load_modules)
+        run_aside(load_modules, progress.tick)
+    progress.begin(*stage)
     _loaded.update(missing)
 
 
@@ -121,7 +130,7 @@ class Execution:
         """
         if count == 0:
             return
-        load(kernel, self.device)
+        load(kernel, self.device, self.progress)
 
         def part(begin: int, end: int) -> None:
             block_dim = block_dim_of(kernel, self.device)
@@ -286,6 +295,11 @@ class Recording:
         return self.execution.device
 
     @property
+    def progress(self) -> Progress:
+        """What is told how far a long job is."""
+        return self.execution.progress
+
+    @property
     def is_cuda(self) -> bool:
         """True on a CUDA device."""
         return self.execution.is_cuda
@@ -341,7 +355,7 @@ class Recording:
         """Record a launch; the arguments are those of :meth:`Execution.launch`, and may include slots."""
         if count == 0:
             return
-        load(kernel, self.execution.device)
+        load(kernel, self.execution.device, self.progress)
         arguments = [*inputs, *outputs]
         structs = {i: self._struct_of(a) for i, a in enumerate(arguments) if isinstance(a, StructFields)}
         values = [structs[i].packed if i in structs else a for i, a in enumerate(arguments)]
@@ -448,7 +462,7 @@ class Recording:
             for part in parts:
                 part()
             return
-        progress = self.execution.progress
+        progress = self.progress
         progress.begin(section, len(parts))
 
         def run(part: Callable[[], None]) -> None:

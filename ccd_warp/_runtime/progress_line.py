@@ -3,10 +3,8 @@
 import threading
 import time
 
-import warp as wp
-
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.terminal import has_terminal, write_to_terminal
+from ccd_warp._runtime.terminal import has_terminal, is_warp_silent, write_to_terminal
 
 PATIENCE = 2.0  # seconds before a line appears
 _WIDTH = 24
@@ -49,23 +47,29 @@ class CallLine:
     """The line of a call of the library, which costs nothing before the call has taken long.
 
     There is none where Warp is to be silent, and on other threads than the main one, where others may show theirs.
+    Each ``with`` is another call, of which ``progress`` is told.
     """
 
     def __init__(self) -> None:
         self._line: ProgressLine | None = None
+        self.progress = Progress()
+
+    def __enter__(self) -> None:
+        self.progress.show = self.show
+
+    def __exit__(self, *_: object) -> None:
+        self.progress.show = None
+        if self._line is not None:
+            self._line.clear()
+            self._line = None
 
     def show(self, progress: Progress) -> None:
         """Rewrite the line, once the call has taken two seconds."""
         if self._line is None:
             is_main = threading.current_thread() is threading.main_thread()
-            self._line = ProgressLine(is_quiet=wp.config.log_level > wp.LOG_INFO or not is_main)
+            self._line = ProgressLine(is_quiet=is_warp_silent() or not is_main)
             self._line.prefix = "ccd_warp: "
         self._line.show(progress)
-
-    def clear(self) -> None:
-        """Clear the line, if there is one."""
-        if self._line is not None:
-            self._line.clear()
 
 
 def line_of(progress: Progress, seconds: float) -> str:

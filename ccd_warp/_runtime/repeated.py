@@ -31,7 +31,7 @@ class RepeatedLaunches:
         arguments = [0, *inputs, *outputs]
         command = self._commands.pop(kernel, None)  # no other thread changes it meanwhile
         if command is None:
-            load(kernel, execution.device)
+            load(kernel, execution.device, execution.progress)
             block_dim = block_dim_of(kernel, execution.device)
             options: Any = {"device": execution.device, "block_dim": block_dim, "record_tape": False}
             command = wp.launch(kernel, dim=count, inputs=arguments, record_cmd=True, **options)

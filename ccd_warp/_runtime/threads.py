@@ -225,9 +225,19 @@ def is_any_aside() -> bool:
     return bool(_aside)
 
 
-def run_aside(task: Callable[[], Any]) -> None:
-    """Call a task on a thread that stays, and wait for it; an interrupt ends the wait but not the task."""
-    error = _begin_aside([task], 0).get()
+def run_aside(task: Callable[[], Any], tick: Callable[[], None] | None = None) -> None:
+    """Call a task on a thread that stays, and wait for it; an interrupt ends the wait but not the task.
+
+    Meanwhile ``tick`` is called ten times a second.
+    """
+    outcome = _begin_aside([task], 0)
+    while True:
+        try:
+            error = outcome.get(timeout=None if tick is None else _TICK)
+            break
+        except Empty:
+            assert tick
+            tick()
     if error is not None:
         raise error
 

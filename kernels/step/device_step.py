@@ -17,7 +17,7 @@ from ..boxes.box_tree import (
     vertex_aabb,
     write_vertex_aabb,
 )
-from .minima import INVALID_INPUT, STATIC_MOVED, STRUCK, Minima, world_of
+from .minima import FOUND, INVALID_INPUT, MOST_FOUND, MOST_LISTED, STATIC_MOVED, STRUCK, Minima, world_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -46,7 +46,10 @@ def reset(
     num_contacts: wp.array[wp.int32],
     stop: wp.array[wp.int32],
 ):
-    """Set the toi of bodies, worlds and scene to infinity, counts to 0; clear all flags but those in ``kept_flags``."""
+    """Set the toi of bodies, worlds and scene to infinity, counts to 0; clear all flags but those in ``kept_flags``.
+
+    A pass that keeps flags is not the first of its launch: the most pairs and contacts of those before it stay known.
+    """
     i = begin + wp.tid()
     if i < m.world.shape[0]:
         m.world_flags[i] = m.world_flags[i] & kept_flags
@@ -60,11 +63,28 @@ def reset(
     if i == 0:
         if m.world.shape[0] > 1:  # otherwise the scene and its only world share their flags
             m.flags[0] = m.flags[0] & kept_flags
+        most_listed = wp.max(counts[1, MOST_LISTED], wp.int64(num_contacts[0]))
         num_contacts[0] = 0
         stop[0] = 0  # it may have ended an earlier launch
         for k in range(counts.shape[0]):
+            most = wp.max(counts[k, MOST_FOUND], counts[k, FOUND])
             for column in range(counts.shape[1]):
                 counts[k, column] = wp.int64(0)
+            if kept_flags != 0:
+                counts[k, MOST_FOUND] = most
+        if kept_flags != 0:
+            counts[1, MOST_LISTED] = most_listed
+
+
+@wp.kernel
+def tell_most_found(
+    begin: int,
+    # in and out
+    counts: wp.array2d[wp.int64],
+):
+    """Of each kind, let the number of pairs be the most of any pass; launched after the last."""
+    k = begin + wp.tid()
+    counts[k, FOUND] = wp.max(counts[k, FOUND], counts[k, MOST_FOUND])
 
 
 @wp.kernel

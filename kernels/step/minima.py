@@ -23,6 +23,10 @@ QUEUED = wp.constant(3)
 ANY_OPEN = wp.constant(5)
 # in the first row alone, on CUDA: the kinds that had more candidates than their list could take
 ANY_UNLISTED = wp.constant(6)
+# in the second row alone: the most contacts of a pass before this one
+MOST_LISTED = wp.constant(6)
+# the most pairs that the search has found in a pass, or a slice, before this one
+MOST_FOUND = wp.constant(7)
 NUM_COUNTS = 8
 
 _ZERO_BITS = wp.constant(wp.int64(0))

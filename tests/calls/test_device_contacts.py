@@ -8,7 +8,7 @@ from scenes import FACE, NO_FACES, cloth_and_ball_in_worlds, named_cloth_and_bal
 
 import ccd_warp as ccd
 
-NAMES = ("points", "vertices", "bodies", "world")
+NAMES = ("points", "vertices", "weights", "bodies", "world")
 OPTIONS = {"length_scale": 1.0, "device": "cpu"}
 
 

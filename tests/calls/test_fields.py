@@ -71,7 +71,7 @@ READ = {
     "benchmarks/rigid_arm_scene.py": "bodies",
     "benchmarks/rigid_dice.py": "bodies",
     "benchmarks/virtual_mesh.py": "bodies primitives",
-    "docs/at_one_time.md": "bodies direction distance edge_parameter features is_crossing parameters points "
+    "docs/at_one_time.md": "bodies direction distance edge_parameter features is_crossing normal parameters points "
     "primitives weights",
     "docs/bodies.md": "bodies distance normal point primitives struck",
     "docs/calls.md": "gap parameters",
@@ -82,7 +82,7 @@ READ = {
     "docs/gradients.md": "bodies body_contact distance vertex_contact weights",
     "docs/make_pictures.py": "bodies",
     "docs/method.md": "gap",
-    "docs/on_device.md": "bodies body_contact gap normal parameters point points primitives vertex_contact "
+    "docs/on_device.md": "bodies body_contact gap normal parameters point points primitives vertex_contact weights "
     "world_contact",
     "docs/rigid.md": "body_fraction",
     "docs/solver.md": "bodies body_contact distance normal point points touching vertex_contact world_contact",
@@ -90,7 +90,7 @@ READ = {
     "examples/bullet_2d.py": "gap parameters",
     "examples/cloth_drop.py": "direction normal weights",
     "examples/dice.py": "bodies direction distance points",
-    "examples/fsi_membrane.py": "direction normal parameters",
+    "examples/fsi_membrane.py": "normal parameters",
     "examples/mesh_against_mesh.py": "normal point primitives",
     "examples/newton_cloth.py": "bodies normal weights",
     "examples/rotor.py": "direction distance normal primitives relative_velocity",

@@ -235,3 +235,17 @@ def test_who_gives_an_end_without_a_gradient_is_told_to():
     shared = pipeline_of(mesh, minimum_distance=0.1, start_gap_fraction=0.5)
     with wp.Tape(), pytest.raises(ValueError, match="expected 'hold' or None for gradients"):
         shared.launch_line_search(array(start), array(end))
+
+
+def test_contacts_of_any_pass_that_have_no_gradient_are_flagged_and_have_one_after_reserve():
+    mesh, start, end = scene()
+    pipeline = pipeline_of(mesh, minimum_distance=0.1, max_contacts=1)
+    result = pipeline.launch_line_search(start, end.copy(), per="vertex")
+    assert result.flags.numpy()[0] == 0 and result.to_host().num_contacts > 1  # the last pass lists none
+    given = [array(start), array(end)]
+    _, result = taped(lambda: pipeline.launch_line_search(*given, per="vertex"))
+    assert result.flags.numpy()[0] == ccd.LaunchFlag.CONTACTS_OVERFLOW
+    pipeline.reserve(max_contacts=2 * result.to_host().num_contacts)
+    given = [array(start), array(end)]
+    _, result = taped(lambda: pipeline.launch_line_search(*given, per="vertex"))
+    assert result.flags.numpy()[0] == 0

@@ -45,7 +45,8 @@ ccd_warp._runtime.progress_line.PATIENCE = 0.0
 ccd_warp._runtime.threads._TICK = 1e-3
 {setting}
 frames = ccd.read_frames(*{paths})
-ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, device="cpu")
+pipeline = ccd.CollisionPipeline(frames.mesh, device="cpu", max_pairs=1 << 20, num_threads=2)
+pipeline.{name}(frames.vertices_t0, frames.vertices_t1)
 """
 # The module of the mesh reader is imported by code that catches whatever an import raises, as trimesh itself does.
 _INTERRUPTED_IMPORT = """
@@ -169,11 +170,16 @@ def test_pictures_of_an_animation_are_counted_although_stderr_is_closed_meanwhil
     assert screen_of(shown) == []
 
 
-@pytest.mark.parametrize("setting, is_shown", [("", True), ("warp.config.log_level = warp.LOG_ERROR", False)])
-def test_a_long_call_of_the_library_shows_how_far_it_is_unless_warp_is_silent(triangles_in_a_plane, setting, is_shown):
-    status, shown = shown_by(["-c", _CALL.format(paths=triangles_in_a_plane(700), setting=setting)])
+@pytest.mark.parametrize("setting, is_shown", [("WARNING", True), ("ERROR", False)])
+@pytest.mark.parametrize("name, stage", [("mesh_ccd", "narrow phase"), ("launch", "step")])
+def test_a_long_call_of_the_library_shows_how_far_it_is_unless_warp_is_silent(
+    triangles_in_a_plane, name, stage, setting, is_shown
+):
+    setting = f"warp.config.log_level = warp.LOG_{setting}"
+    status, shown = shown_by(["-c", _CALL.format(paths=triangles_in_a_plane(700), setting=setting, name=name)])
     assert status == 0
-    assert ("\rccd_warp: narrow phase  [" in shown) is is_shown
+    for each in (stage, "compiling kernels"):
+        assert (f"\rccd_warp: {each}  [" in shown) is is_shown
     assert screen_of(shown) == []
 
 

@@ -235,6 +235,20 @@ def test_points_that_roll_out_and_come_back_within_a_slice_do_not_stay(wall, pre
     assert ccd.is_step_collision_free(mesh, x, x, motion=found.motion, device="cpu")
 
 
+@pytest.mark.parametrize("name", ["launch", "launch_line_search"])
+def test_twice_the_pairs_of_any_slice_is_enough(name):
+    """A blade meets a wall soon after the begin of its turn, and nothing in the slices that follow."""
+    wall, faces = scenes.sheet(6)
+    wall = (wall - [0.5, 0.5, 0.0])[:, [0, 2, 1]] * 2 + [1, 0.3, 0.25]
+    mesh = ccd.CollisionMesh.from_arrays([(BLADE, [[0, 1, 2]]), (wall, faces)], static=[1], rigid=[0])
+    motion = ccd.RigidMotion([AT_REST], twist=[[0, 0, 0, 0, 0, 2.0]])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1)
+    found = getattr(pipeline, name)(mesh.vertices, mesh.vertices.copy(), motion=motion).to_host()
+    assert found.flags == LaunchFlag.PAIRS_OVERFLOW
+    pipeline.reserve(max_pairs=2 * max(found.num_pairs.values()))
+    assert getattr(pipeline, name)(mesh.vertices, mesh.vertices.copy(), motion=motion).to_host().flags == 0
+
+
 def test_walls_that_one_kind_of_launch_has_placed_are_not_forgotten_by_the_other():
     """A launch with a motion and one without know each where static bodies stand; rows of moving ones do not say it."""
     box = trimesh.creation.box((1, 1, 1))

@@ -10,6 +10,7 @@ from scenes import FACE, TRIANGLE, stacked, triangles, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.device import line_search as device_line_search
+from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._runtime.launch import Slot
 
 EVERY_PER = ("scene", "world", "body", "vertex")
@@ -239,7 +240,13 @@ def test_worlds_are_shortened_as_each_alone(per, device):
     assert 0 < num_shortened < 12
 
 
-def test_what_a_look_finds_free_has_no_pairs_in_the_next(device):
+@pytest.fixture
+def of_last_pass(monkeypatch):
+    """Have ``num_pairs`` be those of the last pass, which shows what it has searched."""
+    monkeypatch.setattr(DeviceStep, "_record_most_found", lambda *_: None)
+
+
+def test_what_a_look_finds_free_has_no_pairs_in_the_next(device, of_last_pass):
     for seed in range(100):
         rng = np.random.default_rng(seed)
         mesh, _ = triangles(rng, 2)
@@ -279,7 +286,7 @@ def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per, devi
     assert (start != end).any() and num_touching(mesh, start, end, length_scale=1.0) == 0
 
 
-def test_a_world_that_another_shortens_is_checked_again(device, monkeypatch):
+def test_a_world_that_another_shortens_is_checked_again(device, monkeypatch, of_last_pass):
     """One fraction for the scene moves worlds that were found free, too, and rounds them anew."""
     # without the pass between, so that the last pass finds the pairs of the motion that the first has shortened
     monkeypatch.setattr(device_line_search, "passes_of", lambda _: [("scene", Slot("safety")), ("world", 0.0)])
@@ -370,6 +377,56 @@ def test_without_capacity_for_pairs_nothing_moves_into_another(device):
     pipeline.reserve(max_pairs=1000)
     vertices_t1.assign(wished)
     assert pipeline.launch_line_search(vertices_t0, vertices_t1, per="vertex").flags.numpy()[0] == 0
+
+
+def _until_it_fits(pipeline, launch):
+    """What a launch finds after the remedy of its flags, and how often that was needed."""
+    for num_rounds in range(9):
+        result = launch(pipeline)
+        flags = ccd.LaunchFlag(int(result.flags.numpy()[0]))
+        if ccd.LaunchFlag.PAIRS_OVERFLOW in flags:
+            pipeline.reserve(max_pairs=2 * int(result.num_pairs.numpy().max()))
+        elif ccd.LaunchFlag.CONTACTS_OVERFLOW in flags:
+            is_launch = isinstance(result, ccd.LaunchResult)
+            count = result.to_host().num_contacts if is_launch else int(result.count.numpy()[0])
+            pipeline.reserve(max_contacts=2 * count)
+        else:
+            return result, num_rounds
+    pytest.fail("the remedy does not end")
+
+
+@pytest.mark.parametrize("radius", [None, [0.02, 0.0]], ids=["thin", "thick"])
+@pytest.mark.parametrize("name", [*EVERY_PER, "launch", "proximity", "bounds"])
+def test_twice_what_was_counted_is_enough_after_two_rounds(name, radius):
+    cloth, ball = trimesh.creation.box((1, 1, 0.1)).subdivide().subdivide(), trimesh.creation.icosphere(radius=0.3)
+    mesh = ccd.CollisionMesh.from_trimesh([cloth, ball], static=[1], radius=radius, self_collision=False)
+    start = mesh.vertices + [0, 0, 0.36] * (mesh.vertex_body == 0)[:, None]  # within the radii
+    wished = start - [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
+    ends = []
+
+    def search(pipeline):
+        ends.append(wished.copy())
+        return pipeline.launch_line_search(start, ends[-1], per=name)
+
+    launch = {
+        "launch": lambda pipeline: pipeline.launch(start, wished),
+        "proximity": lambda pipeline: pipeline.launch_proximity(start, 0.1),
+        "bounds": lambda pipeline: pipeline.launch_displacement_bounds(start, 0.1),
+    }.get(name, search)
+    small, large = (ccd.CollisionPipeline(mesh, device="cpu", max_pairs=n, max_contacts=n) for n in (16, 1 << 18))
+    result, num_rounds = _until_it_fits(small, launch)
+    assert num_rounds in (1, 2)
+    if name == "bounds":
+        assert np.array_equal(result.to_host(), launch(large).to_host())
+        return
+    found, expected = result.to_host(), launch(large).to_host()
+    assert repr(found) == repr(expected)
+    if launch is search:
+        # the first pass checks the step as a launch does
+        first = large.launch(start, wished).to_host()
+        assert np.array_equal(ends[-2], ends[-1]) and (radius is not None or not np.array_equal(ends[-1], start))
+        assert found.num_contacts >= first.num_contacts > len(found.contacts)
+        assert all(found.num_pairs[kind] >= count for kind, count in first.num_pairs.items())
 
 
 def _triangle_over_a_face() -> tuple[ccd.CollisionMesh, np.ndarray, float]:

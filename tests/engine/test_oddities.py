@@ -5,6 +5,7 @@ import warnings
 import numpy as np
 import pytest
 import scenes
+import warp as wp
 
 import ccd_warp as ccd
 
@@ -118,6 +119,60 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
         assert not any(pipeline.counts.num_after_cull.values())
         assert pipeline.mesh_ccd(mesh.vertices, end).toi == 0.0
         assert any(pipeline.counts.num_after_cull.values())
+
+
+@pytest.mark.parametrize("thickness", ["distance", "separation", "radius", "radius on the device"])
+def test_a_distance_of_three_edges_is_named_once_by_every_call_on_host_and_device(thickness):
+    radius = {"radius": 0.375, "radius on the device": 0.0}.get(thickness)
+    mesh = two_sheets(radius=radius)
+    of_separation = {"minimum_separation": 0.75, "length_scale": 1.0}
+    options = {"distance": {"minimum_distance": 0.75}, "separation": of_separation}.get(thickness, {})
+    start, end = mesh.vertices, mesh.vertices + [0.0, 0.0, 0.1]
+    calls = {
+        "collision_free_step": lambda pipeline: pipeline.collision_free_step(start, end),
+        "launch": lambda pipeline: pipeline.launch(start, end),
+        "launch_line_search": lambda pipeline: pipeline.launch_line_search(start, end.copy()),
+        "reserve": lambda pipeline: pipeline.reserve(),
+        "reserve for positions": lambda pipeline: pipeline.reserve(vertices=start),
+    }
+    if thickness == "radius on the device":
+        del calls["collision_free_step"]
+    for share, is_said in ((1.0, True), (0.99, False)):  # of three edges
+        for call in calls.values():
+            pipeline = ccd.CollisionPipeline(two_sheets(radius=radius) if is_said else mesh, device="cpu", **options)
+            if thickness == "radius on the device":
+                pipeline.radius.fill_(0.375 * share)
+            with warnings.catch_warnings(record=True) as warned:
+                warnings.simplefilter("always")
+                for _ in range(2):
+                    call(pipeline)
+                    calls["launch"](pipeline)
+            assert len(warned) == is_said
+            if is_said:
+                assert "is 0.75, 3 times the median edge of 0.25" in str(warned[0].message)
+                assert warned[0].filename == __file__
+        mesh = two_sheets(radius=None if radius is None else 0.99 * radius)
+        options |= {name: 0.99 * value for name, value in options.items() if name != "length_scale"}
+
+
+def test_a_launch_looks_at_its_own_positions_and_at_those_of_moving_vertices():
+    for form in ("whole", "moving", "float32", "array", "in the plane"):
+        vertices, faces = scenes.sheet(4)
+        if form == "in the plane":
+            edges = ccd.CollisionMesh.from_arrays([(vertices, faces)]).edges
+            mesh = ccd.CollisionMesh.from_arrays([(9.0 * vertices[:, :2], edges)])
+        else:
+            bodies = [(9.0 * vertices, faces), (9.0 * vertices - [0, 0, 99], faces)]
+            mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if form == "moving" else [])
+        x = (mesh.vertices / 9.0)[mesh.moving_vertices if form == "moving" else slice(None)]
+        x = x.astype(np.float32) if form == "float32" else x
+        x = wp.array(x, dtype=wp.vec3d, device="cpu") if form == "array" else x.copy()
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=0.8)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            pipeline.reserve()
+        with pytest.warns(RuntimeWarning, match=r"is 0\.8, 3\.2 times the median edge of 0\.25"):
+            pipeline.launch(x, x)
 
 
 @pytest.mark.parametrize("per", ["scene", "vertex"])

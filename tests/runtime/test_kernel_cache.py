@@ -75,7 +75,8 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    "is_terminal, log_level, num_lines", [(True, wp.LOG_INFO, 1), (True, wp.LOG_ERROR, 0), (False, wp.LOG_INFO, 0)]
+    "is_terminal, log_level, num_lines",
+    [(True, wp.LOG_INFO, 1), (True, wp.LOG_WARNING, 1), (True, wp.LOG_ERROR, 0), (False, wp.LOG_INFO, 0)],
 )
 def test_a_terminal_is_told_once_that_kernels_are_compiled(is_terminal, log_level, num_lines, tmp_path, monkeypatch):
     stderr = io.StringIO()

@@ -127,7 +127,8 @@ class DisplacementStep(StepAtOneTime):
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
-            load_all([measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds], self.topology.device)  # side by side
+            both = measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds
+            load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
             batches = plan.batches(self.capacity(plan.memory.pair_bytes))

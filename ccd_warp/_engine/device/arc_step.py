@@ -89,6 +89,8 @@ class DeviceArcStep(DeviceLineSearch):
             outputs = [self._whole, self._least]
             recording.launch(kernels.begin_paths, len(self._least), inputs=[self._arcs.paths], outputs=outputs)
         super()._record_form(recording, form)
+        if form.line_search is None:
+            self._record_most_found(recording)
 
     def _record_pass(
         self,

@@ -26,6 +26,7 @@ from ccd_warp._engine.stages import Stages
 from ccd_warp._input.interop import without_worlds
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Recording, Slot
+from ccd_warp._runtime.progress import Progress
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
@@ -56,12 +57,13 @@ class DeviceAtOneTime(DeviceStep, ABC):
         capacities: Capacities,
         vertices: NDArray[np.float64],
         radius: wp.array | None,
+        progress: Progress,
     ) -> None:
         """Allocate everything, with trees for ``vertices``; every launch gives the positions of all bodies.
 
-        ``radius`` are the radii of the vertices, as for every step on the device.
+        The others are those of every step on the device.
         """
-        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices, radius)
+        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices, radius, progress)
         self._radii = topology.radius if radius is None else radius
         self._of_static = self._full(1, float(self._stages.inflation), wp.float64)
         self._values: dict[tuple[float, float], _Values] = {}  # the last ones
@@ -135,8 +137,10 @@ class DeviceProximityStep(DeviceAtOneTime):
         arrays = {name: self._empty(capacity, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
-        listed = {"count": self._count, "kind": arrays["kind"], "primitives": arrays["primitives"]}
-        self.contact_arrays = ContactArrays(self.topology, self.execution, listed, "proximities")
+        listed = {name: arrays[name] for name in ("kind", "primitives", "parameters")}
+        self.contact_arrays = ContactArrays(
+            self.topology, self.execution, {"count": self._count, **listed}, "proximities"
+        )
         result = self.result
         return DeviceProximities(
             count=self._count,

@@ -45,6 +45,10 @@ class ContactArrays:
         """World of each pair, int32."""
         return self._filled("world", wp.int32, kernels.fill_world, self._topology.vertex_world)
 
+    def weights(self) -> wp.array:
+        """Weights of the vertices of each pair, vec4d."""
+        return self._filled("weights", wp.vec4d, kernels.fill_weights)
+
     def points(self, name: str, positions: tuple[wp.array, wp.array]) -> wp.array:
         """Points at toi, vec3d, in a step between positions of one precision, in an array of this name.
 
@@ -67,14 +71,37 @@ class ContactArrays:
 
         Two stable sorts of the whole capacity, as the number of contacts is known on the device alone.
         """
-        keys = self._array("order_by_toi", "keys", wp.int64, 2 * self._capacity)  # the sort needs twice the size
-        order = self._array("order_by_toi", "order", wp.int32, 2 * self._capacity)
-        launch = self._execution.launch
-        launch(kernels.fill_pair_keys, self._capacity, inputs=[self._list], outputs=[keys, order])
-        wp.utils.radix_sort_pairs(keys, order, self._capacity)
-        launch(kernels.fill_toi_keys, self._capacity, inputs=[self._list, order], outputs=[keys])
+        keys, order = self._ordered_pairs("order_by_toi", self._capacity)
+        self._execution.launch(kernels.fill_toi_keys, self._capacity, inputs=[self._list, order], outputs=[keys])
         wp.utils.radix_sort_pairs(keys, order, self._capacity)
         return order[: self._capacity]
+
+    def unique(self, features: wp.array) -> wp.array:
+        """Which pairs are the first, by kind and pair, that have their closest features, bool.
+
+        Three stable sorts, by pair and by the two halves of the key of the features: of the whole capacity, or of as
+        many rows as there are where the host knows that.
+        """
+        count, device = self._capacity, self._topology.device
+        if device.is_cpu and not device.is_capturing:
+            count = min(count, int(self._list.count.numpy()[0]))
+        keys, order = self._ordered_pairs("unique", count)
+        inputs = [self._list, *(self._topology.corners[kind] for kind in ("edge", "face")), features, order]
+        for by_end in (1, 0) if count else ():
+            self._execution.launch(kernels.fill_feature_keys, count, inputs=[*inputs, by_end], outputs=[keys])
+            wp.utils.radix_sort_pairs(keys, order, count)
+        is_unique = self._array("unique", "unique", wp.bool, self._capacity)
+        self._execution.launch(kernels.mark_unique, self._capacity, inputs=inputs, outputs=[is_unique])
+        return is_unique
+
+    def _ordered_pairs(self, name: str, count: int) -> tuple[wp.array, wp.array]:
+        """Keys, and so many rows ordered by kind and pair, those without a pair last."""
+        keys = self._array(name, "keys", wp.int64, 2 * self._capacity)  # the sort needs twice the size
+        order = self._array(name, "order", wp.int32, 2 * self._capacity)
+        self._execution.launch(kernels.fill_pair_keys, count, inputs=[self._list], outputs=[keys, order])
+        if count:
+            wp.utils.radix_sort_pairs(keys, order, count)
+        return keys, order
 
     def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
         """The array of this name, filled by a kernel that takes the contacts and these inputs."""

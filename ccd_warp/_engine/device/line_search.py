@@ -104,6 +104,8 @@ class DeviceLineSearch(DeviceStep):
         )
         passes = passes_of(form.line_search)
         has_kinematic = bool(mesh.kinematic.any())
+        # the contacts of every pass of a line search on a tape have gradients
+        kept_flags = _KEPT_FLAGS | (int(LaunchFlag.CONTACTS_OVERFLOW) if form.is_taped else 0)
         for number, (per, share) in enumerate(passes):
             # only if the next pass has the same `per`: a failure then stops the same bodies or vertices alone
             may_cut = number == 0 and passes[1][0] == per
@@ -113,7 +115,7 @@ class DeviceLineSearch(DeviceStep):
                 self._record_reset(recording)
                 self._record_first_pass(recording, form, gaps_moved)
             else:
-                self._record_next_reset(recording)
+                self._record_next_reset(recording, kept_flags)
             # where nothing was touched in the pass before, there is nothing else to do
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 if number > 0:
@@ -125,9 +127,10 @@ class DeviceLineSearch(DeviceStep):
                 with recording.only_if(self._is_any_touched):
                     self._record_shortened(recording, form, per, share, is_searched_again=is_searched_again)
         if has_kinematic:  # which may strike what the last pass has stopped
-            self._record_reset(recording, _KEPT_FLAGS, keeps_toi=True)
+            self._record_reset(recording, kept_flags, keeps_toi=True)
             with recording.only_if(self._is_any_touched):
                 self._record_checked(recording, form, is_first=False)
+        self._record_most_found(recording)
 
     def _pass_done(self) -> None:
         """Tell who keeps the passes that one has been checked, and nothing shortened yet."""
@@ -182,9 +185,9 @@ class DeviceLineSearch(DeviceStep):
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""
 
-    def _record_next_reset(self, recording: Recording) -> None:
+    def _record_next_reset(self, recording: Recording, kept_flags: int = _KEPT_FLAGS) -> None:
         """Record the reset before a pass that is not the first."""
-        self._record_reset(recording, _KEPT_FLAGS)
+        self._record_reset(recording, kept_flags)
         self._stages.reset_vertices(recording)
 
     def _record_touched(self, recording: Recording) -> None:

@@ -32,11 +32,13 @@ from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._touch import Touch
 from ccd_warp.kernels.pair.norm import is_ball
-from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED
+from ccd_warp.kernels.step import device_step as kernels
+from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED, MOST_LISTED
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -89,14 +91,16 @@ class DeviceStep(Plan):
         vertices: NDArray[np.float64],
         static_positions: NDArray[np.float64],
         radius: wp.array | None = None,
+        progress: Progress | None = None,
     ) -> None:
         """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``.
 
-        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none.
+        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none. What
+        takes long is told to ``progress``.
         """
         self._mesh = mesh = topology.mesh
         self._flag = StopFlag(topology.device)
-        execution = Execution(topology.device, options.threads, self._flag)
+        execution = Execution(topology.device, options.threads, self._flag, progress or Progress())
         norm = norm_of(mesh, options, may_change=True, on_arcs=self.on_arcs)
         super().__init__(topology, options, execution, self.goal, norm)
         _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
@@ -207,6 +211,14 @@ class DeviceStep(Plan):
         if prepared.form not in self._recordings and device.is_capturing and device.is_cuda:
             raise RuntimeError("launch() was not called before the capture with arrays of these types and shapes")
         return prepared
+
+    def start_of(self, prepared: PreparedLaunch) -> NDArray[np.float64]:
+        """Start positions of all vertices on the host, static ones as they are laid out; this waits for the device."""
+        given = prepared.vertices_t0.numpy() if prepared.given is None else prepared.given[0]
+        rows = slice(None) if prepared.form.t0_by_vertex else self._mesh.moving_vertices
+        start = self._vertices.copy()
+        start[rows, : self._mesh.dimension] = given.reshape(len(given), -1)
+        return start
 
     def launch(self, prepared: PreparedLaunch) -> None:
         """Launch a step. If this raises, the device step is in an inconsistent state and must not be used again."""
@@ -337,6 +349,15 @@ class DeviceStep(Plan):
         """Record the launch that resets the results of the last step, or of the last pass."""
         num_contacts, stop = self.result.contacts.count, self._flag.array
         self._stages.reset(recording, num_contacts, stop, kept_flags, keeps_toi=keeps_toi)
+
+    def _record_most_found(self, recording: Recording) -> None:
+        """Record, after the last pass, the launch that lets ``num_pairs`` be the most pairs of any pass."""
+        recording.launch(kernels.tell_most_found, len(self._counts), inputs=[], outputs=[self._counts])
+
+    @property
+    def most_contacts(self) -> int:
+        """The most contacts of a pass or slice of the last launch but its last; this waits for the device."""
+        return int(self._counts.numpy()[1, MOST_LISTED])
 
     def _record_pairs(self, recording: Recording, form: Form, active: Any, is_first: bool = True) -> Stages:
         """Record the launches from the input to the pairs that the cull leaves; returns their stages.

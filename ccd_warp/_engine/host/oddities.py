@@ -20,8 +20,9 @@ if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
     from ccd_warp._status import PairKind
 
-# Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them.
-_MANY_EDGES = 4.0
+# Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them;
+# three, whatever the rounding of both.
+_MANY_EDGES = 3.0 - 1e-6
 # Vertices of a body from which on some are so near each other and share no edge.
 _LEAST_VERTICES = 16
 # Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
@@ -79,16 +80,25 @@ class DistanceInEdges(NamedTuple):
     has_radius: bool
 
     @classmethod
-    def of(cls, topology: "Topology", start: NDArray[np.float64], distance: float) -> "DistanceInEdges | None":
+    def of(
+        cls,
+        topology: "Topology",
+        start: NDArray[np.float64],
+        distance: float,
+        radius: NDArray[np.float64] | None = None,
+    ) -> "DistanceInEdges | None":
         """That of a mesh at its start positions, from samples of its edges; None where no edge counts.
 
         Args:
             topology: The mesh.
             start: Its start positions.
             distance: What is added to the radii, a length.
+            radius: Radii of the vertices in place of those of the mesh, which has some.
         """
         mesh = topology.mesh
-        if len(mesh.edges) == 0 or not (distance > 0.0 or mesh.is_thick):
+        radius = mesh.radius if radius is None else radius
+        is_thick = radius is not None and bool((radius > 0.0).any())
+        if len(mesh.edges) == 0 or not (distance > 0.0 or is_thick):
             return None
         edges = topology.samples[1].T
         body = mesh.vertex_body[edges[:, 0]]
@@ -98,14 +108,18 @@ class DistanceInEdges(NamedTuple):
             return None
         with np.errstate(over="ignore", invalid="ignore"):
             edge = float(np.median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)))
-            if mesh.radius is not None:
-                distance += 2.0 * float(np.median(mesh.radius[edges].max(axis=1)))
-        return cls(distance, edge, mesh.is_thick)
+            if radius is not None:
+                distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
+        return cls(distance, edge, is_thick)
 
     @property
     def is_many(self) -> bool:
         """Whether the distance is many edges long."""
         return self.distance > _MANY_EDGES * self.edge > 0.0
+
+    def reaches_beyond(self, rings: int) -> bool:
+        """Whether it is so many that neighbours are within it, and no exclusion of so many rings leaves these out."""
+        return self.is_many and self.distance > rings * self.edge
 
     def described(self) -> str:
         """How many edges the distance is, and what to do."""

@@ -176,7 +176,7 @@ class Step:
         found = DistanceInEdges.of(self.topology, self.positions[0], self.separation)
         if found is None or not found.is_many:
             return False
-        if found.distance > self.mesh.exclusion_rings * found.edge:
+        if found.reaches_beyond(self.mesh.exclusion_rings):
             self.is_explained = True  # nothing has to be said of the many pairs that follow from it
             self.workspace.warn_once("distance", found.described)
         return True

@@ -238,9 +238,48 @@ def test_vertices_bodies_and_worlds_of_what_is_near_are_on_the_device(device):
     host, count = result.to_host(), len(result.to_host())
     order = np.lexsort((*result.primitives.numpy()[:count].T[::-1], result.kind.numpy()[:count]))
     assert {*host.world} == {0, 1} and {*host.kind} == {*ccd.PairKind}
-    for name in ("vertices", "bodies", "world"):
+    for name in ("vertices", "weights", "normal", "bodies", "world"):
         assert np.array_equal(getattr(result, name).numpy()[:count][order], getattr(host, name))
     assert result.world is result.world
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_what_is_unique_on_the_device_is_so_on_the_host(scene, device):
+    mesh = SCENES[scene]()
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    x = on_device(mesh.vertices, device, wp.vec3d if mesh.dimension == 3 else wp.vec2d)
+    for distance in (0.1, 0.0):
+        result = pipeline.launch_proximity(x, distance)
+        pairs = np.column_stack([result.kind.numpy(), result.primitives.numpy()])[result.unique().numpy()]
+        once = result.to_host().unique()
+        assert np.array_equal(pairs[np.lexsort(pairs.T[::-1])], np.column_stack([once.kind, once.primitives]))
+        assert len(once) < len(result.to_host()) or distance == 0.0
+
+
+def test_a_graph_holds_what_a_force_needs():
+    mesh, x, _ = STEPS["every kind of pair"].make()
+    pipeline, array = ccd.CollisionPipeline(mesh, max_pairs=20_000, max_contacts=20_000), on_device(0.9 * x)
+
+    def launch():
+        result = pipeline.launch_proximity(array, 0.1)
+        return result, result.unique(), result.weights, result.normal, result.vertices
+
+    result = pipeline.launch_proximity(array, 0.1)
+    with pytest.raises(RuntimeError, match=r"ask for proximities\.unique once before"), wp.ScopedCapture(device="cpu"):
+        result.unique()
+    launch()
+    with wp.ScopedCapture(device="cpu") as capture:
+        result, *columns = launch()
+    for positions in (x, 1.1 * x, 100.0 * x):
+        array.assign(positions)
+        wp.capture_launch(capture.graph)
+        is_unique, weights, normal, vertices = (column.numpy() for column in columns)
+        force, expected = np.zeros((2, *x.shape))
+        np.add.at(force, vertices[is_unique], weights[is_unique][..., None] * normal[is_unique][:, None])
+        once = ccd.find_proximity(mesh, positions, 0.1).unique()
+        np.add.at(expected, once.vertices, once.weights[..., None] * once.normal[:, None])
+        assert is_unique.sum() == len(once)
+        np.testing.assert_allclose(force, expected, rtol=0, atol=1e-12)  # sums in another order
 
 
 def test_the_first_search_comes_before_the_capture():
