@@ -33,6 +33,7 @@ from ..parameters import in_half_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .hash_lanes import in_cells
+from .search_filter import with_partners
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
 if in_half_warps:
@@ -62,8 +63,10 @@ def search_run(
     while parent * WIDTH * WIDTH < last:
         if is_stopped(search.options.stop):
             break
-        blocks = united(queries.overlapping(search, item, search.target.block_begin[1] + parent))
+        at = search.target.block_begin[1] + parent
+        blocks = queries.overlapping(search, item, at)
         blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
+        blocks = united(with_partners(search, item.groups, at, blocks))
         while blocks != _NONE:
             block = parent * WIDTH + lowest_bit(blocks)
             blocks = blocks & (blocks - wp.uint32(1))

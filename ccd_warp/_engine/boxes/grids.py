@@ -51,6 +51,9 @@ class Grid(BoxSet):
         cells.bucket_begin = allocate(f"{self.name} buckets", (1 << cells.bucket_bits) + 1, wp.int32)
         cells.cells = allocate(f"{self.name} cells", blocks * WIDTH, wp.uint64)
         cells.levels = allocate(f"{self.name} levels", 1, wp.int32)
+        self.vertex_group = layout.vertex_group
+        if len(self.vertex_group):
+            arrays.groups = allocate(f"{self.name} groups", blocks, wp.vec2i)
         # a radix sort needs twice the size
         self.unsorted_cells = allocate(f"{self.name} unsorted", count, wp.uint64)
         self.buckets = allocate(f"{self.name} keyed", 2 * count, wp.int32)
@@ -131,6 +134,7 @@ class Grid(BoxSet):
                         primitives.corners,
                         primitives.num_corners,
                         vertex_aabbs,
+                        grid.vertex_group,
                     ],
                     outputs=[*structs_of(grid)],
                     grain=256,
