@@ -26,6 +26,14 @@ def groups_of(search: Search, first: int, is_block: int) -> wp.vec2i:
 
 
 @wp.func
+def has_partners(search: Search, groups: wp.vec2i, box: int) -> bool:
+    """Whether a box, by its number among those of inner levels, holds a body which one of some groups may meet."""
+    if search.tree_pair.prunes != 0:
+        return may_groups_meet(groups, search.target.groups[box], search.collision_filter)
+    return True
+
+
+@wp.func
 def with_partners(search: Search, groups: wp.vec2i, block: int, lanes: wp.uint32) -> wp.uint32:
     """Those boxes of an inner block in a mask that hold a body which one of some groups may meet."""
     mask = wp.uint32(lanes)
@@ -35,7 +43,7 @@ def with_partners(search: Search, groups: wp.vec2i, block: int, lanes: wp.uint32
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)
-            if not may_groups_meet(groups, search.target.groups[first + lane], search.collision_filter):
+            if not has_partners(search, groups, first + lane):
                 mask = mask & ~(_ONE << wp.uint32(lane))
     return mask
 
