@@ -2,10 +2,11 @@
 
 import warp as wp
 
-from .box_tree import BLOCK_CORNERS, WIDTH
+from .half_warp import HALF_WARP as WIDTH
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+_BLOCK_CORNERS = wp.constant(3 * WIDTH)
 _NO_GROUP = wp.constant(0x7FFFFFFF)
 
 
@@ -15,7 +16,7 @@ def groups_of_block(corners: wp.array[wp.int32], vertex_group: wp.array[wp.int32
     low = wp.int32(_NO_GROUP)
     high = int(-1)
     for lane in range(WIDTH):
-        v = corners[block * BLOCK_CORNERS + lane]
+        v = corners[block * _BLOCK_CORNERS + lane]
         if v >= 0:
             low = wp.min(low, vertex_group[v])
             high = wp.max(high, vertex_group[v])

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ccd_warp._engine.mesh.topology import PrimitiveSet
     from ccd_warp._runtime.launch import Execution, Recording
 
-BLOCK_FLOATS = int(box_tree.BLOCK_FLOATS)
+BLOCK_FLOATS, WIDTH = int(box_tree.BLOCK_FLOATS), int(box_tree.WIDTH)
 # The order of a set in a tree: indices of the primitives, vertices of their blocks, and the groups of the bodies below
 # each box of the levels above; None where there are no groups.
 Order = tuple[wp.array, wp.array, wp.array | None]
@@ -117,3 +117,11 @@ class BoxSet(ABC):
     def searches(pairs: list[Any]) -> list[Any]:
         """The searches that find the pairs of these pairs of sets (`trees.TreePair`)."""
         return pairs
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)

@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.box_sets import Order
-from ccd_warp._engine.boxes.trees import level_sizes
+from ccd_warp._engine.boxes.box_sets import Order, level_sizes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.topology import (
     BLOCK_CORNERS,
@@ -22,7 +21,7 @@ from ccd_warp._engine.mesh.topology import (
     sorted_keys,
 )
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels.boxes import box_tree, half_warp_tree
+from ccd_warp.kernels.boxes import box_groups, box_tree, half_warp_tree
 from ccd_warp.kernels.boxes import rest_order as kernels
 
 # Bits of a coordinate within a segment: those of a float32.
@@ -165,13 +164,11 @@ def apply_order(
     execution.launch(kernel, count, inputs, [primitive, corners], grain=64)
     if topology.groups is None:
         return primitive, corners, None
-    from ccd_warp.kernels.boxes.box_groups import unite_groups  # few meshes need it
-
     levels = level_sizes(primitives.count)
     groups = allocate(f"{primitives.name} groups", sum(levels[1:]) * WIDTH, wp.vec2i)
     groups.fill_(wp.vec2i(0, -1))
     below, at = -1, 0
     for boxes, blocks in itertools.pairwise(levels):
-        execution.launch(unite_groups, boxes, [corners, topology.vertex_group, below, at], [groups])
+        execution.launch(box_groups.unite_groups, boxes, [corners, topology.vertex_group, below, at], [groups])
         below, at = at, at + blocks * WIDTH
     return primitive, corners, groups

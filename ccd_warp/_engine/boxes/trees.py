@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order
+from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order, level_sizes
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
@@ -97,14 +97,6 @@ class Tree(BoxSet):
             _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
         else:
             _refresh(trees, vertex_aabbs, launcher, structs_of, only_if)
-
-
-def level_sizes(count: int) -> tuple[int, ...]:
-    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
-    sizes = [-(-count // WIDTH)]
-    while len(sizes) < 2 or sizes[-1] > 1:
-        sizes.append(-(-sizes[-1] // WIDTH))
-    return tuple(sizes)
 
 
 _StructsOf = Callable[[Tree], tuple[Any, ...]]
