@@ -377,8 +377,8 @@ class Topology:
             collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
         groups = BodyGroups.none() if self.groups is None else self.groups
-        table, collision_filter.group_shift = groups.table()
-        collision_filter.vertex_group, collision_filter.groups_below = self.vertex_group, self.array(table)
+        collision_filter.group_shift = groups.shift
+        collision_filter.vertex_group, collision_filter.groups_below = self.vertex_group, self.array(groups.table)
         collision_filter.meets_itself = self.array(groups.meets_itself.astype(np.int32))
         return collision_filter
 

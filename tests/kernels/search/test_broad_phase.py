@@ -390,7 +390,9 @@ def test_what_may_not_meet_changes_no_result_by_being_skipped(monkeypatch):
         launched = outputs_of(pipeline.launch_line_search(on_device(start), y), "launch") | {"end": y.numpy()}
         near = pipeline.find_proximity(start, 0.05)
         counts = result.counts.num_candidates, result.counts.num_after_cull
+        crossing = pipeline.find_intersections(start)
         arrays = [*as_bytes(result), *as_bytes(limited), near.distance.tobytes(), near.primitives.tobytes()]
+        arrays += [crossing.kind.tobytes(), crossing.primitives.tobytes()]
         return arrays, counts, launched
 
     for num_bodies in (5, 60):
