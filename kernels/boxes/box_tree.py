@@ -71,6 +71,8 @@ class BoxTree:
     nodes: wp.array[wp.float32]
     primitive: wp.array[wp.int32]
     corners: wp.array[wp.int32]  # for each block: three vertices of sixteen primitives
+    # lowest and highest group of the bodies below each box, from level 1 on (`collision_filter`); empty without groups
+    groups: wp.array[wp.vec2i]
 
 
 @wp.func
@@ -273,6 +275,8 @@ def sort_keys(
     begin: int,
     # in
     corners: wp.array[wp.vec3i],
+    vertex_body: wp.array[wp.int32],
+    body_group: wp.array[wp.int32],  # empty where groups do not count
     vertex_aabbs: wp.array[wp.float32],
     num_aabbs: int,
     typical_extent: wp.float32,  # of a primitive, in quantized coordinates
@@ -281,7 +285,7 @@ def sort_keys(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Key of each primitive: size class, Morton code, index. Rounding does not matter: any order is correct."""
+    """Key of each primitive: group, size class, Morton code, index. Rounding does not matter: any order is correct."""
     i = begin + wp.tid()
     c = corners[i] * num_aabbs
     r = united_vertex_aabbs(vertex_aabbs, c[0], c[1], c[2])
@@ -303,7 +307,10 @@ def sort_keys(
     while size < _LARGEST_CLASS and longest > limit:
         longest = longest * wp.float32(0.125)
         size += 1
-    key = (wp.uint64(size) << wp.uint64(3 * morton_bits)) | code
+    key = wp.uint64(size)
+    if body_group.shape[0] > 0:
+        key = key | (wp.uint64(body_group[vertex_body[corners[i][0]]]) << wp.uint64(CLASS_BITS))
+    key = (key << wp.uint64(3 * morton_bits)) | code
     keys[i] = wp.int64((key << wp.uint64(index_bits)) | wp.uint64(i))
 
 

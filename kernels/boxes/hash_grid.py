@@ -30,6 +30,7 @@ detection", section 7.2 (one cell for each object); Knuth 1998, "The art of comp
 import warp as wp
 
 from ..atomics import set_bits
+from .box_groups import groups_of_block
 from .box_tree import BLOCK_CORNERS, WIDTH, BoxTree, unite
 from .lanes import united_vertex_aabbs, write_leaves
 
@@ -298,6 +299,7 @@ def fill_grid(
     corners: wp.array[wp.vec3i],
     num_corners: int,
     vertex_aabbs: wp.array[wp.float32],
+    vertex_group: wp.array[wp.int32],
     # out
     boxes: BoxTree,
     grid: HashGrid,
@@ -321,5 +323,7 @@ def fill_grid(
         for k in range(3):
             boxes.corners[b * BLOCK_CORNERS + lane + k * WIDTH] = c[k]
     set_bits(grid.levels, 0, levels)
+    if vertex_group.shape[0] > 0:
+        boxes.groups[b] = groups_of_block(boxes.corners, vertex_group, b)
     write_leaves(vertex_aabbs, boxes.num_aabbs, boxes.corners, num_corners, boxes.nodes, b, boxes.num_boxes - b * WIDTH)
     unite(boxes, 1, b, (boxes.num_boxes + WIDTH - 1) / WIDTH)

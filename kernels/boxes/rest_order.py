@@ -65,11 +65,20 @@ def coordinate(centres: wp.array[wp.vec4f], order: wp.array[wp.int64], place: in
     return centres[wp.int32(order[place])][axis]
 
 
+@wp.func
+def is_mixed(centres: wp.array[wp.vec4f], body_group: wp.array[wp.int32], first: int, last: int) -> bool:
+    """Whether two primitives, the first and the last of a segment sorted by group, are of different groups."""
+    if body_group.shape[0] == 0:
+        return False
+    return body_group[wp.int32(centres[first][3])] != body_group[wp.int32(centres[last][3])]
+
+
 @wp.kernel
 def split_segments(
     begin: int,
     # in
     centres: wp.array[wp.vec4f],
+    body_group: wp.array[wp.int32],  # where segments of several groups stay as they are, sorted by group; or empty
     size: int,
     # in and out
     order: wp.array[wp.int64],
@@ -81,7 +90,7 @@ def split_segments(
     first = (begin + wp.tid()) * size
     last = wp.min(first + size, order.shape[0]) - 1
     middle = first + size / 2
-    if last < middle:
+    if last < middle or is_mixed(centres, body_group, wp.int32(order[first]), wp.int32(order[last])):
         return
     lower = centres[wp.int32(order[first])]
     upper = lower
@@ -163,6 +172,7 @@ def fill_keys(
     # in
     centres: wp.array[wp.vec4f],
     bounds: wp.array[wp.int32],
+    body_group: wp.array[wp.int32],
     size: int,
     index_mask: wp.int64,
     index_bits: int,
@@ -186,5 +196,9 @@ def fill_keys(
     for k in range(4):  # not by a number that is not known in advance, which would need memory
         if k == axis:
             x = (centre[k] - lower[k]) / side[k] * largest
+    first = segment * size
+    last = wp.min(first + size, centres.shape[0]) - 1
+    if is_mixed(centres, body_group, wp.int32(order[first] & index_mask), wp.int32(order[last] & index_mask)):
+        x = wp.float32(place - first) / wp.float32(size) * largest
     x = wp.where(x > wp.float32(0.0), wp.where(x < largest, x, largest), wp.float32(0.0))
     order[place] = (((wp.int64(segment) << wp.int64(bits)) | wp.int64(x)) << wp.int64(index_bits)) | index

@@ -26,6 +26,11 @@ class CollisionFilter:
     by_listed_pair: int  # 1: pairs of primitives are listed
     listed_begin: wp.array[wp.int32]  # first key of each pair kind, then of the bodies, and the end
     listed: wp.array[wp.int64]  # keys of the listed pairs, ascending for each kind
+    # Groups of bodies that may meet the same bodies; empty arrays where all may meet.
+    vertex_group: wp.array[wp.int32]
+    meets_itself: wp.array[wp.int32]  # per group
+    groups_below: wp.array2d[wp.int32]  # pairs of groups that may meet, of lower numbers than a row and a column
+    group_shift: int  # bits by which the number of a group is shifted to that of a row
 
 
 # In place of a pair kind: pairs of bodies.
@@ -65,6 +70,22 @@ def are_bodies_excluded(a: int, b: int, collision_filter: CollisionFilter) -> bo
         if collision_filter.body_pairs[a, b] == wp.uint8(0):
             return True
     return are_bodies_listed(a, b, collision_filter)
+
+
+@wp.func
+def may_groups_meet(a: wp.vec2i, b: wp.vec2i, collision_filter: CollisionFilter) -> bool:
+    """Whether bodies of two ranges of groups, each given by its ends, may meet; an empty one ends with -1."""
+    if a[0] == a[1] and b[0] == a[0] and b[1] == a[0]:
+        return collision_filter.meets_itself[a[0]] != 0
+    if collision_filter.groups_below.shape[0] == 0:
+        return True
+    shift = collision_filter.group_shift
+    row = a[0] >> shift
+    column = b[0] >> shift
+    row_end = (a[1] >> shift) + 1
+    column_end = (b[1] >> shift) + 1
+    upper = collision_filter.groups_below[row_end, column_end] - collision_filter.groups_below[row_end, column]
+    return upper > collision_filter.groups_below[row, column_end] - collision_filter.groups_below[row, column]
 
 
 @wp.func

@@ -2,9 +2,50 @@
 
 import warp as wp
 
+from ..boxes.box_tree import WIDTH, box_corners
+from ..boxes.lanes import lowest_bit
 from ..parameters import with_lists
-from .collision_filter import are_bodies_listed, is_excluded, is_listed
+from .collision_filter import are_bodies_listed, is_excluded, is_listed, may_groups_meet
 from .search_types import Search, is_turned
+
+_NONE = wp.constant(wp.uint32(0))
+_ONE = wp.constant(wp.uint32(1))
+
+
+@wp.func
+def groups_of(search: Search, first: int, is_block: int) -> wp.vec2i:
+    """The lowest and the highest group of the bodies of a query, or of the block that begins with it."""
+    groups = wp.vec2i()
+    if search.tree_pair.prunes != 0:
+        if is_block != 0:
+            groups = search.query.groups[first / WIDTH]
+        else:
+            group = search.collision_filter.vertex_group[box_corners(search.query, first)[0]]
+            groups = wp.vec2i(group, group)
+    return groups
+
+
+@wp.func
+def has_partners(search: Search, groups: wp.vec2i, box: int) -> bool:
+    """Whether a box, by its number among those of inner levels, holds a body which one of some groups may meet."""
+    if search.tree_pair.prunes != 0:
+        return may_groups_meet(groups, search.target.groups[box], search.collision_filter)
+    return True
+
+
+@wp.func
+def with_partners(search: Search, groups: wp.vec2i, block: int, lanes: wp.uint32) -> wp.uint32:
+    """Those boxes of an inner block in a mask that hold a body which one of some groups may meet."""
+    mask = wp.uint32(lanes)
+    if search.tree_pair.prunes != 0:
+        left = wp.uint32(lanes)
+        first = (block - search.target.block_begin[1]) * WIDTH
+        while left != _NONE:
+            lane = lowest_bit(left)
+            left = left & (left - _ONE)
+            if not has_partners(search, groups, first + lane):
+                mask = mask & ~(_ONE << wp.uint32(lane))
+    return mask
 
 
 @wp.func

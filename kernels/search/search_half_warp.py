@@ -22,7 +22,7 @@ from ..pair_key import pair_key
 from ..parameters import end, is_thick, with_lists
 from ..step.minima import CANDIDATES, FOUND
 from .candidate_cull import is_discarded
-from .search_filter import is_left_out
+from .search_filter import groups_of, is_left_out
 from .search_types import BOXES, LIST, Search, is_turned, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
@@ -118,6 +118,7 @@ class Item:
     first: int  # place of the query
     own: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     box: vec12f
+    groups: wp.vec2i  # that of the body of the query, twice
     first_lane: int
     end_lane: int
 
@@ -142,6 +143,7 @@ def item_at(search: Search, number: int, thread: int) -> Item:
     item = Item()
     item.first = number
     item.box = box_at(search.query.nodes, search.query.num_aabbs, number)
+    item.groups = groups_of(search, number, 0)
     item.first_lane = first_lane(thread)
     item.end_lane = end_lane(thread)
     return item

@@ -33,6 +33,7 @@ from ..parameters import in_half_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .hash_lanes import in_cells
+from .search_filter import has_partners, with_partners
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
 if in_half_warps:
@@ -58,12 +59,17 @@ def search_run(
 ) -> int:
     """Search a run of places in a row of cells for partners of an item; returns the number of candidates."""
     num_candidates = int(0)
+    num_blocks = search.target.block_begin[1]
+    above = (num_blocks + WIDTH - 1) / WIDTH * WIDTH  # groups of the boxes around sixteen blocks come after those
     parent = int(first / (WIDTH * WIDTH))
     while parent * WIDTH * WIDTH < last:
         if is_stopped(search.options.stop):
             break
-        blocks = united(queries.overlapping(search, item, search.target.block_begin[1] + parent))
-        blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
+        blocks = wp.uint32(_NONE)
+        if has_partners(search, item.groups, above + parent):
+            blocks = queries.overlapping(search, item, num_blocks + parent)
+            blocks = lanes_between(blocks, first / WIDTH, (last + WIDTH - 1) / WIDTH, parent)
+            blocks = united(with_partners(search, item.groups, num_blocks + parent, blocks))
         while blocks != _NONE:
             block = parent * WIDTH + lowest_bit(blocks)
             blocks = blocks & (blocks - wp.uint32(1))

@@ -26,7 +26,7 @@ from ..parameters import end, is_thick, width, with_lists
 from ..step.minima import CANDIDATES, FOUND
 from .collected import collect, cull_rest
 from .hash_lanes import corners_of
-from .search_filter import is_left_out
+from .search_filter import groups_of, is_left_out
 from .search_types import BOXES, Search
 
 _EVERY = wp.constant(wp.uint32(0xFFFF))
@@ -54,6 +54,7 @@ class Item:
     queries: wp.uint32  # lanes of their block
     around: int  # place of the box around the block of queries; of a single query its own
     is_block: int  # 1: the boxes of a block; 0: a single box
+    groups: wp.vec2i  # the lowest and the highest of the bodies of the queries
     collected: wp.array[wp.int32]
 
 
@@ -93,6 +94,7 @@ def item_at(search: Search, number: int, thread: int) -> Item:
         item.around = search.query.block_begin[1] * WIDTH + number
         item.first = number * WIDTH
         item.queries = lanes_before(search.query.num_boxes - item.first)
+    item.groups = groups_of(search, item.first, item.is_block)
     return item
 
 

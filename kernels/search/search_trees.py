@@ -28,6 +28,7 @@ from ..interrupts import is_stopped
 from ..parameters import in_half_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
+from .search_filter import with_partners
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
 if in_half_warps:
@@ -76,7 +77,7 @@ def search_tree(search: Search, item: queries.Item) -> int:
         level_begin += num_blocks(search.target, k)
     level = wp.int32(top)
     node = int(0)  # the block of this level on the way down
-    lanes = united(queries.overlapping(search, item, level_begin))
+    lanes = united(with_partners(search, item.groups, level_begin, queries.overlapping(search, item, level_begin)))
     # the lanes still to visit: of this level in the lowest bits, then of those above
     pending = wp.uint64(without_preceding(lanes, item.own, top, 0))
     above = wp.uint64(0)
@@ -97,7 +98,8 @@ def search_tree(search: Search, item: queries.Item) -> int:
                 if level > 1:
                     if is_stopped(search.options.stop):  # tested at every leaf, it would cost 3 % of a search
                         return num_candidates
-                    lanes = united(queries.overlapping(search, item, level_begin - below + child))
+                    block = level_begin - below + child
+                    lanes = united(with_partners(search, item.groups, block, queries.overlapping(search, item, block)))
                     lanes = without_preceding(lanes, item.own, level - 1, child)
                     if lanes != _NONE:
                         level -= 1

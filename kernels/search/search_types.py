@@ -27,6 +27,7 @@ class TreePair:
     swapped: int  # 1: the query is the second primitive of a pair
     num_query_corners: int
     num_target_corners: int
+    prunes: int  # 1: some of the bodies may not meet, so that boxes may hold no partner of a query
     rise: int  # of spatial hashes: the least number of levels by which the targets are above the query
 
 

@@ -99,6 +99,14 @@ def _with_a_giant(**arguments: Any) -> Made:
     return both, both.vertices, scenes.with_static_at_rest(both, both.vertices, end)
 
 
+def _in_one_place() -> Made:
+    """Bodies of which two each may meet, so few that the trees are sorted by them first."""
+    rng, number = np.random.default_rng(30), np.arange(12) // 2
+    bodies = [scenes.soup(rng, 40, 0.15) for _ in number]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, body_pairs=number[:, None] == number)
+    return mesh, mesh.vertices, mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
+
+
 def _bodies_far_apart() -> Made:
     """Bodies without self-collision, of which few come near another."""
     ball, faces = scenes.sheet(3, 0.3)
@@ -166,6 +174,7 @@ STEPS = {
     "pair kinds": StepCase(_every_kind, {"pair_kinds": ["vertex_face", "point_segment"]}),
     "one thread": StepCase(_crowd, {"num_threads": 1}),
     "trees of four levels": StepCase(lambda: scenes.crowd(np.random.default_rng(29), 1500, 0.02, 0.02), {}),
+    "bodies that may not meet": StepCase(_in_one_place, {}),
 }
 # Meshes with radii, for which the Euclidean kernels are compiled: by the calls that need each of these, and no others.
 THICK = {

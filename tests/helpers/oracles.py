@@ -85,7 +85,7 @@ def near_planes(mesh, frames, inflation):
 
 
 def listing(mesh):
-    """Whether neither `exclude_pairs` nor the worlds of a mesh leave out a pair of primitives of a kind."""
+    """Whether neither tables and lists nor the worlds of a mesh leave out a pair of primitives of a kind."""
     tables = {"v": [[v] for v in range(mesh.num_vertices)], "e": mesh.edges.tolist(), "f": mesh.faces.tolist()}
     listed = {key: set(map(tuple, pairs.tolist())) for key, pairs in mesh.exclude_pairs.items()}
     of_kind = [listed.get(kind.name.lower(), set()) for kind in ccd.PairKind]
@@ -98,10 +98,12 @@ def listing(mesh):
             may_meet = mesh.body_pairs is None or mesh.body_pairs[bodies_of]
             return may_meet and tuple(sorted(bodies_of)) not in bodies and pair not in of_kind[kind]
         a, b = (tables[name][i] for name, i in zip(("vf", "ee", "ve", "vv")[kind], pair, strict=True))
+        bodies_of = body[a[0]], body[b[0]]
         return (
-            world[a[0]] == world[b[0]]
+            (mesh.body_pairs is None or bodies_of[0] == bodies_of[1] or mesh.body_pairs[bodies_of])
+            and world[a[0]] == world[b[0]]
             and pair not in of_kind[kind]
-            and tuple(sorted((body[a[0]], body[b[0]]))) not in bodies
+            and tuple(sorted(bodies_of)) not in bodies
             and not any(tuple(sorted(both)) in vertices for both in itertools.product(a, b))
         )
 

@@ -216,6 +216,13 @@ PLANTED = [
         ("input/test_excluded_pairs.py::test_candidates_are_all_pairs_but_the_excluded_ones",),
     ),
     Fault(
+        "the lowest group of a box for the highest",
+        "kernels/boxes/box_groups.py",
+        "            high = wp.max(high, vertex_group[v])\n",
+        "            high = low\n",
+        ("kernels/search/test_broad_phase.py::test_bodies_that_may_not_meet_in_one_place",),
+    ),
+    Fault(
         "the next partner in the own block lost",
         "kernels/search/search_lanes.py",
         "mask = mask & lanes_after(query_lane)",

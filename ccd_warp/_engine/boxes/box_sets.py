@@ -15,7 +15,10 @@ if TYPE_CHECKING:
     from ccd_warp._engine.mesh.topology import PrimitiveSet
     from ccd_warp._runtime.launch import Execution, Recording
 
-BLOCK_FLOATS = int(box_tree.BLOCK_FLOATS)
+BLOCK_FLOATS, WIDTH = int(box_tree.BLOCK_FLOATS), int(box_tree.WIDTH)
+# The order of a set in a tree: indices of the primitives, vertices of their blocks, and the groups of the bodies below
+# each box of the levels above; None where there are no groups.
+Order = tuple[wp.array, wp.array, wp.array | None]
 
 
 @dataclass
@@ -25,14 +28,16 @@ class Layout:
     Attributes:
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
         allocate: Returns an array of a name, a length and a type.
-        order_of: Returns the order of a set in a tree: indices of the primitives, and vertices of their blocks.
+        order_of: Returns the order of a set in a tree.
         choose_cell: Returns the side of a cell of the finest level of spatial hashes in quantized coordinates.
+        vertex_group: The group of the body of each vertex; empty where there are no groups.
     """
 
     num_aabbs: int
     allocate: Callable[[str, int, Any], wp.array]
-    order_of: Callable[["PrimitiveSet"], tuple[wp.array, wp.array]]
+    order_of: Callable[["PrimitiveSet"], Order]
     choose_cell: Callable[[], float]
+    vertex_group: wp.array
 
     @lazy_property
     def cell(self) -> float:
@@ -112,3 +117,11 @@ class BoxSet(ABC):
     def searches(pairs: list[Any]) -> list[Any]:
         """The searches that find the pairs of these pairs of sets (`trees.TreePair`)."""
         return pairs
+
+
+def level_sizes(count: int) -> tuple[int, ...]:
+    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
+    sizes = [-(-count // WIDTH)]
+    while len(sizes) < 2 or sizes[-1] > 1:
+        sizes.append(-(-sizes[-1] // WIDTH))
+    return tuple(sizes)

@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
 from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp.kernels.boxes import box_tree, hash_grid
+from ccd_warp.kernels.boxes import box_groups, box_tree, hash_grid
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
 _CELL_FACTOR, _QUANTILE = 1.4, 0.95
@@ -51,6 +51,10 @@ class Grid(BoxSet):
         cells.bucket_begin = allocate(f"{self.name} buckets", (1 << cells.bucket_bits) + 1, wp.int32)
         cells.cells = allocate(f"{self.name} cells", blocks * WIDTH, wp.uint64)
         cells.levels = allocate(f"{self.name} levels", 1, wp.int32)
+        self.vertex_group = layout.vertex_group
+        if len(self.vertex_group):
+            arrays.groups = allocate(f"{self.name} groups", (WIDTH + 1) * self.levels[1], wp.vec2i)
+            arrays.groups.fill_(wp.vec2i(0, -1))
         # a radix sort needs twice the size
         self.unsorted_cells = allocate(f"{self.name} unsorted", count, wp.uint64)
         self.buckets = allocate(f"{self.name} keyed", 2 * count, wp.int32)
@@ -131,10 +135,17 @@ class Grid(BoxSet):
                         primitives.corners,
                         primitives.num_corners,
                         vertex_aabbs,
+                        grid.vertex_group,
                     ],
                     outputs=[*structs_of(grid)],
                     grain=256,
                 )
+        with launcher.at_once():
+            for grid in grids:
+                if len(grid.vertex_group):
+                    count = grid.levels[1]
+                    inputs = [grid.arrays.corners, grid.vertex_group, 0, count * WIDTH]
+                    launcher.launch(box_groups.unite_groups, count, inputs, [grid.arrays.groups])
 
     @staticmethod
     def searches(pairs: list[Any]) -> list[Any]:

@@ -14,7 +14,6 @@ from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import apply_order, rest_order
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.topology import (
-    BLOCK_CORNERS,
     VERTEX_AABB_FLOATS,
     WIDTH,
     Positions,
@@ -112,6 +111,7 @@ class StepBoxes:
             self.buffers.get,
             lambda primitives: rest_order(self.topology, primitives, execution),
             lambda: choose_cell(self.topology, positions, self.quantization),
+            self.topology.vertex_group,
         )
         for each in sets:
             self._lay_out(each, layout, goes_on)
@@ -196,13 +196,9 @@ class StepBoxes:
         self.num_sorted += 1
         primitives, num_aabbs = tree.primitives, self._num_aabbs
         extent = self._typical_extent_of(primitives)
-        keys = sorted_keys(primitives, self.vertex_aabbs, num_aabbs, extent, self.buffers, execution)
-        name = primitives.name
-        order = (
-            self.buffers.get(f"{name} order", primitives.count, wp.int32),
-            self.buffers.get(f"{name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32),
-        )
-        apply_order(keys, (1 << primitives.index_bits) - 1, primitives, list(order), execution)
+        keys = sorted_keys(self.topology, primitives, self.vertex_aabbs, num_aabbs, extent, self.buffers, execution)
+        mask = (1 << primitives.index_bits) - 1
+        order = apply_order(self.topology, keys, mask, primitives, self.buffers.get, execution)
         tree.set_order(num_aabbs, order, tree.arrays.nodes)
 
     def _typical_extent_of(self, primitives: PrimitiveSet) -> np.float32:

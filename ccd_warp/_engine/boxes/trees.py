@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout
+from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order, level_sizes
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
@@ -55,8 +55,8 @@ class Tree(BoxSet):
         nodes = layout.allocate(f"{self.name} boxes", self.num_floats(layout.num_aabbs), wp.float32)
         self.set_order(layout.num_aabbs, layout.order_of(self.primitives), nodes)
 
-    def set_order(self, num_aabbs: int, order: tuple[wp.array, wp.array], nodes: wp.array) -> None:
-        """Give the tree an order (`Layout.order_of`) and an array for its boxes."""
+    def set_order(self, num_aabbs: int, order: Order, nodes: wp.array) -> None:
+        """Give the tree an order and an array for its boxes."""
         first = np.concatenate([[0], np.cumsum(self.levels)])
         arrays = kernels.BoxTree()
         arrays.num_boxes = self.primitives.count
@@ -64,7 +64,9 @@ class Tree(BoxSet):
         arrays.num_aabbs = num_aabbs
         arrays.block_begin = kernels.vec8i(*(int(b) for b in [*first[:-1], *[0] * 8][:8]))
         arrays.nodes = nodes
-        arrays.primitive, arrays.corners = order
+        arrays.primitive, arrays.corners, groups = order
+        if groups is not None:
+            arrays.groups = groups
         self.structs = (arrays,)
 
     def level_boxes(self, level: int) -> NDArray[np.float32]:
@@ -95,14 +97,6 @@ class Tree(BoxSet):
             _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
         else:
             _refresh(trees, vertex_aabbs, launcher, structs_of, only_if)
-
-
-def level_sizes(count: int) -> tuple[int, ...]:
-    """Number of blocks in each level of a tree over ``count`` boxes; there are at least two levels."""
-    sizes = [-(-count // WIDTH)]
-    while len(sizes) < 2 or sizes[-1] > 1:
-        sizes.append(-(-sizes[-1] // WIDTH))
-    return tuple(sizes)
 
 
 _StructsOf = Callable[[Tree], tuple[Any, ...]]
@@ -187,6 +181,7 @@ class TreePair:
     query: BoxSet
     target: BoxSet
     swapped: bool = False
+    prunes: bool = False  # whether some of the bodies may not meet, so that boxes may hold no partner of a query
     rise: int = 0  # of spatial hashes: the least number of levels by which the targets are above the query
 
     @property
@@ -209,6 +204,7 @@ class TreePair:
         packed.swapped = int(self.swapped)
         packed.num_query_corners = self.query.primitives.num_corners
         packed.num_target_corners = self.target.primitives.num_corners
+        packed.prunes = int(self.prunes)
         packed.rise = self.rise
         return packed
 
@@ -310,13 +306,15 @@ def tree_pairs_of(
 
     tree_pairs = []
     paired = [pair for pair in _PAIRED if all(topology.bodies_of(role).any() for role in pair)]
+    meets = {pair: topology.meets(*pair) for pair in paired}
     for kind in kinds:
         if kind == PairKind.VERTEX_PLANE:
             continue  # every plane meets every vertex
         first, second = topology.primitives_of(kind)
         for of_first, of_second in paired:
             is_mirrored = of_first != "moving" and first == second
-            if is_mirrored or (skip_free and of_first == of_second):
+            meets_any, meets_all = meets[of_first, of_second]
+            if is_mirrored or not meets_any or (skip_free and of_first == of_second):
                 continue
             if topology.primitives(first, of_first).count and topology.primitives(second, of_second).count:
                 a, b = tree(first, of_first), tree(second, of_second)
@@ -324,7 +322,8 @@ def tree_pairs_of(
                 swapped = of_first != "moving" or (
                     topology.fewer_query and of_second == "moving" and b.primitives.count < a.primitives.count
                 )
-                tree_pairs.append(TreePair(kind, b, a, swapped=True) if swapped else TreePair(kind, a, b))
+                query, target = (b, a) if swapped else (a, b)
+                tree_pairs.append(TreePair(kind, query, target, swapped, prunes=not meets_all))
     return tree_pairs
 
 
@@ -346,7 +345,7 @@ def sampled_pairs_of(
         if primitives.count:
             if primitives.name not in trees:
                 trees[primitives.name] = make(primitives)
-            found.append(TreePair(pair.kind, trees[primitives.name], pair.target, pair.swapped))
+            found.append(replace(pair, query=trees[primitives.name]))
     return found
 
 

@@ -13,7 +13,7 @@ from ccd_warp._contact_place import located
 from ccd_warp._contacts import Contacts
 from ccd_warp._device_pairs import DeviceContacts
 from ccd_warp._device_results import LaunchResult
-from ccd_warp._engine.boxes.box_sets import Layout
+from ccd_warp._engine.boxes.box_sets import Layout, Order
 from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import order_at, rest_order
 from ccd_warp._engine.boxes.trees import search_options
@@ -118,6 +118,7 @@ class DeviceStep(Plan):
             lambda _, n, dtype: self._empty(n, dtype),
             self._order,
             lambda: choose_cell(topology, (vertices, vertices), quantization, spare=_SPARE),
+            topology.vertex_group,
         )
         for tree in self.trees:
             tree.lay_out(layout)
@@ -200,7 +201,7 @@ class DeviceStep(Plan):
         contacts = DeviceContacts(count=count, **contact_arrays)
         return LaunchResult(**arrays, contacts=contacts, num_pairs=self._counts[:, 0], _step=self)
 
-    def _order(self, primitives: PrimitiveSet) -> tuple[wp.array, wp.array]:
+    def _order(self, primitives: PrimitiveSet) -> Order:
         if self._vertices is self._mesh._vertices_in_space:
             return rest_order(self.topology, primitives, self.execution)
         return order_at(self.topology, self._vertices, primitives, self.execution)

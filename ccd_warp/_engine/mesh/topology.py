@@ -10,6 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.body_groups import BodyGroups, bodies_that_may_meet
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
@@ -121,7 +122,7 @@ class Topology:
         self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
         self.planes: Any = None  # as the struct of the kernels, once `planes.planes_of` has made it
         self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
-        self.orders: dict[str, tuple[wp.array, wp.array]] = {}  # of `rest_order`, by name of a set
+        self.orders: dict[str, tuple[wp.array, wp.array, wp.array | None]] = {}  # of `rest_order`, by name of a set
         self.vertex_rank: NDArray[np.integer] | None = None  # by which primitives are in order from the beginning
 
     @staticmethod
@@ -159,6 +160,10 @@ class Topology:
         worlds.origin = self.array(places.origin.reshape(-1, 3), wp.vec3d)
         worlds.inner = inner_part(num_worlds)
         return worlds
+
+    def empty(self, count: int, dtype: Any) -> wp.array:
+        """An array on the device with arbitrary contents."""
+        return wp.empty(count, dtype=dtype, device=self.device)
 
     def array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
         """Values on the device."""
@@ -371,18 +376,36 @@ class Topology:
         collision_filter.applies = int(
             collision_filter.by_body or collision_filter.by_world or collision_filter.by_ring or self.has_lists
         )
+        groups = BodyGroups.none() if self.groups is None else self.groups
+        collision_filter.group_shift = groups.shift
+        collision_filter.vertex_group, collision_filter.groups_below = self.vertex_group, self.array(groups.table)
+        collision_filter.meets_itself = self.array(groups.meets_itself.astype(np.int32))
         return collision_filter
+
+    @lazy_property
+    def groups(self) -> BodyGroups | None:
+        """Groups of bodies that may meet the same bodies; None where all may meet."""
+        return BodyGroups.of(self.mesh)
+
+    @lazy_property
+    def vertex_group(self) -> wp.array:
+        """The group of the body of each vertex, int32; empty where there are no groups."""
+        return self.array(np.zeros(0) if self.groups is None else self.groups.of_body[self.mesh.vertex_body])
+
+    @lazy_property
+    def sorted_groups(self) -> wp.array:
+        """The group of each body, int32, where primitives stand in trees by their group first; or else empty."""
+        groups = self.groups
+        return self.array(np.zeros(0) if groups is None or not groups.is_sparse(self.mesh) else groups.of_body)
+
+    def meets(self, a: Role, b: Role) -> tuple[bool, bool]:
+        """Whether any, and whether all, of the pairs of bodies with two roles may meet."""
+        return (True, True) if self.groups is None else self.groups.between(self.bodies_of(a), self.bodies_of(b))
 
     @lazy_property
     def bodies_that_may_meet(self) -> NDArray[np.bool_]:
         """Which pairs of two different bodies the filter leaves, shape [B, B]."""
-        mesh = self.mesh
-        shape = mesh.num_bodies, mesh.num_bodies
-        found = np.ones(shape, dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
-        a, b = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32)).T
-        found[a, b] = found[b, a] = False
-        np.fill_diagonal(found, False)
-        return found
+        return bodies_that_may_meet(self.mesh)
 
     def _excluded_vertices(self) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         return excluded_vertices(self.mesh)
@@ -401,7 +424,7 @@ class Topology:
         arrays += [self.plane_vertices] if len(self.mesh.planes) else []
         arrays += self.corners.values()
         arrays += [array for s in self._sets.values() for array in (s.ids, s.corners)]
-        arrays += [array for order in self.orders.values() for array in order]
+        arrays += [array for order in self.orders.values() for array in order if array is not None]
         collision_filter = self.collision_filter
         arrays += [
             collision_filter.self_collision,
@@ -410,6 +433,9 @@ class Topology:
             collision_filter.ring,
             collision_filter.listed_begin,
             collision_filter.listed,
+            collision_filter.vertex_group,
+            collision_filter.groups_below,
+            collision_filter.meets_itself,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
 
@@ -435,6 +461,7 @@ def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
 
 
 def sorted_keys(
+    topology: Topology,
     primitives: PrimitiveSet,
     vertex_aabbs: wp.array,
     num_aabbs: int,
@@ -443,14 +470,26 @@ def sorted_keys(
     execution: Execution,
 ) -> wp.array:
     """Ascending keys of the primitives along the Morton curve; the lowest bits hold the index."""
-    count = primitives.count
+    count, body_group = primitives.count, topology.sorted_groups
+    num_bits = 63 - _CLASS_BITS - primitives.index_bits
+    if len(body_group):
+        num_bits -= topology.mesh.num_bodies.bit_length()
     size = 2 * count if execution.is_cuda else count  # the radix sort needs twice the size
     keys = buffers.get(f"{primitives.name} sort", size, wp.int64)
-    morton_bits = min(16, (63 - _CLASS_BITS - primitives.index_bits) // 3)
+    morton_bits = min(16, num_bits // 3)
     execution.launch(
         kernels.sort_keys,
         count,
-        inputs=[primitives.corners, vertex_aabbs, num_aabbs, typical_extent, morton_bits, primitives.index_bits],
+        inputs=[
+            primitives.corners,
+            topology.vertex_body,
+            body_group,
+            vertex_aabbs,
+            num_aabbs,
+            typical_extent,
+            morton_bits,
+            primitives.index_bits,
+        ],
         outputs=[keys],
     )
     sort_in_place(keys, count, execution)

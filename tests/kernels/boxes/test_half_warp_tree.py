@@ -119,7 +119,7 @@ def test_an_order_of_equal_and_of_distant_places():
     topology = Topology(mesh, DEVICE)
     for kind in ("vertex", "edge", "face"):
         primitives = topology.primitives(kind, "moving")
-        order, corners = order_at(topology, mesh.vertices, primitives, AsOnCuda(DEVICE, 1))
+        order, corners, _ = order_at(topology, mesh.vertices, primitives, AsOnCuda(DEVICE, 1))
         assert np.array_equal(np.sort(order.numpy()), np.arange(primitives.count))
         placed = corners.numpy().reshape(-1, 3, 16).transpose(0, 2, 1).reshape(-1, 3)
         np.testing.assert_array_equal(placed[: primitives.count], primitives.corners.numpy()[order.numpy()])

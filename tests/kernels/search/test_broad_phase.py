@@ -3,9 +3,14 @@
 The tree and the spatial hash find overlapping boxes in ways that have nothing in common, so each tests the other.
 """
 
+import copy
+import re
+
 import numpy as np
 import pytest
+import warp as wp
 from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
+from ccd_warp.benchmarks.scenes import sphere
 from daily import marked
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from launches import CAPACITIES, on_device
@@ -29,6 +34,8 @@ from scenes import (
 )
 
 import ccd_warp as ccd
+from ccd_warp._engine.mesh import body_groups
+from ccd_warp._engine.mesh.topology import Topology
 
 pytestmark = [OF_DISTANCES, OF_ROUNDING]
 
@@ -325,9 +332,105 @@ def test_a_hundred_random_scenes_have_the_same_pairs(block):
         mesh, start, end, options = random_scene(seed)
         found += check_results(mesh, start, end, **options)
         if seed % 5 == 0:
-            plain = mesh.body_pairs is None and mesh.exclusion_rings == 1
-            check_candidates(mesh, start, end, with_brute_force=plain)
+            check_candidates(mesh, start, end, with_brute_force=mesh.exclusion_rings == 1)
     assert found > 1000
+
+
+def bodies_in_one_place(rng, num_bodies):
+    """Bodies of all kinds and roles in one place, of which few or many may meet."""
+    bodies = [random_body(rng) for _ in range(num_bodies)]
+    may = rng.random((num_bodies, num_bodies)) < rng.choice([0.0, 0.05, 0.3, 0.9])
+    kind = rng.integers(4)
+    if kind == 0:  # those of one scene
+        of_scene = rng.integers(0, 1 + num_bodies // 2, num_bodies)
+        may = of_scene[:, None] == of_scene
+    elif kind == 1:  # those of two teams, and what all may meet
+        team = rng.integers(0, 3, num_bodies)
+        may = (team[:, None] != team) | (team == 2)
+    roles = rng.choice(3, num_bodies, p=rng.choice([[1, 0, 0], [0.5, 0.2, 0.3]]))
+    ignoring = np.flatnonzero(rng.random(num_bodies) < 0.3)
+    listed = np.concatenate([rng.integers(0, num_bodies, (num_bodies // 3, 2)), np.stack([ignoring, ignoring], 1)])
+    mesh = ccd.CollisionMesh.from_arrays(
+        bodies,
+        static=np.flatnonzero(roles == 1).tolist(),
+        kinematic=np.flatnonzero(roles == 2).tolist(),
+        body_pairs=may | may.T if kind < 3 else None,
+        exclude_pairs={"bodies": listed} if rng.random() < 0.5 else None,
+        self_collision=(rng.random(num_bodies) < 0.5).tolist(),
+        codimensional_points=True,
+    )
+    end = mesh.vertices + rng.choice([0.0, 0.1, 1.0]) * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+@pytest.mark.parametrize("most_rows", [1 << 10, 3])
+def test_bodies_that_may_not_meet_in_one_place(most_rows, monkeypatch):
+    """In a table of few rows several groups share one."""
+    monkeypatch.setattr(body_groups, "_MOST_ROWS", most_rows)
+    rng, found = np.random.default_rng(most_rows), 0
+    for _ in range(15):
+        found += check_candidates(*bodies_in_one_place(rng, int(rng.integers(2, 30))), with_brute_force=True)
+    assert found > 1000
+
+
+def test_what_may_not_meet_changes_no_result_by_being_skipped(monkeypatch):
+    rng = np.random.default_rng(3)
+
+    def results(mesh, start, end, broad_phase):
+        pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, minimum_distance=0.01, **CAPACITIES)
+        result = pipeline.mesh_ccd(start, end)
+        options = {"broad_phase": broad_phase, "minimum_distance": 0.01, "num_threads": 3}
+        limited, limit = None, 1
+        while limited is None:
+            try:
+                limited = ccd.mesh_ccd(mesh, start, end, memory_limit=limit, **options)
+            except ValueError as error:
+                limit = int(re.search(r"at least (\d+)", str(error))[1])
+        y = on_device(end)
+        launched = outputs_of(pipeline.launch_line_search(on_device(start), y), "launch") | {"end": y.numpy()}
+        near = pipeline.find_proximity(start, 0.05)
+        counts = result.counts.num_candidates, result.counts.num_after_cull
+        crossing = pipeline.find_intersections(start)
+        arrays = [*as_bytes(result), *as_bytes(limited), near.distance.tobytes(), near.primitives.tobytes()]
+        arrays += [crossing.kind.tobytes(), crossing.primitives.tobytes()]
+        return arrays, counts, launched
+
+    for num_bodies in (5, 60):
+        scene = bodies_in_one_place(rng, num_bodies)
+        for name in BOTH:
+            *skipped, launched = results(*scene, name)
+            with monkeypatch.context() as patched:
+                patched.setattr(body_groups.BodyGroups, "of", lambda mesh: None)
+                *expected, all_launched = results(copy.copy(scene[0]), *scene[1:], name)
+            assert skipped == expected and different(launched, all_launched) == []
+
+
+@pytest.mark.parametrize("name", BOTH)
+def test_bodies_that_may_not_meet_in_one_place_are_not_compared(name):
+    """Twice as many bodies, each of which meets itself alone or one other, are twice the work, not four times."""
+    vertices, faces = sphere(80, 1.0)
+
+    def num_compared(num_bodies, each):
+        scene = np.arange(num_bodies) // each
+        may = scene[:, None] == scene
+        mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)] * num_bodies, body_pairs=may, self_collision=each == 1)
+        topology = Topology.of(mesh, wp.get_device("cpu"))
+        topology.collision_filter.applies = 0  # so that all pairs are counted of boxes that the search compares
+        found = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, broad_phase=name)
+        return sum(found.counts.num_candidates.values())
+
+    for each in (1, 2):
+        assert num_compared(80, each) < 2.4 * num_compared(40, each)
+
+
+def test_sets_of_bodies_that_may_not_meet_are_not_searched():
+    vertices, faces = sphere(80, 1.0)
+    may = np.zeros((4, 4), dtype=bool)
+    may[3] = may[:, 3] = True
+    bodies = [(vertices, faces)] * 3 + [(vertices - [0, 0, 3], faces)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], body_pairs=may, self_collision=False)
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices - [0, 0, 2] * (mesh.vertex_body < 3)[:, None])
+    assert result.counts.num_searches[ccd.PairKind.EDGE_EDGE] == 1 and result.body_toi.tolist() == [result.toi] * 4
 
 
 def test_points_far_beyond_the_ends_of_the_grid_are_searched_one_by_one():
