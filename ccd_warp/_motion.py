@@ -220,12 +220,11 @@ class RigidMotion(ReadOnly):
 
         Returns:
             d toi / d ``poses_t0`` and d toi / d ``poses_t1``, position and quaternion x y z w, float64, shape [n, 2, 7]
-            each: of the bodies in the columns of ``contacts.bodies``, 0 of those that are not rigid. The part of a unit
-            quaternion has no component along it.
+            each: of the bodies in the columns of ``contacts.bodies``, in the world ``contacts.world``, 0 of those that
+            are not rigid. The part of a unit quaternion has no component along it.
 
         Raises:
-            ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw
-                or has worlds.
+            ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw.
         """
         points = self._turning_points(gradient)
         if points is None:
@@ -258,14 +257,16 @@ class RigidMotion(ReadOnly):
     def _turning_points(self, gradient: ToiGradient) -> Any:
         """The points of contacts on bodies that this motion can have moved; None where there are no contacts."""
         check_instance("gradient", gradient, ToiGradient)
-        if self._path != "linear" or self.num_worlds > 1:
-            raise ValueError(f"there are gradients by poses of one world and path='linear'; this is {self!r}")
+        if self._path != "linear":
+            raise ValueError(f"there are gradients by poses with path='linear' alone; this is {self!r}")
         if len(gradient) == 0:
             return None
         points: Any = gradient._place
-        if points is None or points.num_bodies != self.num_bodies:
+        count = len(self._body_paths)
+        if points is None or points.num_bodies != count:
             found = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"
-            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {self.num_bodies}")
+            of_worlds = "" if self.num_worlds == 1 else f", {self.num_bodies} in each of {self.num_worlds} worlds"
+            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {count}{of_worlds}")
         return points
 
     @property
@@ -275,6 +276,8 @@ class RigidMotion(ReadOnly):
 
     def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
         """The paths of the bodies of some worlds, one world's after another's."""
+        if np.array_equal(worlds, np.arange(self.num_worlds)):
+            return self._body_paths
         return self._body_paths.rows((worlds[:, None] * self.num_bodies + np.arange(self.num_bodies)).ravel())
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -41,7 +41,7 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._joint_motion import JointMotion, Motion
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths, check_rows
+from ccd_warp._mesh_paths import MeshPaths, check_own_frames, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
@@ -199,7 +199,7 @@ class CollisionPipeline:
         def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             start, end = self.mesh.frames(vertices_t0, vertices_t1)
             if paths is not None:
-                paths.check_own_frames(self.mesh, start, end)
+                check_own_frames(self.mesh, start, end)
             return start, end
 
         return self._run(Step, frames, work, options, paths=paths)
@@ -771,7 +771,8 @@ class CollisionPipeline:
         """Positions at both ends where joints move links, checked."""
         check_options_on_arcs(self._options)
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
-        self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
+        self._joints_at(motion, 0.0)  # that there are as many worlds and links as in the mesh
+        check_own_frames(self.mesh, start, end)
         return start, end
 
     def _joint_search(
@@ -1059,7 +1060,7 @@ class CollisionPipeline:
 
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths_of(motion)
-        paths.check_own_frames(self.mesh, start, end)
+        check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 
         def step_to(_: Any, end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
