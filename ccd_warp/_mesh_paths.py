@@ -74,7 +74,7 @@ class MeshPaths(BodyPaths):
         times = _times(t, len(body))
         x: NDArray[np.float64] = (1.0 - times) * start + times * end
         rigid, rows = self._rows_of(body)
-        x[rigid] = self.positions(_in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
+        x[rigid] = self.positions(in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
         return x
 
     def velocities(
@@ -85,7 +85,7 @@ class MeshPaths(BodyPaths):
         rigid, rows = self._rows_of(body)
         times = _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
-        arms = rotated(self.rotation[rows], _in_space(start[rigid]) - self.pivot[rows])
+        arms = rotated(self.rotation[rows], in_space(start[rigid]) - self.pivot[rows])
         arms = arms + arcs(omega, arms, times)
         turned = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
         v[rigid] = turned[:, : v.shape[1]]
@@ -124,9 +124,11 @@ def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArra
     return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
-def _in_space(points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points of bodies in the plane with z = 0; others as they are."""
-    return points if points.shape[1] == 3 else np.column_stack([points, np.zeros(len(points))])
+def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors in the plane, shape [..., 2], with z = 0; others as they are."""
+    if vectors.shape[-1] == 3:
+        return vectors
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
 
 
 def _times(t: Any, count: int) -> NDArray[np.float64]:

@@ -208,9 +208,11 @@ class CollisionPipeline:
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
     ) -> tuple[ArrayLike, ArrayLike, RigidMotion | JointMotion | None]:
         """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
+        mesh = self.mesh
+        if isinstance(motion, JointMotion) and mesh.dimension == 2:
+            raise ValueError(f"motion is {shown(motion)} and the mesh is in the plane; expected a RigidMotion about z")
         if not isinstance(motion, AffineMotion):
             return vertices_t0, vertices_t1, motion
-        mesh = self.mesh
         bodies = np.flatnonzero(mesh.rigid)
         check_rows(mesh, bodies, len(motion._affine_t0))
         start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
@@ -502,7 +504,7 @@ class CollisionPipeline:
         if step is None:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
-            layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
+            layout = mesh._in_space(paths.at(mesh, mesh.vertices, mesh.vertices, 0.0))
             step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
         self._check_places(step, prepared)

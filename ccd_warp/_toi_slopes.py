@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import MovingVertices
 from ccd_warp._contacts import Contacts
+from ccd_warp._mesh_paths import in_space
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import default_num_threads
@@ -96,7 +97,7 @@ def _turning(
         rows = np.where(rows < 0, rows, world[:, None].astype(np.intp) * num_rows + rows)
         num_rows = len(frames.paths or ())
     points = frames._ends_of(vertices.ravel())[0].reshape(*vertices.shape, -1)
-    return TurningPoints(num_rows, rows, points, side, gradient, time)
+    return TurningPoints(num_rows, rows, in_space(points), side, in_space(gradient), time)
 
 
 def of_pairs(

@@ -129,6 +129,37 @@ def test_jacobians_of_rotations_are_inverse_and_those_of_differences(angle):
     np.testing.assert_allclose(moved, 0.5 * np.tensordot(weights, turned, 1), rtol=1e-12, atol=1e-13)
 
 
+def test_gradients_in_the_plane_agree_with_differences():
+    """A bar that turns onto a point of another one, which turns, too, and onto one that moves straight."""
+    bar = (np.array([[-1.0, 0], [1, 0]]), [[0, 1]])
+    mesh = ccd.CollisionMesh.from_arrays([bar, bar, (bar[0] * 0.1, bar[1])], rigid=[0, 1])
+    x, rng = mesh.vertices, np.random.default_rng(0)
+    start, end = x.copy(), x.copy()
+    start[4:] += [0.5, 0.9]
+    end[4:] += [0.4, 0.7]
+    poses = np.array([[0.0, 0, 0, 0, 0, 0, 1], [-1.4, -0.5, 0, 0, 0, 0.1, 0.9]])
+    twist = np.array([[0.0, 0.2, 0, 0, 0, 1.5], [0.1, 0, 0, 0, 0, -0.4]])
+
+    def found(s, moves):
+        motion = ccd.RigidMotion(poses + s * moves[0], twist=twist + s * moves[1], pivot=[0.1, 0.2, 0])
+        options = {"tolerance": 1e-13, "device": "cpu"}
+        return motion, ccd.mesh_ccd(mesh, start, end + s * moves[2], motion=motion, **options).contacts
+
+    moves = [1e-7 * rng.standard_normal(values.shape) for values in (poses, twist, end)]
+    for values in moves[:2]:
+        values[:, 2:5] = 0.0
+    moves[2][:4] = 0.0
+    motion, contacts = found(0, moves)
+    gradient = contacts.toi_gradient()
+    assert len(contacts) > 2 and gradient.is_regular.all() and gradient.end.shape[2] == 2
+    predicted = (gradient.end * moves[2][gradient.vertices]).sum(axis=(1, 2))
+    for values, move in zip(motion.gradient_by_twist(gradient), moves, strict=False):
+        of_bodies = np.vstack([move, np.zeros_like(move[:1])])
+        predicted += (values * of_bodies[contacts.bodies]).sum(axis=(1, 2))
+    late, early = (found(s, moves)[1] for s in (1, -1))
+    np.testing.assert_allclose(predicted, 0.5 * (late.toi - early.toi), rtol=1e-5)
+
+
 @pytest.mark.parametrize("large", [10**9, 0], ids=["in batches", "by parts"])
 def test_worlds_of_one_mesh_have_the_gradients_of_each_alone(large, monkeypatch):
     """Also where positions of the call, which belong to the caller, are overwritten before anything is asked for."""
