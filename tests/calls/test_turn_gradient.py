@@ -137,7 +137,7 @@ def test_gradients_in_the_plane_agree_with_differences():
     start, end = x.copy(), x.copy()
     start[4:] += [0.5, 0.9]
     end[4:] += [0.4, 0.7]
-    poses = np.array([[0.0, 0, 0, 0, 0, 0, 1], [-1.4, -0.5, 0, 0, 0, 0.1, 0.9]])
+    poses = np.array([[0.0, 0, 0, 0, 0, 0, 1], [-1.4, -0.5, 0, 0, 0, np.sin(0.11), np.cos(0.11)]])
     twist = np.array([[0.0, 0.2, 0, 0, 0, 1.5], [0.1, 0, 0, 0, 0, -0.4]])
 
     def found(s, moves):
