@@ -750,6 +750,11 @@ class CollisionMesh(ReadOnly):
         return free
 
     @lazy_property
+    def _moving_rigid(self) -> NDArray[np.intp]:
+        """Rigid bodies that are not static."""
+        return np.flatnonzero(self.rigid & ~self.static)
+
+    @lazy_property
     def _moves_planes(self) -> bool:
         """Whether a half-space is kinematic."""
         return bool((self.planes.vertices >= 0).any())

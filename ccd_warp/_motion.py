@@ -20,10 +20,14 @@ from ccd_warp._input.poses import (
     checked_rows,
     read_only,
     shown_bodies,
+    shown_body,
 )
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._rotations import normalized, norms, products, quaternions_of, rotated
 from ccd_warp._toi_gradient import ToiGradient
+
+# Radians in a step: what is proved of sine and cosine holds below (`kernels.step.place_bodies`), and a slice takes 0.2.
+_LARGEST_TURN = 1e6
 
 
 class RigidMotion(ReadOnly):
@@ -60,8 +64,8 @@ class RigidMotion(ReadOnly):
 
     Raises:
         ValueError: If shapes do not fit, a number is not finite, a quaternion has length 0, a matrix is no rotation to
-            1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, or ``twist`` contradicts
-            ``poses_t1``. It names the argument and the body.
+            1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, ``twist`` contradicts
+            ``poses_t1``, or turns a body by 1e6 radians or more. It names the argument and the body.
 
     A motion of W worlds for a mesh of one moves copies of the mesh, of which only a batch is ever made: arrays of a
     result then have an axis of worlds in front. A motion does not change; its arrays are read-only.
@@ -131,6 +135,12 @@ class RigidMotion(ReadOnly):
                 twists, found = checked_rows(twist, "twist", ((6,),), "shape (B, 6), linear part first, then angular")
                 check_leading("twist", found, leading)
                 self._body_paths = BodyPaths.along(start, twists, pivots)
+            turns = norms(self._body_paths.omega)
+        for row in np.flatnonzero(~(turns < _LARGEST_TURN))[:1].tolist():
+            raise ValueError(
+                f"twist turns {shown_body(row, leading)} by {turns[row]:.6g} rad; expected less than {_LARGEST_TURN:g} "
+                f"rad in a step: divide it into shorter ones"
+            )
         for field in ("pivot_t0", "velocity", "turning"):
             rows = getattr(self._body_paths, field)
             check_rows_finite(rows, f"the {field} of the motion", leading, "a motion that float64 can hold")

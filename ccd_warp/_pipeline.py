@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
+from ccd_warp._display import listed
 from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
@@ -211,6 +212,8 @@ class CollisionPipeline:
         mesh = self.mesh
         if isinstance(motion, JointMotion) and mesh.dimension == 2:
             raise ValueError(f"motion is {shown(motion)} and the mesh is in the plane; expected a RigidMotion about z")
+        if motion is None:
+            self._warn_of_straight_motion()
         if not isinstance(motion, AffineMotion):
             return vertices_t0, vertices_t1, motion
         bodies = np.flatnonzero(mesh.rigid)
@@ -220,6 +223,21 @@ class CollisionPipeline:
         first = np.searchsorted(mesh.vertex_body[rows], bodies)
         start[rows], end[rows] = motion._ends(start[rows], first)
         return start, end, None
+
+    def _warn_of_straight_motion(self) -> None:
+        """Say once, in a call without a motion, that rigid bodies then move as others do."""
+        mesh = self.mesh
+
+        def described() -> str:
+            names = [body_label(body, mesh.names) for body in mesh._moving_rigid.tolist()]
+            return (
+                f"motion is None, and {listed(names)} {'is' if len(names) == 1 else 'are'} rigid: vertices move on "
+                f"straight lines, not on arcs; pass a RigidMotion as motion, and vertices in the frames of their "
+                f"bodies, or leave out rigid= where the mesh is built"
+            )
+
+        if len(mesh._moving_rigid) and self._workspace is not None:
+            self._workspace.warn_once("no motion", described)
 
     def _paths_of(self, motion: RigidMotion | JointMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
@@ -538,7 +556,9 @@ class CollisionPipeline:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
             vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
-            if motion is not None:
+            if motion is None:
+                self._warn_of_straight_motion()
+            else:
                 return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
             if self._device_step is None:
                 if self._topology.device.is_capturing:

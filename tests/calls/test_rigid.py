@@ -1,5 +1,7 @@
 """Calls with bodies that turn: what they say of scenes whose answers are known."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -28,6 +30,37 @@ def blade_and_points(places, **options):
 
 def at_angle(angle, radius=1.5):
     return [radius * np.cos(angle), radius * np.sin(angle), 0.05]
+
+
+@pytest.mark.parametrize("call", ["mesh_ccd", "find_candidates", "line_search", "launch", "launch_line_search"])
+def test_rigid_bodies_without_a_motion_are_said_to_move_straight_once(call):
+    mesh, _ = blade_and_points([at_angle(1.0), at_angle(2.0)], static=[1], rigid=[0, 1])
+    x, pipeline = mesh.vertices, ccd.CollisionPipeline(mesh, device="cpu")
+    with pytest.warns(RuntimeWarning, match="motion is None, and body 0 is rigid: vertices move on straight lines"):
+        getattr(pipeline, call)(x, x.copy())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        getattr(pipeline, call)(x, x.copy())
+        pipeline.is_step_collision_free(x, x)
+        still, _ = blade_and_points([at_angle(1.0)], static=[0], rigid=[0])
+        getattr(ccd.CollisionPipeline(still, device="cpu"), call)(still.vertices, still.vertices.copy())
+        ccd.rigid_ccd(mesh, [AT_REST] * 3, [AT_REST] * 3, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("poses", "found"),
+    [
+        ([AT_REST], "1 body; expected 3 bodies, those of the mesh but half-spaces, static ones included$"),
+        ([[AT_REST] * 2] * 4, "2 bodies in each of 4 worlds; expected 3 bodies, .* included$"),
+        ([AT_REST] * 6, "6 bodies; expected 3 bodies, .* included; those of several worlds have an axis of worlds in"),
+    ],
+)
+def test_as_many_poses_as_there_are_bodies_no_others(poses, found):
+    mesh, _ = blade_and_points([at_angle(1.0), at_angle(2.0)], static=[1])
+    with pytest.raises(ValueError, match=f"poses_t0 is of {found}"):
+        ccd.rigid_ccd(mesh, poses, poses, device="cpu")
+    with pytest.raises(ValueError, match="poses_t0 is of 3 bodies; expected 6 bodies"):
+        ccd.rigid_ccd(mesh.replicate(2), [AT_REST] * 3, [AT_REST] * 3, device="cpu")
 
 
 @pytest.mark.parametrize("turn", [0.01, 0.5, 2.0, 3.0])
