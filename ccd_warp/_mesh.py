@@ -74,7 +74,8 @@ class CollisionMesh(ReadOnly):
     plane, with a row in the positions as every vertex; its normal stays.
 
     A **rigid** body keeps its shape, and does not collide with itself. Where a call takes a ``motion``
-    (:class:`ccd_warp.RigidMotion`), it turns as its poses say, and its vertices stand in its own frame.
+    (:class:`ccd_warp.RigidMotion`), it turns as its poses say, and its vertices stand in its own frame. In a call
+    without one they move straight, which a ``RuntimeWarning`` says once.
 
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.

@@ -47,7 +47,8 @@ class RigidMotion(ReadOnly):
       moves on a helix. The pivot does not matter then.
 
     ω is the shortest rotation vector between the poses, of at most π, or that of ``twist``, which may be several turns.
-    Half a turn is as short in both directions: take a ``twist`` there, too.
+    Half a turn is as short in both directions: take a ``twist`` there, too. Bodies of a mesh in the plane turn about z:
+    all that leads out of it is exactly 0, as in the pose (x, y, 0, 0, 0, z, w).
 
     Args:
         poses_t0: Poses at t = 0, [B, 7], position and quaternion **x y z w** (``wp.transform``), or matrices,
@@ -59,8 +60,9 @@ class RigidMotion(ReadOnly):
         pivot: Points about which the bodies turn, in their own frames, [3], [B, 3] or [W, B, 3], only with "linear".
         twist: In place of ``poses_t1``, motion in the whole step (velocity times its duration), **linear part first,
             then angular** in radians, in the frame of the world, [B, 6] or [W, B, 6]. The linear part is the
-            displacement of the pivot, with "screw" the velocity of the body's origin at t = 0. If ``poses_t1`` is
-            given as well, it must be the same end to 1e-6 relative, and the path is that of the twist.
+            displacement of the pivot, with "screw" the velocity of the body's origin at t = 0. A turn is below 1e6
+            radians. If ``poses_t1`` is given as well, it must be the same end to 1e-6 relative, and the path is that of
+            the twist.
 
     Raises:
         ValueError: If shapes do not fit, a number is not finite, a quaternion has length 0, a matrix is no rotation to
