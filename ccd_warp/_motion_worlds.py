@@ -170,11 +170,14 @@ class MotionWorlds:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
         parts = self._near
         if parts is None:
-            for worlds, result in self._each(type(self._pipeline)._contacts):
+            call = type(self._pipeline)._contacts
+            if not isinstance(self._motion, JointMotion):
+                call = partial(call, is_ordered=False)
+            for worlds, result in self._each(call):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
-        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts())):
+        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts(is_ordered=False))):
             yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
 
     @property
@@ -227,10 +230,9 @@ class MotionWorlds:
         planes = np.append(np.tile(np.flatnonzero(~is_shared), self._num_copies), np.flatnonzero(is_shared))
         sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
         primitives, copy = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.int32)
-        first = np.searchsorted(contacts.kind, [*PairKind, len(PairKind)]).tolist()  # they are by kind
-        for kind, *range_of_kind in zip(PairKind, first[:-1], first[1:], strict=True):
-            rows = slice(*range_of_kind)
-            for column, name in enumerate(primitives_of(kind)):
+        for kind in PairKind:
+            rows = np.flatnonzero(contacts.kind == int(kind))
+            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
                 of_copies = primitives[rows, column]
                 if name == "plane":  # the other is a vertex
                     primitives[rows, column] = planes[of_copies]

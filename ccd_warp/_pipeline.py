@@ -745,11 +745,13 @@ class CollisionPipeline:
         vertices_t1: ArrayLike,
         motion: RigidMotion | JointMotion | MeshPaths | None,
         is_searched: NDArray[np.bool_] | None = None,
+        *,
+        is_ordered: bool = True,
     ) -> MeshResult:
         """The contacts of a step, of a mechanism in the worlds that are searched alone."""
         if isinstance(motion, JointMotion):
             return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
-        return self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.contacts(is_ordered=is_ordered), motion)
 
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
