@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
-from ccd_warp._input.poses import checked_rows, read_only, shown_bodies
+from ccd_warp._input.poses import checked_rows, read_only, shown_bodies, shown_body
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._texts import text_completed_by
 
@@ -83,12 +83,22 @@ class AffineMotion(ReadOnly):
     def _ends(
         self, rows: NDArray[np.float64], first: NDArray[np.intp]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Places at both ends of rows of the bodies' frames, body after body, which begin at these rows."""
-        counts = np.diff(np.append(first, len(rows)))
+        """Places at both ends of rows of the bodies' frames, body after body, which begin at these rows.
+
+        Raises:
+            ValueError: If the rows are in the plane, and a map leads out of it.
+        """
+        counts, columns = np.diff(np.append(first, len(rows))), rows.shape[1]
         ends = []
-        for maps in (self._affine_t0, self._affine_t1):
-            chosen = np.repeat(maps, counts, axis=0)
-            ends.append((chosen[..., :3] * rows[:, None]).sum(axis=-1) + chosen[..., 3])
+        for k, maps in enumerate((self._affine_t0, self._affine_t1)):
+            across = maps[:, 2, [0, 1, 3]]
+            for body in np.flatnonzero(across.any(axis=1))[:1].tolist() if columns == 2 else ():
+                raise ValueError(
+                    f"affine_t{k} takes {shown_body(body, self._leading)} out of the plane of the mesh: its third row "
+                    f"is {maps[body, 2].tolist()}; expected 0 in all of its columns but the third"
+                )
+            chosen = np.repeat(maps[:, :columns], counts, axis=0)
+            ends.append((chosen[..., :columns] * rows[:, None]).sum(axis=-1) + chosen[..., 3])
         return ends[0], ends[1]
 
     def _positions(self, maps: NDArray[np.float64], points: Any, body: Any) -> NDArray[np.float64]:

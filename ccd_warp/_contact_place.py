@@ -11,7 +11,7 @@ from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contacts import Contacts
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_own_frames
 from ccd_warp._pairs import pair_corners
 from ccd_warp._status import PairKind
 from ccd_warp._toi_gradient import ToiGradient
@@ -35,7 +35,7 @@ class MovingVertices:
         mesh: The mesh.
         start: Positions at the start of the step, of bodies on ``paths`` in their own frames, shape [n, 3] or [n, 2].
         end: Those at its end.
-        paths: Paths of bodies that turn; None where there are none.
+        paths: Paths of bodies that turn, or of those of a mesh of one world in many; None where there are none.
         rows: The vertices whose positions these are, ascending, int, shape [n]; None for all of them.
     """
 
@@ -56,8 +56,9 @@ class MovingVertices:
         """
         if motion is None:
             return cls(mesh, start, end)
-        paths = MeshPaths.of(mesh if mesh.rigid.any() else mesh._all_rigid, motion)
-        paths.check_own_frames(mesh, start, end)
+        bodies = mesh if mesh.rigid.any() else mesh._all_rigid
+        paths = MeshPaths.of(bodies, motion)
+        check_own_frames(bodies, start, end)
         return cls(mesh, start, end, paths)
 
     @property
@@ -76,11 +77,15 @@ class MovingVertices:
         rows = np.flatnonzero(is_needed)
         return replace(self, start=self.start[rows], end=self.end[rows], rows=rows)
 
-    def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Positions of vertices at a time of each, shape [n, 1]."""
+    def worlds_of(self, contacts: Contacts) -> NDArray[np.int32] | None:
+        """The world of each contact, where the paths are those of many worlds of the mesh."""
+        return contacts.world if isinstance(self.paths, WorldPaths) else None
+
+    def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None) -> NDArray[np.float64]:
+        """Positions of vertices at a time of each, shape [n, 1], in a world of each where there are many."""
         start, end = self._ends_of(vertices)
         if self.paths is not None:
-            return self.paths.places(self.mesh.vertex_body[vertices], start, end, t)
+            return self.paths.places(self._bodies_of(vertices, world), start, end, t)
         return (1.0 - t) * start + t * end
 
     def all_at(self, t: float) -> NDArray[np.float64]:
@@ -89,12 +94,19 @@ class MovingVertices:
             return self.paths.at(self.mesh, self.start, self.end, t)
         return (1.0 - t) * self.start + t * self.end
 
-    def velocities(self, vertices: NDArray[np.integer], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def velocities(
+        self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None
+    ) -> NDArray[np.float64]:
         """How vertices move at a time of each, as displacements in the whole step."""
         start, end = self._ends_of(vertices)
         if self.paths is not None:
-            return self.paths.velocities(self.mesh.vertex_body[vertices], start, end, t)
+            return self.paths.velocities(self._bodies_of(vertices, world), start, end, t)
         return np.subtract(end, start, dtype=np.float64)
+
+    def _bodies_of(self, vertices: NDArray[np.integer], world: NDArray[np.int32] | None) -> NDArray[np.integer]:
+        """The bodies of vertices, by their numbers in the paths."""
+        bodies: NDArray[np.integer] = self.mesh.vertex_body[vertices]
+        return bodies if world is None else world.astype(np.int64) * self.mesh.num_bodies + bodies
 
     def _ends_of(self, vertices: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         rows = vertices if self.rows is None else np.searchsorted(self.rows, vertices)
@@ -202,11 +214,14 @@ def located(
 
 def joined(parts: Sequence[Contacts]) -> Contacts:
     """The contacts of one list or more of the same mesh, one list after the other."""
+    if len(parts) == 1:
+        return parts[0]
     contacts = Contacts(**{name: np.concatenate([vars(part)[name] for part in parts]) for name in vars(parts[0])})
     places: list[ContactPlace | None] = [part._place for part in parts]
-    if places[0] is None or not all(place is not None and place.has_points for place in places):
+    if places[0] is None:
         return contacts
-    placed: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _PLACED}
+    names = _PLACED if all(place is not None and place.has_points for place in places) else _PLACED[-1:]
+    placed: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return contacts._of(ContactPlace(places[0].mesh, **placed))
 
 
@@ -230,7 +245,7 @@ def points_at_toi(
 
 
 def _points(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
-    points = np.empty((len(contacts), frames.start.shape[1]))
+    points, world = np.empty((len(contacts), frames.start.shape[1])), frames.worlds_of(contacts)
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
         for k in range(0, len(of_kind), _CHUNK):
@@ -239,10 +254,11 @@ def _points(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
                 chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
             corners = pair_corners(frames.mesh, kind, contacts.primitives[chosen])
             toi, parameters = contacts.toi[chosen, None], contacts.parameters[chosen]
+            of_chosen = None if world is None else world[chosen]
             if kind == PairKind.VERTEX_PLANE:
-                points[chosen] = _at_planes(frames, contacts.primitives[chosen], toi)
+                points[chosen] = _at_planes(frames, contacts.primitives[chosen], toi, of_chosen)
             else:
-                points[chosen] = _midpoints(kind, corners, frames, toi, parameters)
+                points[chosen] = _midpoints(kind, corners, frames, toi, parameters, of_chosen)
     return points
 
 
@@ -252,6 +268,7 @@ def _midpoints(
     frames: MovingVertices,
     t: NDArray[np.float64],
     parameters: NDArray[np.float64],
+    world: NDArray[np.int32] | None,
 ) -> NDArray[np.float64]:
     u, v = parameters.T[..., None]
     weights: Any = {
@@ -261,17 +278,19 @@ def _midpoints(
         PairKind.POINT_POINT: lambda: ([1.0], [1.0]),
     }[kind]()
     sides = [
-        sum(w * frames.at(i, t) for w, i in zip(side_weights, side.T, strict=True))
+        sum(w * frames.at(i, t, world) for w, i in zip(side_weights, side.T, strict=True))
         for side_weights, side in zip(weights, corners, strict=True)
     ]
     return 0.5 * sides[0] + 0.5 * sides[1]
 
 
-def _at_planes(frames: MovingVertices, primitives: NDArray[np.int32], t: NDArray[np.float64]) -> NDArray[np.float64]:
+def _at_planes(
+    frames: MovingVertices, primitives: NDArray[np.int32], t: NDArray[np.float64], world: NDArray[np.int32] | None
+) -> NDArray[np.float64]:
     """Midpoints of vertices and the points of their planes that are closest to them."""
     mesh = frames.mesh
     vertices, number = primitives.T
-    x = frames.at(vertices, t)
+    x = frames.at(vertices, t, world)
     columns = x.shape[1]
     # of a mesh in the plane the positions of a picture have three coordinates
     points, unit = (mesh._in_space(a)[:, :columns] for a in (mesh.planes.points, unit_normals(mesh.planes.normals)))
@@ -290,12 +309,13 @@ def _at_planes(frames: MovingVertices, primitives: NDArray[np.int32], t: NDArray
 
 def _relative_velocities(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
     """Velocities of the first closest points less those of the second, shape [m, 3] or [m, 2]."""
-    mesh, columns = frames.mesh, frames.start.shape[1]
+    mesh, columns, world = frames.mesh, frames.start.shape[1], frames.worlds_of(contacts)
     velocities = np.empty((len(contacts), columns))
     for k in range(0, len(contacts), _CHUNK):
         chunk = slice(k, k + _CHUNK)
         vertices, toi = contacts.vertices[chunk], contacts.toi[chunk]
-        of_vertices = frames.velocities(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None])
+        of_corners = None if world is None else np.repeat(world[chunk], vertices.shape[1])
+        of_vertices = frames.velocities(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None], of_corners)
         weights = contacts.weights[chunk, :, None]
         velocities[chunk] = (weights * of_vertices.reshape(*vertices.shape, columns)).sum(axis=1)
     of_planes = np.flatnonzero(contacts.kind == int(PairKind.VERTEX_PLANE))

@@ -38,6 +38,9 @@ from ccd_warp._replicate import replicated
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._texts import text_completed_by
 
+# Ranges of rows up to which each is a slice.
+_MOST_SLICES = 16
+
 # Vertices of a mesh with half-spaces: a bit of their index tells contacts with these from others (`contact_key`).
 MOST_WITH_PLANES = 1 << 30
 
@@ -71,7 +74,8 @@ class CollisionMesh(ReadOnly):
     plane, with a row in the positions as every vertex; its normal stays.
 
     A **rigid** body keeps its shape, and does not collide with itself. Where a call takes a ``motion``
-    (:class:`ccd_warp.RigidMotion`), it turns as its poses say, and its vertices stand in its own frame.
+    (:class:`ccd_warp.RigidMotion`), it turns as its poses say, and its vertices stand in its own frame. In a call
+    without one they move straight, which a ``RuntimeWarning`` says once.
 
     Attributes:
         vertices: Positions as given, float64, in the caller's length unit, shape [V, 3], or [V, 2] in the plane.
@@ -659,6 +663,10 @@ class CollisionMesh(ReadOnly):
                 ranges.append((begin, end))
         return ranges
 
+    @lazy_property
+    def _static_rows(self) -> list[Any]:
+        return blocks_of(self.static_vertex_ranges)
+
     def frame(self, vertices: ArrayLike, name: str = "vertices_t0") -> NDArray[np.float64]:
         """Validate the positions of all vertices at one time.
 
@@ -731,9 +739,10 @@ class CollisionMesh(ReadOnly):
 
     def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Check that the rows of static bodies, which are finite, are the same at both ends."""
-        for low, high in self.static_vertex_ranges:
-            if not np.array_equal(start[low:high], end[low:high]):
-                raise ValueError(static_moves(self, range(low, high), start[low:high], end[low:high]))
+        for rows in self._static_rows:
+            if not np.array_equal(start[rows], end[rows]):
+                vertices = np.arange(self.num_vertices)[rows]
+                raise ValueError(static_moves(self, vertices, start[rows], end[rows]))
 
     @lazy_property
     def _is_free(self) -> NDArray[np.bool_]:
@@ -742,13 +751,25 @@ class CollisionMesh(ReadOnly):
         return free
 
     @lazy_property
+    def _moving_rigid(self) -> NDArray[np.intp]:
+        """Rigid bodies that are not static."""
+        return np.flatnonzero(self.rigid & ~self.static)
+
+    @lazy_property
     def _moves_planes(self) -> bool:
         """Whether a half-space is kinematic."""
         return bool((self.planes.vertices >= 0).any())
 
 
+def blocks_of(ranges: Sequence[tuple[int, int]]) -> list[Any]:
+    """What selects the rows of ranges: a slice for each; of many, the rows of which may be few, all at once."""
+    if len(ranges) <= _MOST_SLICES:
+        return [slice(*each) for each in ranges]
+    return [np.concatenate([np.arange(*each) for each in ranges])]
+
+
 def static_moves(
-    mesh: CollisionMesh, vertices: Sequence[int], start: NDArray[np.float64], end: NDArray[np.float64]
+    mesh: CollisionMesh, vertices: NDArray[np.intp], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> str:
     """What the error says where rows of static bodies differ at both ends of a step: which vertex moves the most."""
     with np.errstate(over="ignore"):

@@ -38,14 +38,17 @@ class MeshPaths(BodyPaths):
         """The paths of the rigid bodies of a mesh, for which a motion has given a row each, and an ``excess``.
 
         Raises:
-            ValueError: If the numbers of bodies differ, the mesh is in the plane, or a static body moves.
+            ValueError: If the numbers of bodies differ, a static body moves, or any leaves the plane of a mesh in it.
         """
-        if mesh.dimension == 2:
-            raise ValueError("motion is given with a mesh in the plane; expected a mesh in space, whose bodies turn")
+        check_motion(mesh, given)
+        return cls.of_checked(mesh, given, excess)
+
+    @classmethod
+    def of_checked(
+        cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None, **further: Any
+    ) -> MeshPaths:
+        """Those of a motion that is known to fit the mesh, with ``further`` attributes."""
         bodies = np.flatnonzero(mesh.rigid)
-        check_rows(mesh, bodies, len(given))
-        check_worlds(mesh)
-        check_rest(mesh, bodies, given)
         rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
             of_rigid = getattr(given, field.name)
@@ -54,22 +57,8 @@ class MeshPaths(BodyPaths):
         of_all = np.zeros(mesh.num_bodies)
         if excess is not None:
             of_all[bodies] = excess
-        return cls(**rows, is_rigid=mesh.rigid.copy(), excess=of_all, active=np.ones(mesh.num_bodies, dtype=bool))
-
-    def check_own_frames(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.
-
-        Raises:
-            ValueError: If one differs.
-        """
-        if start is end:
-            return
-        differs = (start != end).any(axis=1) & self.is_rigid[mesh.vertex_body]
-        for vertex in np.flatnonzero(differs)[:1].tolist():
-            raise ValueError(
-                f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
-                f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
-            )
+        rows |= {"is_rigid": mesh.rigid.copy(), "excess": of_all, "active": np.ones(mesh.num_bodies, dtype=bool)}
+        return cls(**rows | further)
 
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
@@ -84,8 +73,8 @@ class MeshPaths(BodyPaths):
         """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
         times = _times(t, len(body))
         x: NDArray[np.float64] = (1.0 - times) * start + times * end
-        rigid = np.flatnonzero(self.is_rigid[body])
-        x[rigid] = self.positions(start[rigid], body[rigid], times[rigid, 0])
+        rigid, rows = self._rows_of(body)
+        x[rigid] = self.positions(in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
         return x
 
     def velocities(
@@ -93,13 +82,38 @@ class MeshPaths(BodyPaths):
     ) -> NDArray[np.float64]:
         """How vertices of these bodies move at a time, as displacements in the whole step, shape [n, 3]."""
         v: NDArray[np.float64] = end - start
-        rigid = np.flatnonzero(self.is_rigid[body])
-        rows, times = body[rigid], _times(t, len(body))[rigid, 0]
+        rigid, rows = self._rows_of(body)
+        times = _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
-        arms = rotated(self.rotation[rows], start[rigid] - self.pivot[rows])
+        arms = rotated(self.rotation[rows], in_space(start[rigid]) - self.pivot[rows])
         arms = arms + arcs(omega, arms, times)
-        v[rigid] = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
+        turned = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
+        v[rigid] = turned[:, : v.shape[1]]
         return v
+
+    def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
+        """Which vertices, given the body of each, are on a path, and the rows of these paths."""
+        rigid = np.flatnonzero(self.is_rigid[body])
+        return rigid, body[rigid]
+
+
+class WorldPaths(MeshPaths):
+    """The paths of the rigid bodies of a mesh of one world in many: body b in world w has the number w B + b.
+
+    There are rows of rigid bodies alone, so that what stands in all worlds costs nothing.
+    """
+
+    @classmethod
+    def of_worlds(cls, mesh: CollisionMesh, given: BodyPaths) -> WorldPaths:
+        """Of a motion that has a row for each rigid body, of one world after another."""
+        none = np.zeros(1)
+        return cls(**vars(given), is_rigid=mesh.rigid, excess=none, active=none == 0.0)
+
+    def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
+        world, own = np.divmod(body, len(self.is_rigid))
+        rigid = np.flatnonzero(self.is_rigid[own])
+        number = np.cumsum(self.is_rigid)
+        return rigid, world[rigid] * number[-1] + number[own[rigid]] - 1
 
 
 def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -110,9 +124,29 @@ def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArra
     return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
+def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors in the plane, shape [..., 2], with z = 0; others as they are."""
+    if vectors.shape[-1] == 3:
+        return vectors
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
+
+
 def _times(t: Any, count: int) -> NDArray[np.float64]:
     """One time for all, or one for each, shape [count, 1]."""
     return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
+
+
+def check_motion(mesh: CollisionMesh, given: BodyPaths, num_worlds: int = 1) -> None:
+    """Check that a motion fits a mesh, of whose rigid bodies it has a row each in so many worlds.
+
+    Raises:
+        ValueError: If not.
+    """
+    bodies = np.flatnonzero(mesh.rigid)
+    check_rows(mesh, bodies, len(given) // num_worlds)
+    check_worlds(mesh)
+    _check_rest(mesh, bodies, given)
+    _check_plane(mesh, bodies, given)
 
 
 def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> None:
@@ -132,6 +166,22 @@ def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> 
         raise ValueError(
             f"motion has {counted(num_rows, 'row', 'rows')} for "
             f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+        )
+
+
+def check_own_frames(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+    """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.
+
+    Raises:
+        ValueError: If one differs.
+    """
+    if start is end:
+        return
+    differs = (start != end).any(axis=1) & mesh.rigid[mesh.vertex_body]
+    for vertex in np.flatnonzero(differs)[:1].tolist():
+        raise ValueError(
+            f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
+            f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
         )
 
 
@@ -155,7 +205,7 @@ def check_worlds(mesh: CollisionMesh) -> None:
         )
 
 
-def check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
     """Check that paths of these bodies, of one world after another, leave the static ones where they are.
 
     Raises:
@@ -164,9 +214,39 @@ def check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) 
     moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
     num_worlds = len(given) // len(bodies)
     for row in np.flatnonzero(moves & np.tile(mesh.static[bodies], num_worlds))[:1].tolist():
-        world, k = divmod(row, len(bodies))
-        where = f" in world {world}" if num_worlds > 1 else ""
         raise ValueError(
-            f"motion moves {body_label(int(bodies[k]), mesh.names)}{where}, which is static; expected equal poses at "
+            f"motion moves {_body_of(mesh, bodies, given, row)}, which is static; expected equal poses at "
             f"both ends, or kinematic in place of static for a body that moves as it is told"
         )
+
+
+def _check_plane(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+    """Check that paths of these bodies, of one world after another, stay in the plane of a mesh in it.
+
+    Raises:
+        ValueError: If one leaves it.
+    """
+    if mesh.dimension == 3:
+        return
+    across = {
+        "quaternion at the start": ("x and y", given.rotation[:, :2]),
+        "rotation vector": ("x and y", given.omega[:, :2]),
+        "pivot": ("z", given.pivot[:, 2:]),
+        "place at the start": ("z", given.pivot_t0[:, 2:]),
+        "displacement": ("z", given.velocity[:, 2:] + given.turning[:, 2:]),
+    }
+    for name, (axes, values) in across.items():
+        for row in np.flatnonzero(values.any(axis=1))[:1].tolist():
+            found = " and ".join(str(value) for value in values[row].tolist())
+            raise ValueError(
+                f"motion takes {_body_of(mesh, bodies, given, row)} out of the plane of the mesh: {axes} of its {name} "
+                f"{'is' if axes == 'z' else 'are'} {found}; expected 0, as bodies in the plane turn about z alone: "
+                f"poses (x, y, 0) with quaternions (0, 0, z, w), twists (x, y, 0, 0, 0, angle)"
+            )
+
+
+def _body_of(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths, row: int) -> str:
+    """What a message calls the body of a row, of those of one world after another."""
+    world, k = divmod(row, len(bodies))
+    where = f" in world {world}" if len(given) > len(bodies) else ""
+    return f"{body_label(int(bodies[k]), mesh.names)}{where}"

@@ -20,10 +20,14 @@ from ccd_warp._input.poses import (
     checked_rows,
     read_only,
     shown_bodies,
+    shown_body,
 )
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._rotations import normalized, norms, products, quaternions_of, rotated
 from ccd_warp._toi_gradient import ToiGradient
+
+# Radians in a step: what is proved of sine and cosine holds below (`kernels.step.place_bodies`), and a slice takes 0.2.
+_LARGEST_TURN = 1e6
 
 
 class RigidMotion(ReadOnly):
@@ -43,7 +47,8 @@ class RigidMotion(ReadOnly):
       moves on a helix. The pivot does not matter then.
 
     ω is the shortest rotation vector between the poses, of at most π, or that of ``twist``, which may be several turns.
-    Half a turn is as short in both directions: take a ``twist`` there, too.
+    Half a turn is as short in both directions: take a ``twist`` there, too. Bodies of a mesh in the plane turn about z:
+    all that leads out of it is exactly 0, as in the pose (x, y, 0, 0, 0, z, w).
 
     Args:
         poses_t0: Poses at t = 0, [B, 7], position and quaternion **x y z w** (``wp.transform``), or matrices,
@@ -55,13 +60,14 @@ class RigidMotion(ReadOnly):
         pivot: Points about which the bodies turn, in their own frames, [3], [B, 3] or [W, B, 3], only with "linear".
         twist: In place of ``poses_t1``, motion in the whole step (velocity times its duration), **linear part first,
             then angular** in radians, in the frame of the world, [B, 6] or [W, B, 6]. The linear part is the
-            displacement of the pivot, with "screw" the velocity of the body's origin at t = 0. If ``poses_t1`` is
-            given as well, it must be the same end to 1e-6 relative, and the path is that of the twist.
+            displacement of the pivot, with "screw" the velocity of the body's origin at t = 0. A turn is below 1e6
+            radians. If ``poses_t1`` is given as well, it must be the same end to 1e-6 relative, and the path is that of
+            the twist.
 
     Raises:
         ValueError: If shapes do not fit, a number is not finite, a quaternion has length 0, a matrix is no rotation to
-            1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, or ``twist`` contradicts
-            ``poses_t1``. It names the argument and the body.
+            1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, ``twist`` contradicts
+            ``poses_t1``, or turns a body by 1e6 radians or more. It names the argument and the body.
 
     A motion of W worlds for a mesh of one moves copies of the mesh, of which only a batch is ever made: arrays of a
     result then have an axis of worlds in front. A motion does not change; its arrays are read-only.
@@ -131,6 +137,12 @@ class RigidMotion(ReadOnly):
                 twists, found = checked_rows(twist, "twist", ((6,),), "shape (B, 6), linear part first, then angular")
                 check_leading("twist", found, leading)
                 self._body_paths = BodyPaths.along(start, twists, pivots)
+            turns = norms(self._body_paths.omega)
+        for row in np.flatnonzero(~(turns < _LARGEST_TURN))[:1].tolist():
+            raise ValueError(
+                f"twist turns {shown_body(row, leading)} by {turns[row]:.6g} rad; expected less than {_LARGEST_TURN:g} "
+                f"rad in a step: divide it into shorter ones"
+            )
         for field in ("pivot_t0", "velocity", "turning"):
             rows = getattr(self._body_paths, field)
             check_rows_finite(rows, f"the {field} of the motion", leading, "a motion that float64 can hold")
@@ -220,12 +232,11 @@ class RigidMotion(ReadOnly):
 
         Returns:
             d toi / d ``poses_t0`` and d toi / d ``poses_t1``, position and quaternion x y z w, float64, shape [n, 2, 7]
-            each: of the bodies in the columns of ``contacts.bodies``, 0 of those that are not rigid. The part of a unit
-            quaternion has no component along it.
+            each: of the bodies in the columns of ``contacts.bodies``, in the world ``contacts.world``, 0 of those that
+            are not rigid. The part of a unit quaternion has no component along it.
 
         Raises:
-            ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw
-                or has worlds.
+            ValueError: If the contacts are not those of a call with a motion of as many bodies, or this one is a screw.
         """
         points = self._turning_points(gradient)
         if points is None:
@@ -258,14 +269,16 @@ class RigidMotion(ReadOnly):
     def _turning_points(self, gradient: ToiGradient) -> Any:
         """The points of contacts on bodies that this motion can have moved; None where there are no contacts."""
         check_instance("gradient", gradient, ToiGradient)
-        if self._path != "linear" or self.num_worlds > 1:
-            raise ValueError(f"there are gradients by poses of one world and path='linear'; this is {self!r}")
+        if self._path != "linear":
+            raise ValueError(f"there are gradients by poses with path='linear' alone; this is {self!r}")
         if len(gradient) == 0:
             return None
         points: Any = gradient._place
-        if points is None or points.num_bodies != self.num_bodies:
+        count = len(self._body_paths)
+        if points is None or points.num_bodies != count:
             found = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"
-            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {self.num_bodies}")
+            of_worlds = "" if self.num_worlds == 1 else f", {self.num_bodies} in each of {self.num_worlds} worlds"
+            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {count}{of_worlds}")
         return points
 
     @property
@@ -275,6 +288,8 @@ class RigidMotion(ReadOnly):
 
     def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
         """The paths of the bodies of some worlds, one world's after another's."""
+        if np.array_equal(worlds, np.arange(self.num_worlds)):
+            return self._body_paths
         return self._body_paths.rows((worlds[:, None] * self.num_bodies + np.arange(self.num_bodies)).ravel())
 
     def _at(self, times: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,26 +6,28 @@ once. A further world costs its rows of the motion, and what is found in it.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, fields, replace
+from dataclasses import MISSING, fields
 from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import ContactPlace
+from ccd_warp._contact_place import ContactPlace, MovingVertices
 from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.near_worlds import NearWorlds
 from ccd_warp._engine.host.part_mesh import PartMesh, rows_within
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.world_results import result_of, sizes_of
-from ccd_warp._engine.mesh.scene import possible_kinds
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._joint_motion import JointMotion
-from ccd_warp._mesh_paths import MeshPaths, check_rest, check_rows
+from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Counts, MeshResult
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind, primitives_of
+from ccd_warp._touch import Touch
+from ccd_warp.kernels.pair.norm import is_ball
 
 _T = TypeVar("_T")
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
@@ -61,11 +63,9 @@ class MotionWorlds:
         """
         self._pipeline, self._motion, self.num_worlds = pipeline, motion, motion.num_worlds
         mesh = self._mesh = pipeline.mesh
-        bodies = np.flatnonzero(mesh.rigid)
         given = motion._paths_at_start
-        check_rows(mesh, bodies, len(given) // self.num_worlds)
-        check_rest(mesh, bodies, given)
-        MeshPaths.of(mesh, given.rows(np.arange(len(bodies)))).check_own_frames(mesh, start, end)
+        check_motion(mesh, given, self.num_worlds)
+        check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
         most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)
         self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
@@ -91,9 +91,9 @@ class MotionWorlds:
             is_searched = np.arange(count) < len(worlds)
             of_batch = self._motion._of_worlds(np.append(worlds, np.repeat(worlds[-1:], count - len(worlds))))
             if not isinstance(of_batch, JointMotion):
-                paths = MeshPaths.of(copies, of_batch)
                 # as many slices for all worlds, so that batches change no bit
-                of_batch = replace(paths, active=is_searched[copy_of_body], turn=self._turn)
+                slices: dict[str, Any] = {"active": is_searched[copy_of_body], "turn": self._turn}
+                of_batch = MeshPaths.of_checked(copies, of_batch, **slices)
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
                 found = call(pipeline, start, end, of_batch, is_searched)
@@ -158,17 +158,26 @@ class MotionWorlds:
             world_toi[worlds] = result.world_toi[: len(worlds)]
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
-        return result_of(self._mesh, world_toi, contacts, self.counts(), self.timings, hidden)
+        frames = touch = None
+        if not isinstance(self._motion, JointMotion):
+            mesh, options = self._mesh, self._pipeline._options
+            frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
+            scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
+            touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
+        return result_of(self._mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
         parts = self._near
         if parts is None:
-            for worlds, result in self._each(type(self._pipeline)._contacts):
+            call = type(self._pipeline)._contacts
+            if not isinstance(self._motion, JointMotion):
+                call = partial(call, is_ordered=False)
+            for worlds, result in self._each(call):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
-        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts())):
+        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts(is_ordered=False))):
             yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
 
     @property
@@ -212,18 +221,23 @@ class MotionWorlds:
         return self._pipeline._near_search(*self._given, self._motion)
 
     def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp]) -> Contacts:
-        """The contacts of a batch as those of the mesh of one world, world after world."""
+        """The contacts of a batch as those of the mesh of one world."""
         mesh = self._mesh
-        contacts = contacts[np.argsort(contacts.world, kind="stable")]
+        placed: dict[str, Any] = {}
+        if isinstance(self._motion, JointMotion):
+            placed = {"points": contacts.points, "relative_velocity": contacts.relative_velocity}
         is_shared = mesh.planes.vertices < 0
         planes = np.append(np.tile(np.flatnonzero(~is_shared), self._num_copies), np.flatnonzero(is_shared))
         sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
-        primitives = contacts.primitives.copy()
+        primitives, copy = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.int32)
         for kind in PairKind:
             rows = np.flatnonzero(contacts.kind == int(kind))
-            for column, name in enumerate(primitives_of(kind)):
+            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
                 of_copies = primitives[rows, column]
-                primitives[rows, column] = planes[of_copies] if name == "plane" else of_copies % sizes[name]
-        place = ContactPlace(mesh, points=contacts.points, relative_velocity=contacts.relative_velocity)
-        place.world = worlds[contacts.world].astype(np.int32)
+                if name == "plane":  # the other is a vertex
+                    primitives[rows, column] = planes[of_copies]
+                else:
+                    copy[rows] = of_copies // sizes[name]
+                    primitives[rows, column] -= copy[rows] * sizes[name]
+        place = ContactPlace(mesh, world=worlds[copy].astype(np.int32), **placed)
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)

@@ -7,6 +7,7 @@ from typing import Any, Literal, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._display import counted
 from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
 from ccd_warp._input.arguments import Per, check_instance
@@ -19,6 +20,7 @@ from ccd_warp._input.option_types import (
     ProximityOptions,
 )
 from ccd_warp._input.options import options_of
+from ccd_warp._input.poses import shown_bodies
 from ccd_warp._intersections import Intersections
 from ccd_warp._joint_motion import Motion
 from ccd_warp._mesh import CollisionMesh
@@ -318,6 +320,14 @@ def rigid_ccd(
     motion = RigidMotion(poses_t0, poses_t1, path=path, pivot=pivot, twist=twist)
     check_instance("mesh", mesh, CollisionMesh)
     bodies = mesh._all_rigid
+    count, worlds = int(bodies.rigid.sum()), motion.num_worlds if mesh.num_worlds > 1 else 1
+    if motion.num_bodies * worlds != count:
+        is_of_worlds = motion.turns.ndim == 1 and mesh.num_worlds == 1 and motion.num_bodies % count == 0
+        further = "; those of several worlds have an axis of worlds in front" if is_of_worlds else ""
+        raise ValueError(
+            f"poses_t0 is of {shown_bodies(motion.turns.shape)}; expected {counted(count, 'body', 'bodies')}, those of "
+            f"the mesh but half-spaces, static ones included{further}"
+        )
     with CollisionPipeline.borrowed(bodies, chosen) as pipeline:
         return pipeline.mesh_ccd(bodies.vertices, bodies.vertices, motion=motion)
 

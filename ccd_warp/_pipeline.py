@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
+from ccd_warp._display import listed
 from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
@@ -41,7 +42,7 @@ from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
 from ccd_warp._joint_motion import JointMotion, Motion
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths, check_rows
+from ccd_warp._mesh_paths import MeshPaths, check_own_frames, check_rows
 from ccd_warp._motion import RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
@@ -201,7 +202,7 @@ class CollisionPipeline:
         def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             start, end = self.mesh.frames(vertices_t0, vertices_t1)
             if paths is not None:
-                paths.check_own_frames(self.mesh, start, end)
+                check_own_frames(self.mesh, start, end)
             return start, end
 
         return self._run(Step, frames, work, options, paths=paths)
@@ -210,9 +211,13 @@ class CollisionPipeline:
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
     ) -> tuple[ArrayLike, ArrayLike, RigidMotion | JointMotion | None]:
         """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
+        mesh = self.mesh
+        if isinstance(motion, JointMotion) and mesh.dimension == 2:
+            raise ValueError(f"motion is {shown(motion)} and the mesh is in the plane; expected a RigidMotion about z")
+        if motion is None:
+            self._warn_of_straight_motion()
         if not isinstance(motion, AffineMotion):
             return vertices_t0, vertices_t1, motion
-        mesh = self.mesh
         bodies = np.flatnonzero(mesh.rigid)
         check_rows(mesh, bodies, len(motion._affine_t0))
         start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
@@ -220,6 +225,21 @@ class CollisionPipeline:
         first = np.searchsorted(mesh.vertex_body[rows], bodies)
         start[rows], end[rows] = motion._ends(start[rows], first)
         return start, end, None
+
+    def _warn_of_straight_motion(self) -> None:
+        """Say once, in a call without a motion, that rigid bodies then move as others do."""
+        mesh = self.mesh
+
+        def described() -> str:
+            names = [body_label(body, mesh.names) for body in mesh._moving_rigid.tolist()]
+            return (
+                f"motion is None, and {listed(names)} {'is' if len(names) == 1 else 'are'} rigid: vertices move on "
+                f"straight lines, not on arcs; pass a RigidMotion as motion, and vertices in the frames of their "
+                f"bodies, or leave out rigid= where the mesh is built"
+            )
+
+        if len(mesh._moving_rigid) and self._workspace is not None:
+            self._workspace.warn_once("no motion", described)
 
     def _paths_of(self, motion: RigidMotion | JointMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
@@ -524,7 +544,7 @@ class CollisionPipeline:
         if step is None:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
-            layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
+            layout = mesh._in_space(paths.at(mesh, mesh.vertices, mesh.vertices, 0.0))
             of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
             step = DeviceArcStep(*of_step, self._line.progress)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
@@ -561,7 +581,9 @@ class CollisionPipeline:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
             vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
-            if motion is not None:
+            if motion is None:
+                self._warn_of_straight_motion()
+            else:
                 return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
             if self._device_step is None:
                 if self._topology.device.is_capturing:
@@ -751,11 +773,13 @@ class CollisionPipeline:
         vertices_t1: ArrayLike,
         motion: RigidMotion | JointMotion | MeshPaths | None,
         is_searched: NDArray[np.bool_] | None = None,
+        *,
+        is_ordered: bool = True,
     ) -> MeshResult:
         """The contacts of a step, of a mechanism in the worlds that are searched alone."""
         if isinstance(motion, JointMotion):
             return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
-        return self._on_step(vertices_t0, vertices_t1, Step.contacts, motion)
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.contacts(is_ordered=is_ordered), motion)
 
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
@@ -799,7 +823,8 @@ class CollisionPipeline:
         """Positions at both ends where joints move links, checked."""
         check_options_on_arcs(self._options)
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
-        self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
+        self._joints_at(motion, 0.0)  # that there are as many worlds and links as in the mesh
+        check_own_frames(self.mesh, start, end)
         return start, end
 
     def _joint_search(
@@ -1089,7 +1114,7 @@ class CollisionPipeline:
 
         start, end = self.mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths_of(motion)
-        paths.check_own_frames(self.mesh, start, end)
+        check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 
         def step_to(_: Any, end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:

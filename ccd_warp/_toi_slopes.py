@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import MovingVertices
 from ccd_warp._contacts import Contacts
+from ccd_warp._mesh_paths import in_space
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import default_num_threads
@@ -42,10 +43,10 @@ def of_contacts(
     normals = np.zeros((len(contacts), 3))
     normals[:, : mesh.dimension] = contacts.normal
     columns = contacts.toi, contacts.status, distances, normals if len(planes) else None
-    t = contacts.toi
+    t, world = contacts.toi, frames.worlds_of(contacts)
     for _ in range(1 if frames.paths is None else _MOST_TANGENTS):
         ends: Any = [np.zeros((len(contacts), 4, 3)) for _ in range(2)]
-        for end, positions in zip(ends, _straight_ends(frames, vertices.ravel(), t), strict=True):
+        for end, positions in zip(ends, _straight_ends(frames, vertices.ravel(), t, world), strict=True):
             end[..., : mesh.dimension] = positions[:, : mesh.dimension].reshape(*vertices.shape, -1)
             end[rests, 3, : mesh.dimension] = resting
         slopes = _slopes(query, contacts.kind, ends, *columns)
@@ -63,14 +64,15 @@ def of_contacts(
 
 
 def _straight_ends(
-    frames: MovingVertices, vertices: NDArray[np.integer], toi: NDArray[np.float64]
+    frames: MovingVertices, vertices: NDArray[np.integer], toi: NDArray[np.float64], world: NDArray[np.int32] | None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Positions of vertices at both ends of the step, on the tangents of their arcs at toi where bodies turn."""
     if frames.paths is None:
         return frames._ends_of(vertices)
-    t = np.repeat(toi, len(vertices) // len(toi))[:, None]
-    velocities = frames.velocities(vertices, t)
-    start = frames.at(vertices, t) - t * velocities
+    each = len(vertices) // len(toi)
+    t, of_vertices = np.repeat(toi, each)[:, None], None if world is None else np.repeat(world, each)
+    velocities = frames.velocities(vertices, t, of_vertices)
+    start = frames.at(vertices, t, of_vertices) - t * velocities
     return start, start + velocities
 
 
@@ -90,8 +92,12 @@ def _turning(
     body = mesh.vertex_body[vertices]
     rows = row_of_body[body[:, [0, 3]]]
     rows[contacts.kind == int(PairKind.VERTEX_PLANE), 1] = -1
+    num_rows, world = int(mesh.rigid.sum()), frames.worlds_of(contacts)
+    if world is not None:
+        rows = np.where(rows < 0, rows, world[:, None].astype(np.intp) * num_rows + rows)
+        num_rows = len(frames.paths or ())
     points = frames._ends_of(vertices.ravel())[0].reshape(*vertices.shape, -1)
-    return TurningPoints(int(mesh.rigid.sum()), rows, points, side, gradient, time)
+    return TurningPoints(num_rows, rows, in_space(points), side, in_space(gradient), time)
 
 
 def of_pairs(

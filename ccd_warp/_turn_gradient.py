@@ -30,7 +30,7 @@ class TurningPoints:
     """The points of contacts that are on rigid bodies: a body at most on each side of a contact.
 
     Attributes:
-        num_bodies: How many bodies the motion has.
+        num_bodies: How many bodies the motion has, in all worlds.
         rows: The row of the motion of the body on each side, int, shape [n, 2]; -1 where it is not rigid.
         points: Points in the frames of the bodies, shape [n, 4, 3].
         side: The side of each of the four points, shape [n, 4].

@@ -12,7 +12,7 @@ from ccd_warp._engine.host.arc_course import ArcCourse
 from ccd_warp._engine.host.line_search import OneProcess
 from ccd_warp._input.arguments import shown
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths
+from ccd_warp._mesh_paths import MeshPaths, in_space
 from ccd_warp._motion import RigidMotion
 from ccd_warp._rotations import norms
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -90,6 +90,7 @@ class LocalPaths:
         """
         rows = self._rigid
         bodies, x = self._mesh.bodies[rows], self.given[0][rows]
+        x = in_space(x)
         turning = norms(self.paths.velocities(bodies, x, x, 0.0) - self.paths.velocity[bodies])
         angle = norms(self.paths.omega[bodies])
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -58,6 +58,9 @@ def test_dice_touch_as_they_do_when_all_of_them_are_searched(options, ground, pa
     for name in ("vertex_toi", "body_toi", "world_toi", "vertex_contact", "body_contact", "world_contact"):
         np.testing.assert_array_equal(getattr(whole, name), getattr(of_parts, name))
     assert of_parts.vertex_toi.shape == (mesh.num_vertices,) and "40 bodies" not in repr(of_parts)
+    of_twists = [motion.gradient_by_twist(each.contacts.toi_gradient())[1] for each in found]
+    np.testing.assert_array_equal(*of_twists)
+    assert of_twists[0].any()
 
 
 @pytest.mark.parametrize("spacing", [0.9, 1.5])

@@ -1,5 +1,7 @@
 """Calls with bodies that turn: what they say of scenes whose answers are known."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -28,6 +30,37 @@ def blade_and_points(places, **options):
 
 def at_angle(angle, radius=1.5):
     return [radius * np.cos(angle), radius * np.sin(angle), 0.05]
+
+
+@pytest.mark.parametrize("call", ["mesh_ccd", "find_candidates", "line_search", "launch", "launch_line_search"])
+def test_rigid_bodies_without_a_motion_are_said_to_move_straight_once(call):
+    mesh, _ = blade_and_points([at_angle(1.0), at_angle(2.0)], static=[1], rigid=[0, 1])
+    x, pipeline = mesh.vertices, ccd.CollisionPipeline(mesh, device="cpu")
+    with pytest.warns(RuntimeWarning, match="motion is None, and body 0 is rigid: vertices move on straight lines"):
+        getattr(pipeline, call)(x, x.copy())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        getattr(pipeline, call)(x, x.copy())
+        pipeline.is_step_collision_free(x, x)
+        still, _ = blade_and_points([at_angle(1.0)], static=[0], rigid=[0])
+        getattr(ccd.CollisionPipeline(still, device="cpu"), call)(still.vertices, still.vertices.copy())
+        ccd.rigid_ccd(mesh, [AT_REST] * 3, [AT_REST] * 3, device="cpu")
+
+
+@pytest.mark.parametrize(
+    ("poses", "found"),
+    [
+        ([AT_REST], "1 body; expected 3 bodies, those of the mesh but half-spaces, static ones included$"),
+        ([[AT_REST] * 2] * 4, "2 bodies in each of 4 worlds; expected 3 bodies, .* included$"),
+        ([AT_REST] * 6, "6 bodies; expected 3 bodies, .* included; those of several worlds have an axis of worlds in"),
+    ],
+)
+def test_as_many_poses_as_there_are_bodies_no_others(poses, found):
+    mesh, _ = blade_and_points([at_angle(1.0), at_angle(2.0)], static=[1])
+    with pytest.raises(ValueError, match=f"poses_t0 is of {found}"):
+        ccd.rigid_ccd(mesh, poses, poses, device="cpu")
+    with pytest.raises(ValueError, match="poses_t0 is of 3 bodies; expected 6 bodies"):
+        ccd.rigid_ccd(mesh.replicate(2), [AT_REST] * 3, [AT_REST] * 3, device="cpu")
 
 
 @pytest.mark.parametrize("turn", [0.01, 0.5, 2.0, 3.0])
@@ -139,6 +172,77 @@ def test_nut_on_a_screw_meets_what_its_helix_does():
     result = ccd.rigid_ccd(mesh, [[0, 0, -0.01, 0, 0, 0, 1], AT_REST], twist=twist, path="screw", device="cpu")
     assert result.toi == pytest.approx(0.125, abs=1e-12)
     assert result.contacts.points == pytest.approx(np.array([[1.5, 0.0, 0.09]]), abs=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, 1.5, 7.0])
+def test_square_in_the_plane_that_falls_and_tumbles_lands_on_a_corner(turn):
+    """By every call, on half of the plane and on the point of a wedge under its middle."""
+    square = (np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) / 2, [[0, 1], [1, 2], [2, 3], [3, 0]])
+    t = np.linspace(0, 1, 1_000_001)
+    height, twist = 1.2 - t, [[0, -1.0, 0, 0, 0, turn]]
+    reach = (
+        0.5 * (abs(np.cos(turn * t)) + abs(np.sin(turn * t))),
+        0.5 / np.maximum(*np.abs([np.cos(turn * t), np.sin(turn * t)])),
+    )
+    drop = [[0, 1.2, 0, 0, 0, 0, 1]]
+    wedge = (np.array([[-9.0, -9], [0, 0], [9, -9]]), [[0, 1], [1, 2]])
+    for ground, below in zip((ccd.HalfSpace([0, 0], [0, 1]), wedge), reach, strict=True):
+        mesh = ccd.CollisionMesh.from_arrays([square, ground], static=[1], rigid=[0])
+        motion, x = ccd.RigidMotion(drop, twist=twist), mesh.vertices
+        lands = t[np.argmax(height <= below)]
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+        result = pipeline.mesh_ccd(x, x, motion=motion)
+        assert result.toi == pytest.approx(lands, abs=2e-6)
+        assert result.contacts.normal[0] == pytest.approx([0, 1], abs=1e-6) or below is reach[1]
+        assert result.contacts.points.shape[1] == result.contacts.relative_velocity.shape[1] == 2
+        launched = pipeline.launch(x, x.copy(), motion=motion).to_host()
+        assert launched.toi == result.toi == pipeline.collision_free_step(x, x, motion=motion)
+        assert np.array_equal(launched.contacts.points, result.contacts.points)
+        found = pipeline.line_search(x, x, motion=motion)
+        assert 0.89 * lands < found.fraction < lands and pipeline.mesh_ccd(x, x, motion=found.motion).toi == np.inf
+        on_device = pipeline.launch_line_search(x, x.copy(), motion=motion).motion
+        assert on_device.poses_t1 == pytest.approx(found.motion.poses_t1, abs=1e-12)
+        worlds = ccd.RigidMotion([drop, drop], twist=[twist, np.zeros((1, 6))])
+        assert pipeline.mesh_ccd(x, x, motion=worlds).world_toi.tolist() == [result.toi, np.inf]
+        assert pipeline.mesh_ccd(x, x, motion=motion, check_start=True).start.num_crossing == 0
+
+
+@pytest.mark.parametrize(
+    ("poses", "twist", "message"),
+    [
+        ([0, 0, 1, 0, 0, 0, 1], [0] * 6, "takes body 1 out of the plane of the mesh: z of its place at the start is 1"),
+        ([0, 0, 0, 1, 0, 0, 0], [0] * 6, "x and y of its quaternion at the start are 1.0 and 0.0"),
+        ([0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0.5, 0], "x and y of its rotation vector are 0.0 and 0.5"),
+        ([0, 0, 0, 0, 0, 0, 1], [0, 0, -2, 0, 0, 3], r"z of its displacement is -2.0; expected 0, .* \(x, y, 0\)"),
+    ],
+)
+def test_body_that_leaves_the_plane_of_its_mesh_is_refused(poses, twist, message):
+    bar = (np.array([[0.0, 0], [1, 0]]), [[0, 1]])
+    mesh = ccd.CollisionMesh.from_arrays([bar, bar], rigid=[0, 1])
+    at_rest = [AT_REST, [0, 3, 0, 0, 0, 0, 1]]
+    with pytest.raises(ValueError, match=message):
+        ccd.rigid_ccd(mesh, [AT_REST, poses], twist=[[0] * 6, twist], device="cpu")
+    worlds = [at_rest, [AT_REST, poses]], [np.zeros((2, 6)), [[0] * 6, twist]]
+    with pytest.raises(ValueError, match="body 1 in world 1 out of the plane"):
+        ccd.rigid_ccd(mesh, worlds[0], twist=worlds[1], device="cpu")
+    arm = ccd.JointMotion([ccd.Joint("j", "base", "arm", "revolute", axis=[0, 0, 1])], [0], [1])
+    with pytest.raises(ValueError, match="the mesh is in the plane; expected a RigidMotion about z"):
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=arm, device="cpu")
+
+
+def test_bar_in_the_plane_that_stretches_and_turns_by_a_map():
+    bar, point = (np.array([[0.0, 0], [1, 0]]), [[0, 1]]), (np.array([[0.0, 0]]), NO_FACES[:, :2])
+    mesh = ccd.CollisionMesh.from_arrays([bar, point], rigid=[0, 1])
+    start = np.array([np.eye(3, 4), [[1, 0, 0, 0.5], [0, 1, 0, 0.5], [0, 0, 1, 0]]])
+    end = start.copy()
+    end[0, :2, :2] = [[0, -4], [4, 0]]  # its end goes from (1, 0) to (0, 4), and the bar over (0.5, 0.5)
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=ccd.AffineMotion(start, end), device="cpu").toi
+    assert toi == pytest.approx(0.2, abs=1e-12)  # (1 - t) = 4 t
+    end[0, 2, 0] = 1
+    with pytest.raises(
+        ValueError, match=r"affine_t1 takes body 0 out of the plane .* third row is \[1.0, 0.0, 1.0, 0.0\]"
+    ):
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=ccd.AffineMotion(start, end), device="cpu")
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 1.5, 7.0])

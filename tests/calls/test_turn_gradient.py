@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
-from ccd_warp import _turn_gradient
+from ccd_warp import _motion_worlds, _turn_gradient
 from ccd_warp._rotations import arcs
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -129,6 +129,81 @@ def test_jacobians_of_rotations_are_inverse_and_those_of_differences(angle):
     np.testing.assert_allclose(moved, 0.5 * np.tensordot(weights, turned, 1), rtol=1e-12, atol=1e-13)
 
 
+def test_gradients_in_the_plane_agree_with_differences():
+    """A bar that turns onto a point of another one, which turns, too, and onto one that moves straight."""
+    bar = (np.array([[-1.0, 0], [1, 0]]), [[0, 1]])
+    mesh = ccd.CollisionMesh.from_arrays([bar, bar, (bar[0] * 0.1, bar[1])], rigid=[0, 1])
+    x, rng = mesh.vertices, np.random.default_rng(0)
+    start, end = x.copy(), x.copy()
+    start[4:] += [0.5, 0.9]
+    end[4:] += [0.4, 0.7]
+    poses = np.array([[0.0, 0, 0, 0, 0, 0, 1], [-1.4, -0.5, 0, 0, 0, np.sin(0.11), np.cos(0.11)]])
+    twist = np.array([[0.0, 0.2, 0, 0, 0, 1.5], [0.1, 0, 0, 0, 0, -0.4]])
+
+    def found(s, moves):
+        motion = ccd.RigidMotion(poses + s * moves[0], twist=twist + s * moves[1], pivot=[0.1, 0.2, 0])
+        options = {"tolerance": 1e-13, "device": "cpu"}
+        return motion, ccd.mesh_ccd(mesh, start, end + s * moves[2], motion=motion, **options).contacts
+
+    moves = [1e-7 * rng.standard_normal(values.shape) for values in (poses, twist, end)]
+    for values in moves[:2]:
+        values[:, 2:5] = 0.0
+    moves[2][:4] = 0.0
+    motion, contacts = found(0, moves)
+    gradient = contacts.toi_gradient()
+    assert len(contacts) > 2 and gradient.is_regular.all() and gradient.end.shape[2] == 2
+    predicted = (gradient.end * moves[2][gradient.vertices]).sum(axis=(1, 2))
+    for values, move in zip(motion.gradient_by_twist(gradient), moves, strict=False):
+        of_bodies = np.vstack([move, np.zeros_like(move[:1])])
+        predicted += (values * of_bodies[contacts.bodies]).sum(axis=(1, 2))
+    late, early = (found(s, moves)[1] for s in (1, -1))
+    np.testing.assert_allclose(predicted, 0.5 * (late.toi - early.toi), rtol=1e-5)
+
+
+@pytest.mark.parametrize("large", [10**9, 0], ids=["in batches", "by parts"])
+def test_worlds_of_one_mesh_have_the_gradients_of_each_alone(large, monkeypatch):
+    """Also where positions of the call, which belong to the caller, are overwritten before anything is asked for."""
+    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
+    monkeypatch.setattr(_motion_worlds, "_PRIMITIVES", 150)  # two worlds at a time
+    options = {"minimum_distance": 0.05}
+    thrown = [Thrown(seed, **options) for seed in (0, 1, 6)]
+    scene = thrown[0]
+    mesh, is_still = scene.pipeline.mesh, large == 0  # what deforms is in no part
+    if is_still:
+        mesh = ccd.CollisionMesh.from_arrays(
+            [(mesh.vertices[4 * b : 4 * b + 4], FACES) for b in range(4)], rigid=[0, 1, 2], static=[3]
+        )
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", tolerance=1e-13, **options)
+    poses = np.stack([each.poses for each in thrown], axis=1)
+    motion = ccd.RigidMotion(*poses, pivot=scene.pivot)
+    start = scene.start.copy()
+    end = start.copy() if is_still else scene.end.copy()
+    given = start.copy(), end.copy()
+    contacts = pipeline.mesh_ccd(start, end, motion=motion).contacts
+    start[:], end[:] = np.nan, np.nan
+    gradient = contacts.toi_gradient()
+    of_worlds = [*motion.gradient_by_poses(gradient), *motion.gradient_by_twist(gradient)]
+    for world in range(3):
+        own = contacts.world == world
+        alone = ccd.RigidMotion(*poses[:, world], pivot=scene.pivot)
+        expected = pipeline.mesh_ccd(*given, motion=alone).contacts
+        of_one = expected.toi_gradient()
+        assert own.any() and np.array_equal(contacts.primitives[own], expected.primitives)
+        for found, values in (
+            (gradient.start, of_one.start),
+            (gradient.end, of_one.end),
+            (gradient.distance, of_one.distance),
+            *zip(of_worlds, [*alone.gradient_by_poses(of_one), *alone.gradient_by_twist(of_one)], strict=True),
+        ):
+            np.testing.assert_allclose(found[own], values, rtol=1e-9, atol=1e-12)
+    copies = mesh.replicate(3)
+    of_copies = ccd.mesh_ccd(copies, *(np.tile(x, (3, 1)) for x in given), motion=motion, device="cpu", **options)
+    of_copies = motion.gradient_by_twist(of_copies.contacts.toi_gradient())[1]
+    np.testing.assert_allclose(np.sort(of_copies, axis=0), np.sort(of_worlds[3], axis=0), rtol=1e-6, atol=1e-9)
+    one = contacts[np.flatnonzero(contacts.world == 1)[:1]]
+    assert np.array_equal(motion.gradient_by_twist(one.toi_gradient())[1][0], of_worlds[3][contacts.world == 1][0])
+
+
 def test_a_launch_with_a_motion_has_the_gradients_of_the_call():
     thrown = Thrown(6)
     motion, contacts = thrown.contacts(*thrown.poses)
@@ -143,8 +218,10 @@ def test_a_motion_that_has_no_such_gradients_says_so():
     motion, contacts = thrown.contacts(*thrown.poses)
     gradient = contacts.toi_gradient()
     screw = ccd.RigidMotion(*thrown.poses, path="screw")
-    with pytest.raises(ValueError, match="of one world and path='linear'"):
+    with pytest.raises(ValueError, match="by poses with path='linear' alone"):
         screw.gradient_by_poses(gradient)
+    with pytest.raises(ValueError, match="a motion of 3 bodies; expected one of 6, 3 in each of 2 worlds"):
+        ccd.RigidMotion(*np.stack([thrown.poses, thrown.poses], axis=1)).gradient_by_poses(gradient)
     with pytest.raises(ValueError, match="a motion of 3 bodies; expected one of 2"):
         ccd.RigidMotion(*(p[:2] for p in thrown.poses)).gradient_by_twist(gradient)
     points = np.random.default_rng(0).standard_normal((2, 3, 4, 3))

@@ -465,6 +465,11 @@ def in_the_plane():
         end = mesh.vertices + 0.3 * rng.standard_normal(mesh.vertices.shape) * (mesh.vertex_body != 3)[:, None]
         calls = [*ALL_CALLS, "line_search vertex", "displacement_bounds", "find_proximity", "find_intersections"]
         check((mesh, mesh.vertices, end), interleaved, calls[:: 1 if radius is None else 2])
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], rigid=[0, 2])
+    twist = [[0.1, -0.2, 0, 0, 0, 1.1], [0.2, 0, 0, 0, 0, -0.5]]
+    motion = ccd.RigidMotion([[0, 0.1, 0, 0, 0, 0, 1], [0.1, 0, 0, 0, 0, 0.2, 0.9]], twist=twist)
+    calls = [*ALL_CALLS, "line_search vertex"]
+    check((mesh, mesh.vertices, mesh.vertices), interleaved, calls, motion=motion)
     lattice = np.round(4 * end) / 4  # edges that cross, vertices on edges, points in one place and in the half-plane
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[3], codimensional_points=True)
     check((mesh, lattice, lattice), interleaved, ["find_intersections"])

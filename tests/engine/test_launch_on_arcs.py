@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import scenes
 import trimesh
+from expected_warnings import OF_STRAIGHT_MOTION
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
@@ -175,6 +176,7 @@ def test_motions_that_launches_do_not_take_are_refused_with_what_takes_them():
                 launch(mesh.vertices, mesh.vertices.copy(), motion=motion)
 
 
+@OF_STRAIGHT_MOTION
 @pytest.mark.parametrize("moves", ["straight", "on arcs"])
 @pytest.mark.parametrize("other", ["box", "ground"])
 def test_launch_after_a_line_search_says_what_starts_within_its_distance(moves, other):
@@ -249,6 +251,7 @@ def test_twice_the_pairs_of_any_slice_is_enough(name):
     assert getattr(pipeline, name)(mesh.vertices, mesh.vertices.copy(), motion=motion).to_host().flags == 0
 
 
+@OF_STRAIGHT_MOTION
 def test_walls_that_one_kind_of_launch_has_placed_are_not_forgotten_by_the_other():
     """A launch with a motion and one without know each where static bodies stand; rows of moving ones do not say it."""
     box = trimesh.creation.box((1, 1, 1))

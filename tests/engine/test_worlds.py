@@ -196,6 +196,25 @@ def test_boxes_of_static_bodies_stay_right_while_all_else_moves_away(broad_phase
             assert np.array_equal(result.vertex_toi, expected.vertex_toi)
 
 
+def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
+    """A point passes a wall in each of 20 worlds; later one wall stands far away, and one moves, which is refused."""
+    face = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
+    bodies = [(np.array([[0.0, 0, 1]]), np.zeros((0, 3), dtype=int)), (face, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], codimensional_points=True).replicate(20)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    start = mesh.vertices.copy()
+    down = np.where(mesh.static[mesh.vertex_body][:, None], 0.0, [0, 0, -2])
+    for elsewhere in ([], [13], [4], []):
+        x = start.copy().reshape(20, 4, 3)
+        x[elsewhere, 1:, 0] += 9.0
+        found = pipeline.mesh_ccd(x, x + down.reshape(20, 4, 3)).world_toi
+        assert np.array_equal(np.flatnonzero(np.isinf(found)), elsewhere) and found.min() == pytest.approx(0.5)
+    end = start + down
+    end[4 * 17 + 2] += 0.1
+    with pytest.raises(ValueError, match=r"vertex 1 of body 35 .* \(row 70\)"):
+        pipeline.mesh_ccd(start, end)
+
+
 def test_the_earliest_contact_of_each_world():
     scene = worlds(NUM_SAMPLES)
     result = ccd.mesh_ccd(scene.mesh, scene.start, scene.end, device="cpu")

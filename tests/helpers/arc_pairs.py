@@ -142,6 +142,7 @@ def random_pairs(
     other: str = "turning",
     by_twist: bool = False,
     distance: float | None = None,
+    in_plane: bool = False,
 ) -> ArcPairs:
     """Random pairs of which a good half touches, with turns from 1e-3 to π, by a twist to 2π.
 
@@ -150,17 +151,22 @@ def random_pairs(
         other: "turning", "at rest" or "deformable", the second body.
         by_twist: Whether the motion is given by a twist and not by an end pose.
         distance: That counts as contact; 0 by default, and 0.1 for kinds that would never meet.
+        in_plane: Whether all is in the plane z = 0, and turns about z.
     """
+    kept = np.array([1.0, 1.0, 0.0 if in_plane else 1.0])
     rng = np.random.default_rng([KINDS.index(kind), seed])
     if distance is None:
         distance = 0.1 if kind.startswith("point") else 0.0
     points = [rng.standard_normal((n, count, 3)) * 10 ** rng.uniform(-1.0, 0.5, (n, 1, 1)) for count in COUNTS[kind]]
+    points = [x * kept for x in points]
     largest = 2 * np.pi if by_twist else np.pi - 1e-3
     turn = np.where(rng.random((n, 2)) < 0.5, rng.uniform(1e-3, largest, (n, 2)), 10 ** rng.uniform(-3, 0, (n, 2)))
-    omega = directions(rng, n, 2) * turn[:, :, None]
-    displacement = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1))
-    orientation = unit(rng.standard_normal((n, 2, 4)))
+    axes = directions(rng, n, 2)
+    omega = (np.sign(axes[..., 2:]) * [0.0, 0, 1] if in_plane else axes) * turn[:, :, None]
+    displacement = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1)) * kept
+    orientation = unit(rng.standard_normal((n, 2, 4)) * [*(2 * [kept[2]]), 1.0, 1.0])
     pivot = np.zeros((n, 2, 3)) if path == "screw" else rng.standard_normal((n, 2, 3)) * rng.integers(0, 2, (n, 1, 1))
+    pivot *= kept
     if other == "at rest":
         omega[:, 1], displacement[:, 1] = 0.0, 0.0
     pairs = moving_bodies(
@@ -170,11 +176,17 @@ def random_pairs(
         pairs.poses_t1[:, 1] = pairs.poses_t0[:, 1]
     if other == "deformable":
         moves = rng.standard_normal((n, 1, 3)) + 0.3 * rng.standard_normal(pairs.points_b.shape)
-        pairs = replace(pairs, points_b_t1=pairs.points_b + moves)
+        pairs = replace(pairs, points_b_t1=pairs.points_b + moves * kept)
     at_a, at_b = (weights(kind, side, rng, n) for side in (0, 1))
     away = np.where(rng.random((n, 1)) < 0.6, 0.0, rng.uniform(0.1, 3.0, (n, 1)))
-    gap = directions(rng, n) * (away + distance * rng.uniform(0, 1.3, (n, 1)))
+    gap = directions(rng, n) * (away + distance * rng.uniform(0, 1.3, (n, 1))) * kept
     return meeting(pairs, rng.uniform(0.0, 1.0, n), at_a, at_b, gap)
+
+
+def prisms(pairs: ArcPairs) -> ArcPairs:
+    """Pairs of points and segments in the plane z = 0, the points as edges across it: they meet at the same times."""
+    across = np.array([[0.0, 0, -1], [0, 0, 1]])
+    return replace(pairs, kind="edge-edge", points_a=pairs.points_a + across)
 
 
 def random_sets(each: int) -> dict[str, ArcPairs]:

@@ -380,6 +380,16 @@ BAD = [
         "velocity of the motion holds .* for body 1; expected",
     ),
     (
+        (TWO,),
+        {"twist": _with(np.zeros((2, 6)), (1, 5), -1e6)},
+        "twist turns body 1 by 1e.06 rad; expected less than 1e.06",
+    ),
+    (
+        (WORLDS,),
+        {"twist": _with(np.zeros((3, 2, 6)), (2, 1, slice(3, 6)), 1.7e308)},
+        "turns body 1 of world 2 by inf rad",
+    ),
+    (
         (_with(TWO, (0, 0), 1.7e308),),
         {"twist": _with(np.zeros((2, 6)), (0, 0), 1.7e308)},
         "the end of twist holds inf for",
@@ -391,6 +401,18 @@ BAD = [
 def test_what_is_no_motion_is_refused_by_its_name(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         ccd.RigidMotion(*arguments, **options)
+
+
+def test_a_motion_may_turn_by_as_much_as_sine_and_cosine_are_proved_for():
+    most = np.nextafter(1e6, 0)
+    assert ccd.RigidMotion([IDENTITY], twist=[[0, 0, 0, 0, -most, 0]]).turns == most
+    message = "twist turns body 0 by 1e.06 rad; expected less than 1e.06 rad in a step: divide it"
+    for make in (ccd.RigidMotion, ccd.RigidMotion.from_scalar_first):
+        with pytest.raises(ValueError, match=message):
+            make([[0, 0, 0, 1, 0, 0, 0]], twist=[[0, 0, 0, 8e5, 6e5, 0]])
+    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])
+    with pytest.raises(ValueError, match=message):
+        ccd.rigid_ccd(mesh, [IDENTITY], twist=[[0, 0, 0, 0, 0, 1e6]], device="cpu")
 
 
 def test_scalar_first_takes_no_matrices_and_says_its_order():

@@ -24,12 +24,14 @@ from ccd_warp._engine.mesh.topology import (
     typical_static_extent,
     uneven_samples,
 )
+from ccd_warp._mesh import blocks_of
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.boxes import box_tree as kernels
 
 # A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
+_FEW_OF_A_WORLD = 2 * WIDTH  # primitives
 _NO_END = 1.0
 
 
@@ -75,6 +77,7 @@ class StepBoxes:
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
         self._static_extent = np.float32(0.0)
+        self._static_rows = blocks_of(topology.mesh.static_vertex_ranges)
 
     def begin(
         self,
@@ -141,7 +144,7 @@ class StepBoxes:
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
         topology = self.topology
-        static_positions = [start[begin:end] for begin, end in topology.mesh.static_vertex_ranges]
+        static_positions = [start[rows] for rows in self._static_rows]
         quantization = self.quantization
         key = _StaticKey(static_positions, (*quantization.origin, quantization.scale), inflation, self._num_aabbs)
         if key.same(self._static_key):
@@ -212,8 +215,10 @@ class StepBoxes:
     def _is_in_order(self, tree: Any) -> bool:
         """Whether most of the blocks are small enough to consist of neighbours."""
         count = tree.levels[0]
-        # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours
-        if count <= WIDTH or tree.primitives.is_sample:
+        # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours;
+        # and where a world has hardly more than a block, most hold two, and are large in every order
+        are_few = tree.primitives.count <= _FEW_OF_A_WORLD * len(self.topology.world_places.unit)
+        if count <= WIDTH or are_few or tree.primitives.is_sample:
             return True
         chosen = uneven_samples(count, _CHECKED_BLOCKS)
         boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]

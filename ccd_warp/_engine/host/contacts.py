@@ -228,7 +228,7 @@ class ContactStore:
         """Keep of each pair its earliest contact, where a step was searched slice by slice."""
         if self.total == 0:
             return  # where no pair came near any other in any slice, there is no list
-        columns = {name: getattr(self._list, name)[: self.total].numpy() for name in CONTACT_DTYPES}
+        columns = self._columns()
         pairs = columns["primitives"]
         order = np.lexsort((columns["toi"], pairs[:, 1], pairs[:, 0], columns["kind"]))
         alike = np.ones(len(order), dtype=bool)
@@ -244,9 +244,22 @@ class ContactStore:
         self._read = None
         self.count.fill_(self.total)
 
-    def gather(self) -> Gathered:
-        """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world."""
+    def _columns(self) -> dict[str, NDArray[Any]]:
+        """The columns of the contacts in the list, of which there are some; on the CPU the list's own memory."""
+        arrays, count = {name: getattr(self._list, name) for name in CONTACT_DTYPES}, self.total
+        if self._topology.device.is_cuda:
+            return {name: array[:count].numpy() for name, array in arrays.items()}
+        return {name: array.numpy()[:count] for name, array in arrays.items()}
+
+    def gather(self, *, is_ordered: bool = True) -> Gathered:
+        """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world.
+
+        Those that are not ordered are as they were found, and of the first ones nothing is known.
+        """
         count, is_cuda = self.total, self._execution.is_cuda
+        if not is_ordered and count:
+            contacts = {name: values.copy() for name, values in self._columns().items()}
+            return self._gathered(contacts, [np.full(j - i, _NO_CONTACT) for i, j in self._ranges[:-1]])
         are_few = count <= _FEW and not is_cuda
         ordered = self._few if are_few else _Ordered(self._topology, self.count, self.minima, count, is_cuda)
         launched = self._play if are_few else self._launch
@@ -257,7 +270,10 @@ class ContactStore:
         contacts, first = ordered.read(count)
         if are_few:  # the arrays stay
             contacts = {name: values[:count].copy() for name, values in contacts.items()}
-        if is_cuda:
+        return self._gathered(contacts, first)
+
+    def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> Gathered:
+        if self._execution.is_cuda:
             toi = self._toi.numpy() if self._read is None else self._read
         else:
             toi = self._toi_view.copy()

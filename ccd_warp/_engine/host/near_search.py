@@ -207,7 +207,9 @@ class NearSearch:
                 toi[left] = search.world_toi
                 for values, found in zip(self._at, search.at, strict=True):
                     values[chosen] = found
-                self._found += [parts.in_worlds(each, self._mesh, self._world, chosen) for each in search.found]
+                for each in search.found:
+                    placed = {"points": each.points, "relative_velocity": each.relative_velocity}
+                    self._found.append(parts.in_worlds(each, self._mesh, self._world, chosen, **placed))
                 left = left[search.is_open]
         return toi
 

@@ -6,7 +6,6 @@ whole bodies, in every bit.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -78,7 +77,7 @@ class NearWorlds:
             own, counts = self._part[rows], sizes[rows]
             parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), ranges(first[own], counts))
             given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
-            yield chosen, parts, work(parts, replace(MeshPaths.of(parts.mesh, given), turn=self._turn))
+            yield chosen, parts, work(parts, MeshPaths.of_checked(parts.mesh, given, turn=self._turn))
             k = last
 
 

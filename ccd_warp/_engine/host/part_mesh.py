@@ -194,9 +194,12 @@ class PartMesh:
         return self.slice_of_row[kept], self.row[kept]
 
     def in_worlds(
-        self, contacts: Contacts, mesh: CollisionMesh, world: CollisionMesh, of_slice: NDArray[np.intp]
+        self, contacts: Contacts, mesh: CollisionMesh, world: CollisionMesh, of_slice: NDArray[np.intp], **placed: Any
     ) -> Contacts:
-        """Contacts as those of a mesh of copies of the one world, or of that itself, given the world of each slice."""
+        """Contacts as those of a mesh of copies of the one world, or of that itself, given the world of each slice.
+
+        What else is known of their places is ``placed``.
+        """
         if len(contacts) == 0:
             return contacts
         copies = of_slice[contacts.world]
@@ -213,8 +216,7 @@ class PartMesh:
                     "edge": lambda own=own: (_edges(world, self.vertex[self.mesh.edges[own]]), world.num_edges),
                 }[name]()
                 primitives[rows, column] = number + shifts[rows] * count
-        place = ContactPlace(mesh, points=contacts.points, relative_velocity=contacts.relative_velocity)
-        place.world = copies.astype(np.int32)
+        place = ContactPlace(mesh, world=copies.astype(np.int32), **placed)
         return replace(contacts, primitives=primitives.astype(np.int32))._of(place)
 
 

@@ -465,8 +465,11 @@ class Step:
         radius = self.mesh.radius if self.mesh.is_thick else None
         return Touch.of(self.options, self.length_scale, is_euclidean=is_ball(self.plan.norm), radius=radius)
 
-    def contacts(self) -> MeshResult:
-        """Compute the toi of every pair that the cull leaves, and gather the result."""
+    def contacts(self, *, is_ordered: bool = True) -> MeshResult:
+        """Compute the toi of every pair that the cull leaves, and gather the result.
+
+        Where contacts need no order, the result has no first ones, and they do not know where they are.
+        """
         store = self.workspace.contacts
         survivors: Counter[PairKind] = Counter()
         for part in self.slices:
@@ -481,8 +484,9 @@ class Step:
         with self.timed("gather"):
             if len(self.slices) > 1:
                 store.keep_earliest()
-            gathered = store.gather()
-            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths, self._touch())
+            gathered = store.gather(is_ordered=is_ordered)
+            place: Any = (*self.given, self.paths, self._touch()) if is_ordered else ()
+            contacts = located(gathered.contacts, self.mesh, *place)
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
         self.finish_timings()

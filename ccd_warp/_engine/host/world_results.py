@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import joined, located
+from ccd_warp._contact_place import MovingVertices, joined, located
 from ccd_warp._contacts import Contacts
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts, MeshResult
 from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._touch import Touch
 
+# Sorts of one column of numbers take a fraction of those of several.
+_MOST_KEYS = 1 << 62
 _NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, width
     *(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))),
     *(np.zeros(0, np.int32), np.zeros(0), np.zeros(0)),
@@ -49,18 +52,23 @@ def result_of(
     counts: Counts,
     timings: dict[str, float],
     hidden_gaps: str = "",
+    frames: MovingVertices | None = None,
+    touch: Touch | None = None,
 ) -> MeshResult:
     """The result of worlds with these tois and contacts.
 
     For a mesh of one world, and tois of several, arrays of vertices and bodies have an axis of worlds in front, and the
-    contacts are those of one world after those of another.
+    contacts are those of one world after those of another. ``frames`` is how vertices move in all worlds, and ``touch``
+    what counts as touching, where contacts have no places yet.
     """
     num_worlds = len(world_toi)
     has_axis = mesh.num_worlds < num_worlds
     found = [each for each in found if len(each)]
     contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
-    keys = (*contacts.primitives.T[::-1], contacts.kind)
-    contacts = contacts[np.lexsort((*keys, contacts.world) if has_axis else keys)]
+    contacts = contacts[_in_order(contacts, has_axis=has_axis)]
+    if frames is not None and len(contacts):
+        place = contacts._known()
+        place.frames, place.touch = frames.copied(contacts), touch
     world_contact = firsts(contacts.toi, contacts.world[:, None], num_worlds)[1]
     of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
     of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
@@ -82,6 +90,19 @@ def result_of(
         hidden_gaps=hidden_gaps,
     )
     return result
+
+
+def _in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp]:
+    """The order of contacts by world, where there is an axis of worlds, kind and primitives."""
+    columns = [*([contacts.world] if has_axis else []), contacts.kind, *contacts.primitives.T]
+    keys, most = np.zeros(len(contacts), dtype=np.int64), 1
+    for column in columns:
+        size = int(column.max(initial=0)) + 1
+        most *= size
+        if most > _MOST_KEYS:
+            return np.lexsort(columns[::-1])
+        keys = keys * size + column
+    return np.argsort(keys, kind="stable")
 
 
 def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:

@@ -1,9 +1,12 @@
 """Pairs of primitives on arcs against their truth: nothing is missed or late, in both precisions."""
 
+from dataclasses import replace
+from itertools import product
+
 import numpy as np
 import pytest
 from arc_hostile import FAMILIES, hostile_pairs
-from arc_pairs import KINDS, random_pairs, random_sets
+from arc_pairs import KINDS, PATHS, prisms, random_pairs, random_sets
 from arc_worlds import result_of, step_of
 from arcs import answers, check
 
@@ -12,10 +15,10 @@ import ccd_warp as ccd
 MEDIAN_ERROR = {"float64": 1e-12, "float32": 1e-5}
 
 
-def checked(pairs, **options):
+def checked(pairs, truth=None, **options):
     """The verdict on what is found of pairs, of which none is missed or late."""
     result = result_of(pairs, **options)
-    verdict = check(result.world_toi, answers(pairs))
+    verdict = check(result.world_toi, answers(pairs if truth is None else truth))
     assert len(verdict.missed) == len(verdict.late) == 0
     return verdict, result
 
@@ -38,6 +41,31 @@ def test_hostile_pairs(family):
     for k, kind in enumerate(KINDS):
         checked(hostile_pairs(family, kind, 6), precision=list(MEDIAN_ERROR)[k % 2])
     checked(hostile_pairs(family, "edge-edge", 4, 0.03))
+
+
+@pytest.mark.parametrize("precision", MEDIAN_ERROR)
+@pytest.mark.parametrize("distance", [0.0, 0.1])
+@pytest.mark.parametrize(("path", "other", "by_twist"), [*product(PATHS, ("turning", "deformable"), (False, True))])
+def test_bodies_that_turn_in_the_plane_meet_when_prisms_on_them_do(path, other, by_twist, distance, precision):
+    """Points are edges across the plane, so the truth in space is that in the plane."""
+    options = {"path": path, "other": other, "by_twist": by_twist, "distance": distance, "in_plane": True}
+    pairs = random_pairs("point-segment", 7, 8, **options)
+    verdict, _ = checked(pairs, prisms(pairs), in_plane=True, precision=precision)
+    assert len(verdict.errors) > 3 and np.median(verdict.errors) < MEDIAN_ERROR[precision] and not len(verdict.false)
+    places = [x.copy() for x in (pairs.poses_t0, pairs.poses_t1) if x is not None]
+    for x in places:
+        x[..., :2] += [1e4, -7e3]
+    far = replace(pairs, poses_t0=places[0], poses_t1=None if by_twist else places[1])
+    if other == "turning":
+        checked(far, prisms(far), in_plane=True, precision=precision)
+        if by_twist:  # as if both were one body
+            spin = pairs.twist.copy()
+            spin[:, 1, 3:] = spin[:, 0, 3:]
+            pairs = replace(pairs, twist=spin)
+            checked(pairs, prisms(pairs), in_plane=True, precision=precision)
+        if distance:
+            points = random_pairs("point-point", 8, 8, **options)
+            checked(points, in_plane=True, precision=precision)
 
 
 @pytest.mark.long
