@@ -12,7 +12,7 @@ from ccd_warp._files.cells import displaced, reading, triangles
 from ccd_warp._files.mesh import Mesh, check_part, read_mesh
 from ccd_warp._files.opened import PLAIN_BYTES, check_size, note
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
 
@@ -85,10 +85,9 @@ def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
                 raise InputError(f"unpacks to {unpacked:,} bytes, and {limit}")
             return {name: _npy(archive, member) for name, member in members.items()}
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {reason_of(error)}") from error
     except Exception as error:  # zipfile, zlib and NumPy each raise their own
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a NumPy archive ({reason}); write it again") from error
+        raise InputError(f"{path}: cannot be read as a NumPy archive ({reason_of(error)}); write it again") from error
 
 
 def _npy(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:

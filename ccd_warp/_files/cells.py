@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 
 # Cells of a fixed number of corners, by VTK's number: their names and corners.
 VTK_CELLS = {
@@ -34,7 +34,7 @@ def reading(path: Path) -> Iterator[None]:
     except Exception as error:
         if str(error).startswith(f"{path}"):
             raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = reason_of(error)
         if not isinstance(error, InputError):
             reason = f"cannot be read ({reason}); write it again, or save it as PLY"
         raise InputError(f"{path}: {reason}") from error

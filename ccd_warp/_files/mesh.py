@@ -22,7 +22,7 @@ from ccd_warp._files.stl import read_stl
 from ccd_warp._files.vtk import read_vtk
 from ccd_warp._files.vtu import read_vtu
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 from ccd_warp._input.trimesh_bodies import transformed
 
 # How a format stores a vertex that several faces share.
@@ -195,10 +195,9 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
             check_part(part.vertices, part.faces)
         return parts
     except InputError as error:
-        raise InputError(f"{label}: {error}") from error
+        raise InputError(f"{label}: {reason_of(error)}") from error
     except Exception as error:  # trimesh raises whatever its parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason}); {_ADVICE}") from error
+        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason_of(error)}); {_ADVICE}") from error
 
 
 def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:

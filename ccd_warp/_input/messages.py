@@ -1,6 +1,9 @@
 """Messages on bad input: one line, without control characters that a terminal would obey."""
 
 
+_MOST_LETTERS = (400, 200)  # of what a file holds, at the beginning and at the end
+
+
 class InputError(ValueError):
     """Bad input of the command line; the message is one line that says what is wrong and what to do."""
 
@@ -14,3 +17,10 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def reason_of(error: Exception) -> str:
+    """What an exception says, in one line that a file cannot fill with its content; its type where it says nothing."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    first, last = _MOST_LETTERS
+    return text if len(text) <= first + last else f"{text[:first]} … {text[-last:]}"

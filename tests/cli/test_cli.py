@@ -1,9 +1,11 @@
 """The command `ccd-warp`: what it prints, what it writes, and how it refuses bad input."""
 
 import csv
+import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -442,6 +444,23 @@ def test_help_and_version_end_well(capfd, arguments):
     assert captured.out.strip()
     if arguments == ("--version",):
         assert captured.out == f"ccd-warp {ccd.__version__}\n"
+
+
+def test_help_and_reports_are_spelled_where_a_terminal_knows_ascii_alone(scene, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    for name in ("run", "sequence", "demo", "explore", "bench"):
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+    for name in ("start", "end"):
+        shutil.copy(scene / f"{name}.ply", scene / f"{name} é.ply")
+    obstacles = [each for _ in range(40) for each in ("--static", str(scene / "floor.ply"))]
+    assert main(["run", str(scene / "start é.ply"), str(scene / "end é.ply"), *obstacles]) == 0
+    assert main(["run", str(scene / "none é.ply"), str(scene / "end é.ply")]) == 2
+    out = written.getvalue().decode("ascii")
+    assert "cpu, cuda, cuda:1, ... (" in out and "  ... 11 more bodies" in out and "start \\xe9.ply" in out
+    assert sys.stdout.errors == "strict"
 
 
 def test_demo_says_miss_and_gives_the_toi(tmp_path, capfd):

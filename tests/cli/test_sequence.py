@@ -129,7 +129,11 @@ def test_ctrl_c_keeps_the_steps_so_far(cloth, tmp_path):
     count, frames, faces, _ = cloth
     positions = np.tile(frames[:, :count], (6, 1, 1))
     np.savez(tmp_path / "cloth.npz", positions=positions, faces=faces)
-    command = [sys.executable, "-m", "ccd_warp", "sequence", "cloth.npz", *OPTIONS, "--output", "out"]
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have had it ignored
+        "from ccd_warp._cli.command import run_program; run_program()"
+    )
+    command = [sys.executable, "-P", "-c", program, "sequence", "cloth.npz", *OPTIONS, "--output", "out"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     journal, end = tmp_path / "out" / "sequence.journal", time.monotonic() + 600.0  # a guard against hanging
     while process.poll() is None and time.monotonic() < end:
