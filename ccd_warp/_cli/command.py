@@ -48,7 +48,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _answered(argv: Sequence[str] | None) -> int:
     try:
         with standard_output():
-            arguments = _make_parser().parse_args(argv)
+            # argparse would take what follows an option for its value where that may be left out
+            given = ["--split=" if each == "--split" else each for each in (sys.argv[1:] if argv is None else argv)]
+            arguments = _make_parser().parse_args(given)
             return arguments.command(arguments)
     except ValueError as error:  # of the library's own checks, too: each message names the argument and the finding
         say(f"ccd-warp: error: {printable(str(error))}")

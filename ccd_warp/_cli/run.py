@@ -6,17 +6,18 @@ from pathlib import Path
 
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
-from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.poses import check_poses, pose_sequence
-from ccd_warp._cli.process import report_on, start_quietly, warn
+from ccd_warp._cli.process import report_on, start_quietly, warn, warnings_on_stderr
 from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
 from ccd_warp._cli.solve import load_kernels, solve_scene
-from ccd_warp._files.frames import read_frames, read_static
+from ccd_warp._files.frames import read_frames
+from ccd_warp._frames import static_bodies
 from ccd_warp._input.messages import InputError, printable
+from ccd_warp._odd_motion import motion_warnings
 
 
 def run_step(arguments: argparse.Namespace) -> int:
@@ -31,7 +32,8 @@ def run_step(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
-    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface}
+    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface, "split": arguments.split}
+    reading = waiting("reading the files", is_quiet=arguments.quiet)
     check_poses(arguments)
     motion, title = None, f"{arguments.start} -> {arguments.end}"
     if arguments.poses is None:
@@ -39,12 +41,12 @@ def run_step(arguments: argparse.Namespace) -> int:
             raise InputError(
                 "END is missing; expected the mesh at the end of the step, or --poses; see ccd-warp run --help"
             )
-        with waiting("reading the files", is_quiet=arguments.quiet):
-            bodies = read_frames(arguments.start, arguments.end, **how).split()
-            bodies += [body for path in arguments.static for body in read_static(path, **how).split()]
+        with reading, warnings_on_stderr(is_quiet=arguments.quiet):
+            bodies = read_frames(arguments.start, arguments.end, **how).split(arguments.split)
+            bodies += static_bodies(arguments.static, **how)
         bodies += half_space_bodies(arguments.half_space)
     else:
-        with waiting("reading the files", is_quiet=arguments.quiet):
+        with reading, warnings_on_stderr(is_quiet=arguments.quiet):
             sequence = pose_sequence(arguments.start, arguments)
         if len(sequence) != 2:
             raise InputError(

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.opened import Stamp
+from ccd_warp._odd_motion import motion_warnings
 from ccd_warp._status import PairKind
 
 # Points of contacts that are kept for pictures, the earliest ones.

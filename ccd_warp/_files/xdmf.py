@@ -3,6 +3,7 @@
 import math
 import posixpath
 import zlib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -75,15 +76,18 @@ class Xdmf:
         points = self._read(geometry, "f")
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"its points have shape {points.shape}; expected (n, 3)")
-        names = [each.get("Name", "") for each in self._fields(k)]
-        if len(set(names)) != len(names):
-            raise InputError(f"frame {k} has two fields of one name; {CUT}")
-        fields = [partial(self._read, each, "f") for each in self._fields(k)]
-        return Grid(points, self._cells(topology), dict(zip(names, fields, strict=True)))
+        return Grid(points, self._cells(topology), self._fields(k, "Node", "f"), self._fields(k, "Cell", "fiu"))
 
-    def _fields(self, k: int) -> list[ET.Element]:
-        fields = [field for each in self._series for field in each[k].findall("Attribute")]
-        return [field for field in fields if field.get("Center", "Node") == "Node"]
+    def _fields(self, k: int, centre: str, kinds: str) -> dict[str, Callable[[], np.ndarray]]:
+        """The fields at the nodes or of the cells, of numbers of these kinds."""
+        found = [field for each in self._series for field in each[k].findall("Attribute")]
+        found = [field for field in found if field.get("Center", "Node") == centre]
+        fields: dict[str, Callable[[], np.ndarray]] = {
+            each.get("Name", ""): partial(self._read, each, kinds) for each in found
+        }
+        if len(fields) != len(found):
+            raise InputError(f"frame {k} has two fields of one name; {CUT}")
+        return fields
 
     def _part(self, k: int, tag: str) -> ET.Element:
         found = self.frames[k].findall(tag) or self._base.findall(tag)

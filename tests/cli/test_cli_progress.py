@@ -238,8 +238,7 @@ def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch
     # of twelve sheets that lie in each other, no two have a tenth of the pairs
     mesh = ccd.CollisionMesh.from_arrays([(flat, faces)] * 12, self_collision=False)
     with pytest.warns(RuntimeWarning, match=r"memory_limit bounds the memory$"):
-        ccd.find_candidates(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
-        ccd.collision_free_step(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
     mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces)], names=["cloth", "far"])
     end = mesh.vertices + 0.1 * (mesh.vertex_body[:, None] == 0)
     with pytest.warns(RuntimeWarning, match=r"most often of cloth and itself \(\d+ % of a sample\)$"):

@@ -308,7 +308,9 @@ def test_gltf_that_would_be_read_in_part_is_refused(tmp_path):
             read_static(tmp_path / "a.gltf")
 
 
-@pytest.mark.parametrize(("uri", "said"), [("data;" + "A" * 30_000, "has a name of 30,005 characters"), ("B" * 700, "B … B")])
+@pytest.mark.parametrize(
+    ("uri", "said"), [("data;" + "A" * 30_000, "has a name of 30,005 characters"), ("B" * 700, "B … B")]
+)
 def test_damaged_buffer_is_not_quoted_whole(tmp_path, uri, said):
     tree = json.loads(WHOLE["scene.gltf"])
     tree["buffers"][0]["uri"] = uri

@@ -1,7 +1,5 @@
 """What is odd about a step, and sentences for it: positions that blow up, a distance of many edges, many overlaps."""
 
-import sys
-import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -162,11 +160,3 @@ def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array
     a, b = pairs[np.argmax(counts)].tolist()
     names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
     return f"; they are most often of {names} ({100 * share:.0f} % of a sample)"
-
-
-def warn(message: str) -> None:
-    """Warn, as of the line of the caller's program that has called the package."""
-    frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, RuntimeWarning, stacklevel=level)
