@@ -295,6 +295,19 @@ def test_frames_in_different_units_are_warned_of(scene, capfd):
     assert capfd.readouterr().err == ""
 
 
+def test_vertices_in_another_order_and_frames_in_the_other_are_warned_of(scene, capfd):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    write_mesh(scene / "end.ply", (ball.vertices + [0.1, 0.2, 2.0])[::-1], ball.faces)
+    assert _run(scene) == 0
+    renumbered, *_ = capfd.readouterr().err.splitlines()
+    assert "the vertices of start.ply are at the same places at the start and at the end of the step" in renumbered
+    assert main(["run", str(scene / "end.ply"), str(scene / "start.ply")]) == 0
+    swapped, *_ = capfd.readouterr().err.splitlines()
+    assert swapped.startswith("ccd-warp: warning: the step goes from end.ply to start.ply; are the two swapped?")
+    assert main(["run", str(scene / "end.ply"), str(scene / "start.ply"), "--quiet"]) == 0
+    assert capfd.readouterr().err == ""
+
+
 def test_a_rotation_that_shrinks_edges_is_warned_of(scene, capfd):
     """Half a turn moves every vertex through the middle; an eighth of one leaves edges nine tenths of their length."""
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
