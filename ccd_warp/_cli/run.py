@@ -4,6 +4,7 @@ import argparse
 import time
 from pathlib import Path
 
+from ccd_warp import CollisionPipeline
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
 from ccd_warp._cli.output import check_output_path, write_result
@@ -13,7 +14,7 @@ from ccd_warp._cli.process import report_on, start_quietly, warn, warnings_on_st
 from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
-from ccd_warp._cli.solve import load_kernels, solve_scene
+from ccd_warp._cli.solve import SolvedStep, load_kernels, solve_scene
 from ccd_warp._files.frames import read_frames
 from ccd_warp._frames import static_bodies
 from ccd_warp._input.messages import InputError, printable
@@ -75,7 +76,7 @@ def run_step(arguments: argparse.Namespace) -> int:
     )
     timings.update(step.timings)
     if not arguments.quiet:
-        for line in motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max):
+        for line in _oddities(step):
             warn(line)
     written: list[Path] = []
     if arguments.output is not None:
@@ -93,3 +94,13 @@ def run_step(arguments: argparse.Namespace) -> int:
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)
     return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))
+
+
+def _oddities(step: SolvedStep) -> list[str]:
+    """What is odd about the frames, a line each."""
+    lines = motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max)
+    if step.start.num_crossing and step.motion is None:
+        with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
+            if not pipeline.find_intersections(step.vertices_t1).num_crossing:
+                lines.append("surfaces cross at the start of the step and not at its end; are START and END swapped?")
+    return lines

@@ -273,6 +273,10 @@ def test_report_says_where_surfaces_cross_at_the_start(tmp_path, capfd):
     assert _run(tmp_path, "--fail-on-contact", "--output", tmp_path / "out.json") == 1
     expected = [{"bodies": ["start.ply", "start.ply"], "edges_through_faces": 2}]
     assert json.loads((tmp_path / "out.json").read_text())["crossing_at_start"] == expected
+    assert capfd.readouterr().err == ""
+    write_mesh(tmp_path / "end.ply", face + 2.0 * np.eye(3)[[2]] * (np.arange(6) > 2)[:, None], faces)
+    assert _run(tmp_path) == 0
+    assert "warning: surfaces cross at the start of the step and not at its end; are START" in capfd.readouterr().err
 
 
 def test_report_says_where_no_edge_passes_through_a_face(scene, capfd):
