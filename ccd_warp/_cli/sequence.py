@@ -201,10 +201,12 @@ def _draw(
     *,
     is_quiet: bool,
 ) -> Path:
-    """Draw the animation, or the first step that has a contact."""
+    """Draw the animation, or the first step that has a contact, or else one at whose start surfaces cross."""
     if path.suffix.lower() != ".png":
         return draw_animation(path, partial(_moving, sequence), records, line)
-    bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
+    ordered = sorted(records.items())
+    crossing = next((k for k, record in ordered if record.crossing), 0)
+    bad = next((k for k, record in ordered if record.hit), crossing)
     step = solved(bad)
     line.clear()
     return draw_step(path, step, is_quiet=is_quiet)
