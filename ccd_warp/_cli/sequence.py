@@ -234,4 +234,5 @@ def _warn_of_motions(records: list[StepRecord]) -> None:
     odd = [record for record in records if record.warnings]
     if odd:
         more = f" (and {len(odd) - 1} more steps)" if len(odd) > 1 else ""
-        warn(f"step {odd[0].step}: {odd[0].warnings[0]}{more}")
+        for sentence in odd[0].warnings:
+            warn(f"step {odd[0].step}: {sentence}{more}")

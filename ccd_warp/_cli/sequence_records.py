@@ -15,7 +15,6 @@ from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.opened import Stamp
 from ccd_warp._odd_motion import motion_warnings
 from ccd_warp._status import PairKind
-from ccd_warp.viz._scene import contact_sizes
 
 # Points that are kept for pictures, of contacts the earliest ones.
 _MOST_POINTS = 200
@@ -81,6 +80,8 @@ class StepRecord:
     @classmethod
     def of(cls, number: int, labels: Sequence[str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
         """The record of a solved step."""
+        from ccd_warp.viz._scene import contact_sizes  # not before a step is solved
+
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
         first = None
@@ -169,8 +170,11 @@ def csv_text(records: Sequence[StepRecord]) -> str:
     return file.getvalue()
 
 
-def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> None:
+def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> Any:
     """Draw the toi and the number of contacts of every step, and mark those at whose start surfaces cross.
+
+    Returns:
+        The figure of matplotlib.
 
     Raises:
         ImportError: If matplotlib is not installed.
@@ -199,6 +203,7 @@ def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> None:
         lower.xaxis.get_major_locator().set_params(integer=True)
         lower.yaxis.get_major_locator().set_params(integer=True)
         figure.savefig(path, dpi=120)
+    return figure
 
 
 def ranges_text(numbers: Sequence[int]) -> str:

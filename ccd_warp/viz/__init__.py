@@ -178,7 +178,7 @@ def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_m
     is_hit = np.isfinite(scene.toi)
     middle = scene.toi if is_hit else t_max
     middle_title = f"t = toi = {_rounded_down(middle)}" if is_hit else f"t = {t_max:g}, no contact"
-    titles = ("t = 0", middle_title, "t = 1")
+    titles = ("t = 0, surfaces cross" if len(scene.crossing_points) else "t = 0", middle_title, "t = 1")
     for panel, t, title in zip(panels, (0.0, middle, 1.0), titles, strict=True):
         panel.look()
         panel.draw_bodies(t, toi_range if panel is panels[2] else None)
