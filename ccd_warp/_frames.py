@@ -90,9 +90,10 @@ def read_frames(
         surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
             :func:`ccd_warp.read_sequence`.
         split: Whether a file, or a body in it, is divided into its connected components, bodies called ``NAME#0``,
-            ``NAME#1`` and so on. Or the name of a field of cells, of VTK and XDMF files: those of one value are a body,
-            called by field and value (``material 3``). Those that share a vertex are one body in any case, called by
-            all their values. Of static files, those without this field stay whole.
+            ``NAME#1`` and so on. Or the name of a field of the cells of VTK and XDMF files, in ``read_sequence`` also
+            that of an array of a .npz with a number or a text for each face: cells of one value are a body, called by
+            field and value (``material 3``). Those that share a vertex are one body in any case, called by all their
+            values. Static files without the field stay whole.
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
