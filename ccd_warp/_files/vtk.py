@@ -91,7 +91,7 @@ def _line(stream: "_Text | _Binary") -> list[bytes]:
 
 
 def _keep(fields: dict[str, np.ndarray], name: bytes, values: np.ndarray, width: int) -> None:
-    fields[unquote(name.decode())] = values.reshape(-1, width) if width > 1 else values
+    fields[unquote(name.decode(errors="replace"))] = values.reshape(-1, width) if width > 1 else values
 
 
 def _number(word: bytes) -> int:

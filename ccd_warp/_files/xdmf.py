@@ -85,7 +85,7 @@ class Xdmf:
         fields: dict[str, Callable[[], np.ndarray]] = {
             each.get("Name", ""): partial(self._read, each, kinds) for each in found
         }
-        if len(fields) != len(found):
+        if centre == "Node" and len(fields) != len(found):
             raise InputError(f"frame {k} has two fields of one name; {CUT}")
         return fields
 
