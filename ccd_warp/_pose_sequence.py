@@ -61,7 +61,8 @@ class PoseSequence:
         from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
 
         with noted_files() as self._opened:
-            bodies = read_static(mesh_path, max_bytes=max_bytes, surface=surface, split=split).split(split)
+            how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
+            bodies = read_static(mesh_path, needs_field=True, **how).split(split)
             table = read_poses(poses_path, max_bytes)
         chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
         self._first_bodies = [

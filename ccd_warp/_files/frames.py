@@ -231,7 +231,14 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     )
 
 
-def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool = False, split: Split = False) -> Body:
+def read_static(
+    path: str | Path,
+    *,
+    max_bytes: int = MAX_BYTES,
+    surface: bool = False,
+    split: Split = False,
+    needs_field: bool = False,
+) -> Body:
     """Read an obstacle that does not move.
 
     Args:
@@ -239,6 +246,7 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool =
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         surface: Whether volume cells stand for their boundary surface.
         split: Name of the field of cells that tells the parts of the body, if the file has it.
+        needs_field: Whether the file must have it.
 
     Returns:
         A static body.
@@ -248,7 +256,7 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool =
         ValueError: If ``max_bytes`` is not a positive integer.
     """
     max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    mesh = read_mesh(Path(path), max_bytes, surface=surface, split=split, needs_field=False)
+    mesh = read_mesh(Path(path), max_bytes, surface=surface, split=split, needs_field=needs_field)
     if mesh.sharing == "indexed":
         warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
         body = make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
