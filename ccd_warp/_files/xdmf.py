@@ -19,6 +19,7 @@ from ccd_warp._input.messages import InputError
 _KINDS = {"Float": "f", "Int": "i", "UInt": "u", "Char": "i", "UChar": "u"}
 # Number of a cell's type in a topology of the type Mixed, and what each topology is called, as VTK's cells are.
 _MIXED = {4: "triangle", 5: "quad", 6: "tetra", 7: "pyramid", 8: "wedge", 9: "hexahedron"}
+_MIXED |= {36: "triangle6", 37: "quad8", 38: "tetra10", 48: "hexahedron20"}
 _TOPOLOGIES = {
     **{"Triangle": "triangle", "Quadrilateral": "quad", "Tetrahedron": "tetra", "Pyramid": "pyramid", "Wedge": "wedge"},
     **{"Hexahedron": "hexahedron", "Polyvertex": "vertex", "Polyline": "line", "Edge_3": "line3"},
