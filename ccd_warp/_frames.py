@@ -77,6 +77,9 @@ def read_frames(
     positions in ``start_path``, which ``end_path`` must agree with; copies of a vertex that GLB makes at a seam are
     merged where they coincide at both ends.
 
+    A ``RuntimeWarning`` says where the frames are in different units, vertices are at the same places in another order,
+    edges shrink to a tenth, or the names of the files tell that the two are swapped.
+
     Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
     share a vertex are one. A file that holds one body gives it its own name.
 

@@ -77,8 +77,8 @@ def groups_of_field(field: str, values: np.ndarray, cells: Sequence[np.ndarray],
             f"{count} cells"
         )
     distinct, group = np.unique(values, return_inverse=True)
-    is_text = values.dtype.kind == "U"
-    names = [str(value) if is_text else f"{field} {value:.15g}" for value in distinct.tolist()]
+    style = {"U": "{value}", "f": "{field} {value:.15g}"}.get(values.dtype.kind, "{field} {value}")
+    names = [style.format(field=field, value=value) for value in distinct.tolist()]
     parts = groups(names, group.reshape(-1), cells, num_vertices)
     if len(parts.names) == 1 < len(names):
         warn(f"the cells of all {len(names)} values of the field {field!r} hang together by shared vertices; one body")
