@@ -18,7 +18,6 @@ from ccd_warp._status import PairKind
 
 # Points that are kept for pictures, of contacts the earliest ones.
 _MOST_POINTS = 200
-CROSSING_COLOUR = "#e08a00"  # also in animations
 _KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE, PairKind.VERTEX_PLANE)
 
 COLUMNS = (
@@ -180,6 +179,8 @@ def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> Any:
         ImportError: If matplotlib is not installed.
     """
     import matplotlib
+
+    from ccd_warp.viz._scene import CROSSING_COLOUR
 
     with matplotlib.rc_context({"font.size": 10}):
         from matplotlib.figure import Figure

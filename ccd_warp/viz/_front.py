@@ -20,7 +20,7 @@ _GAP, _TITLE, _FRAME_WIDTH = 8, 36, 1
 # primitive _SHARE_OF_CONTACT, unless it is so small that single precision, in which it is drawn, would show.
 _SMALL, _TINY, _SIDE, _SHARE, _SHARE_OF_CONTACT = 0.1, 0.01, 0.31, 0.4, 0.2
 _LEAST_HALF = 5e-4
-_CROSSING_SIZE = 6
+_CROSSING_SIZE = 8
 _INSET_EDGE = 0.5
 _WHITE = 250
 

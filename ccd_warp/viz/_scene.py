@@ -20,7 +20,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost
 
 STATIC_COLOUR = "#c6c6c2"
-CROSSING_COLOUR = "#e08a00"
+CROSSING_COLOUR = "#d6008f"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
 # A contact counts as one of the earliest if it is at most this fraction of the step after the first.
 _SAME_TOI = 1e-6

@@ -319,8 +319,8 @@ def test_steps_at_whose_start_surfaces_cross_are_marked(tmp_path, monkeypatch):
         marked = []
         for k in range(image.n_frames):
             image.seek(k)
-            is_orange = np.abs(np.asarray(image.convert("RGB")).astype(int) - [224, 138, 0]).max(axis=2) < 24
-            marked.append(bool(is_orange.sum() > 100))
+            is_marked = np.abs(np.asarray(image.convert("RGB")).astype(int) - [214, 0, 143]).max(axis=2) < 24
+            marked.append(bool(is_marked.sum() > 100))
     assert marked == [False, False, False, True, True, False]  # the third is at the toi, the last begins no step
 
 

@@ -438,8 +438,8 @@ def test_places_where_surfaces_cross_at_the_start_are_marked_there():
         viz.draw_step(mesh, start, start, replace(result, start=each), size=(900, 300)).image.astype(int)
         for each in (crossing, None)
     ]
-    is_orange = [(np.abs(image - [224, 138, 0]).max(axis=2) < 12) for image in images]
-    assert is_orange[0][:, :300].sum() > 60 and not is_orange[0][:, 300:].any() and not is_orange[1].any()
+    is_marked = [(np.abs(image - [214, 0, 143]).max(axis=2) < 12) for image in images]
+    assert is_marked[0][:, :300].sum() > 60 and not is_marked[0][:, 300:].any() and not is_marked[1].any()
     scene = make_scene(mesh, start, start, replace(result, start=crossing))
     assert [text for _, text in scene.legend][-1] == "surfaces cross"
 
