@@ -194,7 +194,15 @@ def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> Any:
         upper.plot([record.step for record in bad], [record.toi for record in bad], "o", color="#c8102e", label="toi")
         if crossing:
             said = "surfaces cross at the start"
-            upper.plot(crossing, [0.0] * len(crossing), "x", color=CROSSING_COLOUR, label=said, markeredgewidth=2.0)
+            upper.plot(
+                crossing,
+                [0.0] * len(crossing),
+                "x",
+                color=CROSSING_COLOUR,
+                label=said,
+                markersize=9.0,
+                markeredgewidth=2.0,
+            )
         upper.set_ylim(-0.05 * t_max, 1.08 * t_max)
         upper.set_ylabel("toi")
         upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)

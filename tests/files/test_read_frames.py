@@ -91,6 +91,18 @@ def test_frames_in_different_units_and_renumbered_vertices_are_warned_of(files):
         assert not any("renumbered" in each or "unit" in each for each in _said(folder, start, end))
 
 
+def test_bodies_that_change_places_are_warned_of(tmp_path):
+    """As where a program writes the objects of the second frame in another order."""
+    triangle = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    for name, heights in (("a_1", (0, 5)), ("a_2", (5, 0))):
+        blocks = [triangle + [0, 0, height] for height in heights]
+        rows = [f"o {k}\n" + "".join(f"v {x} {y} {z}\n" for x, y, z in block) for k, block in enumerate(blocks)]
+        faces = [f"f {3 * k + 1} {3 * k + 2} {3 * k + 3}\n" for k in range(2)]
+        (tmp_path / f"{name}.obj").write_text("".join(row + face for row, face in zip(rows, faces, strict=True)))
+    with pytest.warns(RuntimeWarning, match="^the vertices of all bodies that move are at the same places"):
+        ccd.read_frames(tmp_path / "a_1.obj", tmp_path / "a_2.obj")
+
+
 def test_frames_in_the_other_order_are_warned_of(files):
     folder, start, ball, _ = files
     for first, second in (("a 10.ply", "a 9.ply"), ("End of a.ply", "start of a.ply"), ("a_new.ply", "a_old.ply")):
