@@ -10,10 +10,13 @@ from numpy.typing import NDArray
 
 from ccd_warp._files import frames as files
 from ccd_warp._files.archive import MAX_BYTES
+from ccd_warp._files.parts import Split, check_split
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_flag, check_items, check_path
+from ccd_warp._input.messages import warn
 from ccd_warp._input.names import distinct_names
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._odd_motion import motion_warnings
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,6 +49,11 @@ class Frames:
             np.array([body.merged for body in bodies], dtype=np.int64),
         )
 
+    def _warn(self) -> None:
+        """Say what is odd about the motion."""
+        for sentence in motion_warnings(self.mesh, self.vertices_t0, self.vertices_t1):
+            warn(sentence)
+
     def __repr__(self) -> str:
         merged = f", {self.num_merged.sum():,} vertices merged" if self.num_merged.any() else ""
         return f"Frames({self.mesh!r}{merged})"
@@ -59,6 +67,7 @@ def read_frames(
     kinematic: Iterable[int | str] = (),
     self_collision: bool | Sequence[bool] = True,
     surface: bool = False,
+    split: bool | str = False,
     max_bytes: int = MAX_BYTES,
 ) -> Frames:
     """Read both ends of a step from mesh files, in full precision, completely or not at all.
@@ -67,6 +76,9 @@ def read_frames(
     of these. Numbers are double precision where the format holds it. The corners of an STL file are merged by their
     positions in ``start_path``, which ``end_path`` must agree with; copies of a vertex that GLB makes at a seam are
     merged where they coincide at both ends.
+
+    A ``RuntimeWarning`` says where the frames are in different units, vertices are at the same places in another order,
+    edges shrink to a tenth, or the names of the files tell that the two are swapped.
 
     Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
     share a vertex are one. A file that holds one body gives it its own name.
@@ -80,6 +92,11 @@ def read_frames(
         self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
         surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
             :func:`ccd_warp.read_sequence`.
+        split: Whether a file, or a body in it, is divided into its connected components, bodies called ``NAME#0``,
+            ``NAME#1`` and so on. Or the name of a field of the cells of VTK and XDMF files, in ``read_sequence`` also
+            that of an array of a .npz with a number or a text for each face: cells of one value are a body, called by
+            field and value (``material 3``). Those that share a vertex are one body in any case, called by all their
+            values. Static files without the field stay whole.
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
 
     Returns:
@@ -92,11 +109,13 @@ def read_frames(
     Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
     """
     start, end = check_path("start_path", start_path), check_path("end_path", end_path)
-    surface = check_flag("surface", surface)
+    surface, split = check_flag("surface", surface), check_split(split)
     obstacles = checked_static(static)
-    bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface).split()
-    bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface)
-    return Frames._of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
+    bodies = files.read_frames(start, end, max_bytes=max_bytes, surface=surface, split=split).split(split)
+    bodies += static_bodies(obstacles, max_bytes=max_bytes, surface=surface, split=split)
+    frames = Frames._of(mesh_of(bodies, kinematic=kinematic, self_collision=self_collision), bodies)
+    frames._warn()
+    return frames
 
 
 def checked_static(static: Any) -> list[Path | HalfSpace]:
@@ -105,14 +124,16 @@ def checked_static(static: Any) -> list[Path | HalfSpace]:
     return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]
 
 
-def static_bodies(static: Sequence[Path | HalfSpace], *, max_bytes: int, surface: bool) -> list[files.Body]:
+def static_bodies(
+    static: Sequence[Path | HalfSpace], *, max_bytes: int, surface: bool, split: Split = False
+) -> list[files.Body]:
     """The bodies in mesh files, and half-spaces."""
     bodies = []
     for item in static:
         if isinstance(item, HalfSpace):
             bodies.append(files.Body.of_half_space("half-space", item))
         else:
-            bodies += files.read_static(item, max_bytes=max_bytes, surface=surface).split()
+            bodies += files.read_static(item, max_bytes=max_bytes, surface=surface, split=split).split(split)
     return bodies
 
 

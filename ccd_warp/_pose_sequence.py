@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, read_static
 from ccd_warp._files.opened import Stamp, noted_files
+from ccd_warp._files.parts import Split, check_split
 from ccd_warp._frames import checked_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_choice, check_count, check_items, check_path
@@ -54,12 +55,14 @@ class PoseSequence:
         *,
         max_bytes: int,
         surface: bool = False,
+        split: Split = False,
     ) -> None:
         """Of the files; ``make_mesh`` joins bodies, with the rigid ones as ``rigid=``."""
         from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
 
         with noted_files() as self._opened:
-            bodies = read_static(mesh_path, max_bytes=max_bytes, surface=surface).split()
+            how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
+            bodies = read_static(mesh_path, needs_field=True, **how).split(split)
             table = read_poses(poses_path, max_bytes)
         chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
         self._first_bodies = [
@@ -126,6 +129,7 @@ def read_poses(
     path: Literal["linear", "screw"] = "linear",
     static: Iterable[str | Path | HalfSpace] = (),
     kinematic: Iterable[int | str] = (),
+    split: bool | str = False,
     max_bytes: int = MAX_BYTES,
 ) -> PoseSequence:
     """Read rigid bodies and their poses at several times, as ``ccd-warp run`` and ``sequence`` do with ``--poses``.
@@ -138,6 +142,7 @@ def read_poses(
         path: How bodies move from one pose to the next, as of :class:`ccd_warp.RigidMotion`.
         static: Mesh files of bodies that do not move, or half-spaces.
         kinematic: Indices or names of the bodies that move as they are told.
+        split: How a file of several parts is divided into bodies, as of :func:`ccd_warp.read_frames`.
         max_bytes: Limit on the unpacked size of an archive.
 
     Returns:
@@ -151,5 +156,6 @@ def read_poses(
     check_choice("path", path, ("linear", "screw"))
     obstacles, scripted = checked_static(static), check_items("kinematic", kinematic, "a list of body indices")
     limit = check_count("max_bytes", max_bytes, 2**63 - 1)
-    bodies = static_bodies(obstacles, max_bytes=limit, surface=False)
-    return PoseSequence(*files, path, bodies, partial(mesh_of, kinematic=scripted), max_bytes=limit)
+    split = check_split(split)
+    bodies = static_bodies(obstacles, max_bytes=limit, surface=False, split=split)
+    return PoseSequence(*files, path, bodies, partial(mesh_of, kinematic=scripted), max_bytes=limit, split=split)

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.frames import Body, InputError, body_between
+from ccd_warp._files.frames import Body, InputError, body_between, warn_of_step
 from ccd_warp._files.mesh import Mesh
 from ccd_warp._files.opened import Stamp, noted_files
+from ccd_warp._files.parts import Parts, check_split
 from ccd_warp._files.series import Series, find_series
 from ccd_warp._frames import Frames, checked_static, mesh_of, read_frames, static_bodies
 from ccd_warp._half_space import HalfSpace
@@ -36,10 +37,17 @@ class FrameSequence:
     """
 
     def __init__(
-        self, series: Sequence[Any], static: list[Any], make_mesh: Callable[[list[Any]], CollisionMesh]
+        self,
+        series: Sequence[Any],
+        static: list[Any],
+        make_mesh: Callable[[list[Any]], CollisionMesh],
+        *,
+        split: bool | str = False,
     ) -> None:
         """Of the series of files that move, and obstacles; ``make_mesh`` joins the bodies of a step."""
         self._series: Sequence[Series] = series
+        self._split, self._seen = split, set[int]()
+        self._parts: list[Parts | None] = []
         self._static = static
         self._make_mesh = make_mesh
         self._read: dict[int, tuple[list[Mesh], list[Stamp]]] = {}
@@ -47,6 +55,8 @@ class FrameSequence:
         found = [each.times for each in series if each.times is not None]
         self.times = np.array(found[0] if found else range(len(self.labels)), dtype=np.float64)
         self._first_bodies = self._bodies(0)
+        for start, end in zip(*(meshes for meshes, _ in self._read.values()), strict=True):
+            warn_of_step(start, end)
         self.mesh = make_mesh(self._first_bodies)
 
     def __repr__(self) -> str:
@@ -89,8 +99,13 @@ class FrameSequence:
             IndexError: If there is no such step.
             ValueError: If a file is damaged, or its topology differs.
         """
-        bodies = self._bodies(range(len(self) - 1)[k])
-        return Frames._of(self._mesh_of(bodies), bodies)
+        number = range(len(self) - 1)[k]
+        bodies = self._bodies(number)
+        frames = Frames._of(self._mesh_of(bodies), bodies)
+        if number not in self._seen:
+            self._seen.add(number)
+            frames._warn()
+        return frames
 
     def steps(self) -> Iterator[Frames]:
         """All steps, one after the other."""
@@ -100,10 +115,12 @@ class FrameSequence:
         """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
         self._read = {n: self._read.get(n) or self._frame(n) for n in (k, k + 1)}
         (starts, _), (ends, _) = self._read.values()
+        if k == 0:
+            self._parts = [start.parts for start in starts]
         moving = [
             body
-            for each, start, end in zip(self._series, starts, ends, strict=True)
-            for body in replace(body_between(start, end), name=each.name).split()
+            for each, parts, start, end in zip(self._series, self._parts, starts, ends, strict=True)
+            for body in replace(body_between(start, end), name=each.name, parts=parts).split(self._split)
         ]
         return moving + self._static
 
@@ -143,6 +160,7 @@ def read_sequence(
     displacement: str | None = None,
     faces: str | Path | None = None,
     surface: bool = False,
+    split: bool | str = False,
     max_bytes: int = MAX_BYTES,
 ) -> FrameSequence:
     """Find the frames of a simulation in its files, as ``ccd-warp sequence`` does; each is read when it is asked for.
@@ -173,8 +191,9 @@ def read_sequence(
     limit = check_count("max_bytes", max_bytes, 2**63 - 1)
     if displacement is not None and not isinstance(displacement, str):
         raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
-    surface = check_flag("surface", surface)
+    surface, split = check_flag("surface", surface), check_split(split)
     faces_path = None if faces is None else check_path("faces", faces)
-    series = find_series(files, max_bytes=limit, displacement=displacement, faces=faces_path, surface=surface)
-    bodies = static_bodies(obstacles, max_bytes=limit, surface=surface)
-    return FrameSequence(series, bodies, partial(mesh_of, kinematic=chosen, self_collision=self_collision))
+    how: dict[str, Any] = {"max_bytes": limit, "surface": surface, "split": split}
+    series = find_series(files, displacement=displacement, faces=faces_path, **how)
+    bodies = static_bodies(obstacles, **how)
+    return FrameSequence(series, bodies, partial(mesh_of, kinematic=chosen, self_collision=self_collision), split=split)

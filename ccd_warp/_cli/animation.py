@@ -42,10 +42,12 @@ def _images(
     for k in range(num_steps):
         step, record = moving(k), records[k]
         mesh = step.mesh
-        yield draw_frame(mesh, step.all_at(0.0), [], record.start, view), False
+        title = f"{record.start}, surfaces cross" if record.crossing else record.start
+        yield draw_frame(mesh, step.all_at(0.0), [], title, view, crossing=record.crossing_points), False
         if record.hit:
             title = f"{record.start}, toi = {record.toi:.4g}"
-            yield draw_frame(mesh, step.all_at(record.toi), record.points, title, view), True
+            at_toi = step.all_at(record.toi)
+            yield draw_frame(mesh, at_toi, record.points, title, view, sizes=record.sizes), True
         if k == num_steps - 1:
             yield draw_frame(mesh, step.all_at(1.0), [], record.end, view), True
         line.advance()

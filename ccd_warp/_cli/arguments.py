@@ -131,6 +131,14 @@ def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF",
     )
+    parser.add_argument(
+        "--split",
+        metavar="[=FIELD]",
+        type=lambda text: text or True,
+        default=False,
+        help="without a FIELD, each file is divided into its connected components, bodies called NAME#0, NAME#1, ...; "
+        "--split=FIELD: by a field of the cells of VTK and XDMF files, or by an array of a .npz, a value for each face",
+    )
     parser.add_argument("--no-self-collision", action="store_true", help="leave out contacts of a body with itself")
     parser.add_argument(
         "--max-bytes",

@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import NoReturn
 
 from ccd_warp._cli.arguments import add_options, add_scene_arguments, add_verbosity
-from ccd_warp._cli.process import FAILED, INTERRUPTED, say, standard_output, start_quietly
+from ccd_warp._cli.process import FAILED, INTERRUPTED, say, spelled_streams, standard_output, start_quietly
 from ccd_warp._input.messages import printable
+from ccd_warp._runtime.shared_header import remove_headers
 from ccd_warp._runtime.threads import is_any_aside
 from ccd_warp._version import __version__
 
@@ -40,9 +41,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         is a contact, or ``bench --compare`` found something worse; 2 for bad input, and for a file that cannot be
         written, with one line on stderr; 130 after Ctrl-C. A pipe whose reader has gone changes nothing.
     """
+    with spelled_streams():
+        return _answered(argv)
+
+
+def _answered(argv: Sequence[str] | None) -> int:
     try:
         with standard_output():
-            arguments = _make_parser().parse_args(argv)
+            # argparse would take what follows an option for its value where that may be left out
+            given = ["--split=" if each == "--split" else each for each in (sys.argv[1:] if argv is None else argv)]
+            arguments = _make_parser().parse_args(given)
             return arguments.command(arguments)
     except ValueError as error:  # of the library's own checks, too: each message names the argument and the finding
         say(f"ccd-warp: error: {printable(str(error))}")
@@ -235,5 +243,6 @@ def run_program() -> NoReturn:
         if sys.stdout is not None:
             with suppress(OSError):
                 sys.stdout.flush()
+        remove_headers()
         os._exit(status)
     sys.exit(status)

@@ -1,4 +1,4 @@
-"""The lengths of a step in the unit of its files, and warnings of motions that hardly mean what they say."""
+"""The lengths of a step in the unit of its files."""
 
 from dataclasses import dataclass
 
@@ -7,12 +7,6 @@ from numpy.typing import NDArray
 
 from ccd_warp._display import shown_range
 from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
-
-# Frames whose sizes differ by this factor are hardly in the same unit.
-_OTHER_UNIT = 100.0
-# An edge of which less than this share is left within the step is hardly meant to move on straight lines.
-_SHRUNK = 0.1
 
 
 @dataclass(frozen=True)
@@ -66,45 +60,3 @@ def largest_displacement(vertices_t0: NDArray[np.float64], vertices_t1: NDArray[
     """Of a vertex over the whole step."""
     with np.errstate(over="ignore"):
         return float(np.linalg.norm(vertices_t1 - vertices_t0, axis=1).max(initial=0.0))
-
-
-def motion_warnings(
-    mesh: CollisionMesh, vertices_t0: NDArray[np.float64], vertices_t1: NDArray[np.float64], t_max: float
-) -> list[str]:
-    """What is odd about a motion, a line each; of frames in different units nothing else is said."""
-    moving = mesh.moving_vertices
-    if not len(moving):
-        return []
-    with np.errstate(all="ignore"):
-        sizes = [float(np.ptp(frame[moving], axis=0).max()) for frame in (vertices_t0, vertices_t1)]
-        small, large = sorted(sizes)
-        if large > 0.0 and small * _OTHER_UNIT <= large:
-            return [
-                f"the bodies that move are {sizes[0]:.6g} long at the start and {sizes[1]:.6g} at the end of the step; "
-                "are both frames in the same unit?"
-            ]
-        return _shrunk_edges(mesh, vertices_t0, vertices_t1, t_max)
-
-
-def _shrunk_edges(
-    mesh: CollisionMesh, vertices_t0: NDArray[np.float64], vertices_t1: NDArray[np.float64], t_max: float
-) -> list[str]:
-    edges = mesh.edges[~mesh.static[mesh.edge_body]]
-    unit = float(np.abs(vertices_t0).max()) or 1.0
-    start, end = ((frame[edges[:, 1]] - frame[edges[:, 0]]) / unit for frame in (vertices_t0, vertices_t1))
-    change = end - start
-    # The square of the length is a parabola in t.
-    squared = np.einsum("ij,ij->i", change, change)
-    t = np.clip(-np.einsum("ij,ij->i", start, change) / np.where(squared > 0.0, squared, 1.0), 0.0, t_max)
-    share = np.linalg.norm(start + t[:, None] * change, axis=1) / np.linalg.norm(start, axis=1)
-    shrunk = np.flatnonzero(share <= _SHRUNK)  # not those without a length, whose share is not a number
-    if not len(shrunk):
-        return []
-    k = shrunk[np.argmin(share[shrunk])]
-    body = mesh.vertex_body[edges[k, 0]]
-    a, b = (edges[k] - mesh.body_vertex_range[body]).tolist()
-    return [
-        f"{len(shrunk):,} of {len(edges):,} edges shrink to a tenth or less within the step, edge {a}-{b} of "
-        f"{mesh.names[body]} to {share[k]:.2g} of its length at t = {t[k]:.2g}; vertices move on straight lines, and a "
-        "rotation is replaced by its chords: take smaller steps"
-    ]

@@ -1,5 +1,6 @@
 """Pictures that the command line draws, checked before the work is done."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ccd_warp._cli.progress import waiting
@@ -37,7 +38,7 @@ def draw_step(path: Path, step: SolvedStep, *, is_quiet: bool) -> Path:
             step.mesh,
             step.vertices_t0,
             step.vertices_t1,
-            step.result,
+            replace(step.result, start=step.start),
             to,
             t_max=step.options.t_max,
             motion=step.motion,

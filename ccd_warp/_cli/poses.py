@@ -30,7 +30,7 @@ def pose_sequence(mesh_path: str | Path, arguments: argparse.Namespace) -> PoseS
     from ccd_warp._pose_sequence import PoseSequence
 
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
-    static = static_bodies(arguments.static, max_bytes=limit, surface=arguments.surface)
+    static = static_bodies(arguments.static, max_bytes=limit, surface=arguments.surface, split=arguments.split)
     return PoseSequence(
         Path(mesh_path),
         arguments.poses,
@@ -39,4 +39,5 @@ def pose_sequence(mesh_path: str | Path, arguments: argparse.Namespace) -> PoseS
         SceneArguments.of(arguments).mesh,
         max_bytes=limit,
         surface=arguments.surface,
+        split=arguments.split,
     )

@@ -1,5 +1,6 @@
 """The process of the command line: its streams, what others write to them, and Ctrl-C."""
 
+import codecs
 import logging
 import os
 import signal
@@ -7,7 +8,8 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -20,6 +22,8 @@ from ccd_warp._runtime.terminal import closed_stderr
 
 FAILED = 3  # the status of a fault of the command itself, with a traceback
 INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
+_SPELLING = "ccd_warp.spelled"  # how streams write what their encoding lacks
+_SPELLED = {"…": "...", "×": "x", "²": "^2", "→": "->", "−": "-", "–": "-", "’": "'", "µ": "u"}
 
 
 def say(line: str) -> None:
@@ -33,6 +37,27 @@ def check_standard_output() -> None:
     """Refuse ``--output -`` where the process was started without a standard output."""
     if sys.stdout is None:
         raise InputError("--output -: there is no standard output; give a file, or do not close it")
+
+
+def _spelled(error: UnicodeError) -> tuple[str, int]:
+    """What stands for characters that a terminal does not know: an ellipsis is three dots, most are escaped."""
+    assert isinstance(error, UnicodeEncodeError)
+    letters = error.object[error.start : error.end]
+    return "".join(_SPELLED.get(c) or c.encode("unicode_escape").decode() for c in letters), error.end
+
+
+codecs.register_error(_SPELLING, _spelled)
+
+
+@contextmanager
+def spelled_streams() -> Iterator[None]:
+    """Spell in both streams what their encoding lacks, as ASCII does an ellipsis; Python would raise an error."""
+    with ExitStack() as stack:
+        for stream in (sys.stdout, sys.stderr):
+            if isinstance(stream, TextIOWrapper):
+                stack.callback(stream.reconfigure, errors=stream.errors)
+                stream.reconfigure(errors=_SPELLING)
+        yield
 
 
 class _StandardOutput:

@@ -41,7 +41,7 @@ def waiting(what: str, *, is_quiet: bool) -> Iterator[None]:
     shown: list[str] = []
 
     def show() -> None:
-        shown.append(f"{what} …")
+        shown.append(f"{what} ...")
         write_to_terminal(f"\r{shown[0]}")
 
     timer = threading.Timer(progress_line.PATIENCE, show)

@@ -4,19 +4,21 @@ import argparse
 import time
 from pathlib import Path
 
+from ccd_warp import CollisionPipeline
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.half_spaces import half_space_bodies
-from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.output import check_output_path, write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.poses import check_poses, pose_sequence
-from ccd_warp._cli.process import report_on, start_quietly, warn
+from ccd_warp._cli.process import report_on, start_quietly, warn, warnings_on_stderr
 from ccd_warp._cli.progress import waiting
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import SceneArguments
-from ccd_warp._cli.solve import load_kernels, solve_scene
-from ccd_warp._files.frames import read_frames, read_static
+from ccd_warp._cli.solve import SolvedStep, load_kernels, solve_scene
+from ccd_warp._files.frames import read_frames
+from ccd_warp._frames import static_bodies
 from ccd_warp._input.messages import InputError, printable
+from ccd_warp._odd_motion import motion_warnings
 
 
 def run_step(arguments: argparse.Namespace) -> int:
@@ -31,7 +33,8 @@ def run_step(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         check_picture(arguments.picture, "--picture")
     begin = time.perf_counter()
-    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface}
+    how = {"max_bytes": arguments.max_bytes, "surface": arguments.surface, "split": arguments.split}
+    reading = waiting("reading the files", is_quiet=arguments.quiet)
     check_poses(arguments)
     motion, title = None, f"{arguments.start} -> {arguments.end}"
     if arguments.poses is None:
@@ -39,12 +42,12 @@ def run_step(arguments: argparse.Namespace) -> int:
             raise InputError(
                 "END is missing; expected the mesh at the end of the step, or --poses; see ccd-warp run --help"
             )
-        with waiting("reading the files", is_quiet=arguments.quiet):
-            bodies = read_frames(arguments.start, arguments.end, **how).split()
-            bodies += [body for path in arguments.static for body in read_static(path, **how).split()]
+        with reading, warnings_on_stderr(is_quiet=arguments.quiet):
+            bodies = read_frames(arguments.start, arguments.end, **how).split(arguments.split)
+            bodies += static_bodies(arguments.static, **how)
         bodies += half_space_bodies(arguments.half_space)
     else:
-        with waiting("reading the files", is_quiet=arguments.quiet):
+        with reading, warnings_on_stderr(is_quiet=arguments.quiet):
             sequence = pose_sequence(arguments.start, arguments)
         if len(sequence) != 2:
             raise InputError(
@@ -73,7 +76,7 @@ def run_step(arguments: argparse.Namespace) -> int:
     )
     timings.update(step.timings)
     if not arguments.quiet:
-        for line in motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max):
+        for line in _oddities(step):
             warn(line)
     written: list[Path] = []
     if arguments.output is not None:
@@ -91,3 +94,13 @@ def run_step(arguments: argparse.Namespace) -> int:
         for path in written:
             print(f"wrote {printable(str(path))}", file=report)
     return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))
+
+
+def _oddities(step: SolvedStep) -> list[str]:
+    """What is odd about the frames, a line each."""
+    lines = motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max)
+    if step.start.num_crossing and step.motion is None:
+        with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
+            if not pipeline.find_intersections(step.vertices_t1).num_crossing:
+                lines.append("surfaces cross at the start of the step and not at its end; are START and END swapped?")
+    return lines

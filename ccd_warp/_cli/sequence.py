@@ -56,7 +56,8 @@ def run_sequence(arguments: argparse.Namespace) -> int:
     start_quietly(arguments.device)
     if arguments.picture is not None:
         check_animation(arguments.picture, "--picture")
-    with noted_files() as opened, waiting("reading the first step", is_quiet=arguments.quiet):
+    reading = waiting("reading the first step", is_quiet=arguments.quiet)
+    with noted_files() as opened, reading, warnings_on_stderr(is_quiet=arguments.quiet):
         sequence = _open(arguments)
     given = given_options(arguments)
     at_start = _moving(sequence, 0).all_at(0.0)
@@ -149,15 +150,10 @@ def _open(arguments: argparse.Namespace) -> FrameSequence | PoseSequence:
                 raise InputError(f"--{name} is given with --poses; expected one of them")
         return pose_sequence(arguments.frames[0], arguments)
     limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
-    series = find_series(
-        arguments.frames,
-        max_bytes=limit,
-        displacement=arguments.displacement,
-        faces=arguments.faces,
-        surface=arguments.surface,
-    )
-    static = static_bodies(arguments.static, max_bytes=limit, surface=arguments.surface)
-    return FrameSequence(series, static + half_space_bodies(arguments.half_space), SceneArguments.of(arguments).mesh)
+    how: dict[str, Any] = {"max_bytes": limit, "surface": arguments.surface, "split": arguments.split}
+    series = find_series(arguments.frames, displacement=arguments.displacement, faces=arguments.faces, **how)
+    static = static_bodies(arguments.static, **how) + half_space_bodies(arguments.half_space)
+    return FrameSequence(series, static, SceneArguments.of(arguments).mesh, split=arguments.split)
 
 
 def _journal(
@@ -175,7 +171,7 @@ def _journal(
         **SceneArguments.of(arguments).plain(),
         **{
             name: getattr(arguments, name)
-            for name in ("half_space", "displacement", "surface", "ignore_start_contacts", "path")
+            for name in ("half_space", "displacement", "surface", "split", "ignore_start_contacts", "path")
         },
         "columns": COLUMNS,
         "labels": [each.labels for each in sequence._series],
@@ -205,10 +201,12 @@ def _draw(
     *,
     is_quiet: bool,
 ) -> Path:
-    """Draw the animation, or the first step that has a contact."""
+    """Draw the animation, or the first step that has a contact, or else one at whose start surfaces cross."""
     if path.suffix.lower() != ".png":
         return draw_animation(path, partial(_moving, sequence), records, line)
-    bad = next((k for k, record in sorted(records.items()) if record.hit), 0)
+    ordered = sorted(records.items())
+    crossing = next((k for k, record in ordered if record.crossing), 0)
+    bad = next((k for k, record in ordered if record.hit), crossing)
     step = solved(bad)
     line.clear()
     return draw_step(path, step, is_quiet=is_quiet)
@@ -236,4 +234,5 @@ def _warn_of_motions(records: list[StepRecord]) -> None:
     odd = [record for record in records if record.warnings]
     if odd:
         more = f" (and {len(odd) - 1} more steps)" if len(odd) > 1 else ""
-        warn(f"step {odd[0].step}: {odd[0].warnings[0]}{more}")
+        for sentence in odd[0].warnings:
+            warn(f"step {odd[0].step}: {sentence}{more}")

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ccd_warp._cli.motion import motion_warnings
 from ccd_warp._cli.places import ContactTable
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._files.opened import Stamp
+from ccd_warp._odd_motion import motion_warnings
 from ccd_warp._status import PairKind
 
-# Points of contacts that are kept for pictures, the earliest ones.
+# Points that are kept for pictures, of contacts the earliest ones.
 _MOST_POINTS = 200
 _KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE, PairKind.VERTEX_PLANE)
 
@@ -52,6 +52,8 @@ class StepRecord:
         first: Of the earliest contact, by the names of the CSV file; None if there is none.
         described: What touches what in it, and where; empty if there is none.
         points: Places of the earliest contacts.
+        sizes: Of the smaller body of the earliest contact and of its smaller primitive, 0 without one.
+        crossing_points: Places where edges pass through faces at the start.
         displacement: The largest of a vertex.
         warnings: What is odd about the motion.
         files: Stamps of the files from which its frames were read.
@@ -68,6 +70,8 @@ class StepRecord:
     first: dict[str, Any] | None
     described: list[str]
     points: list[list[float]]
+    sizes: tuple[float, float]
+    crossing_points: list[list[float]]
     displacement: float
     warnings: list[str]
     files: list[Stamp]
@@ -75,6 +79,8 @@ class StepRecord:
     @classmethod
     def of(cls, number: int, labels: Sequence[str], step: SolvedStep, files: list[Stamp]) -> "StepRecord":
         """The record of a solved step."""
+        from ccd_warp.viz._scene import contact_sizes  # not before a step is solved
+
         contacts, counts = step.result.contacts, step.result.counts
         table = ContactTable.of(step.mesh, contacts, _MOST_POINTS)
         first = None
@@ -95,6 +101,8 @@ class StepRecord:
             first=first,
             described=[table.described(0), table.placed(0)] if len(table) else [],
             points=table.contacts.points.tolist(),
+            sizes=contact_sizes(step.mesh, step.moving.all_at(0.0), table.contacts, 0 if len(table) else -1),
+            crossing_points=step.start.points[step.start.is_crossing][:_MOST_POINTS].tolist(),
             displacement=step.displacement,
             warnings=motion_warnings(step.mesh, step.vertices_t0, step.vertices_t1, step.options.t_max),
             files=files,
@@ -161,13 +169,18 @@ def csv_text(records: Sequence[StepRecord]) -> str:
     return file.getvalue()
 
 
-def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> None:
-    """Draw the toi and the number of contacts of every step.
+def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> Any:
+    """Draw the toi and the number of contacts of every step, and mark those at whose start surfaces cross.
+
+    Returns:
+        The figure of matplotlib.
 
     Raises:
         ImportError: If matplotlib is not installed.
     """
     import matplotlib
+
+    from ccd_warp.viz._scene import CROSSING_COLOUR
 
     with matplotlib.rc_context({"font.size": 10}):
         from matplotlib.figure import Figure
@@ -175,18 +188,31 @@ def draw_plot(path: Path, records: Sequence[StepRecord], t_max: float) -> None:
         figure = Figure(figsize=(9.0, 4.5), layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(2, 1))
         bad = [record for record in records if record.hit]
-        free = [record.step for record in records if not record.hit]
+        free = [record.step for record in records if not record.hit and not record.crossing]
+        crossing = [record.step for record in records if record.crossing]
         upper.plot(free, [t_max] * len(free), ".", color="#b8b8b8", label="no contact")
         upper.plot([record.step for record in bad], [record.toi for record in bad], "o", color="#c8102e", label="toi")
+        if crossing:
+            said = "surfaces cross at the start"
+            upper.plot(
+                crossing,
+                [0.0] * len(crossing),
+                "x",
+                color=CROSSING_COLOUR,
+                label=said,
+                markersize=9.0,
+                markeredgewidth=2.0,
+            )
         upper.set_ylim(-0.05 * t_max, 1.08 * t_max)
         upper.set_ylabel("toi")
-        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, frameon=False)
+        upper.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False)
         lower.bar([record.step for record in bad], [sum(record.counts.values()) for record in bad], color="#c8102e")
         lower.set_ylabel("contacts")
         lower.set_xlabel("step")
         lower.xaxis.get_major_locator().set_params(integer=True)
         lower.yaxis.get_major_locator().set_params(integer=True)
         figure.savefig(path, dpi=120)
+    return figure
 
 
 def ranges_text(numbers: Sequence[int]) -> str:

@@ -8,7 +8,7 @@ import tarfile
 import zipfile
 
 from ccd_warp._files.text import CUT
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 
 # Endings of file names. A 3MF file is a ZIP archive, too.
 ARCHIVES = (".zip", ".tar.gz", ".tar.bz2", ".bz2", ".3mf")
@@ -51,8 +51,7 @@ def unpack(name: str, data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:
     except InputError:
         raise
     except Exception as error:  # zlib, bz2, lzma, zipfile and tarfile each raise their own
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"cannot be unpacked ({reason}); copy or pack it again") from error
+        raise InputError(f"cannot be unpacked ({reason_of(error)}); copy or pack it again") from error
 
 
 def _unpack_zip(data: bytes, max_bytes: int) -> list[tuple[str, bytes]]:

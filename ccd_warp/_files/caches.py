@@ -2,7 +2,7 @@
 
 import math
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +11,9 @@ from ccd_warp._files.archive import plain_members
 from ccd_warp._files.cells import displaced, reading, triangles
 from ccd_warp._files.mesh import Mesh, check_part, read_mesh
 from ccd_warp._files.opened import PLAIN_BYTES, check_size, note
+from ccd_warp._files.parts import Split, groups_of_field, parts_of
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
 
@@ -25,15 +26,17 @@ class NpzSeries:
     files: list[Path]
     positions: np.ndarray
     faces: np.ndarray
+    field: tuple[str, np.ndarray] | None = None
 
     @classmethod
-    def open(cls, path: Path, max_bytes: int, faces_path: Path | None) -> "NpzSeries":
+    def open(cls, path: Path, max_bytes: int, faces_path: Path | None, split: Split = False) -> "NpzSeries":
         """Read an archive.
 
         Args:
             path: The archive.
             max_bytes: Limit on its unpacked size, where it is compressed.
             faces_path: Mesh file whose faces it takes if it holds none.
+            split: Name of the array with a number or a text for each face that tells the parts.
 
         Raises:
             InputError: If the archive is damaged, too large, or lacks an array.
@@ -53,7 +56,10 @@ class NpzSeries:
             raise InputError(f"{path}: holds no 'faces'; add them, or give a mesh that has them with --faces FILE")
         if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or not len(faces):
             raise InputError(f"{path}: 'faces' is {faces.dtype} of shape {faces.shape}; {_EXPECTED}")
-        return cls(path.name, files, positions, faces.astype(np.int64))
+        if isinstance(split, str) and split not in arrays:
+            raise InputError(f"{path}: holds no array {split!r}; expected one with a number or a text for each face")
+        field = (split, arrays[split]) if isinstance(split, str) else None
+        return cls(path.name, files, positions, faces.astype(np.int64), field)
 
     @property
     def labels(self) -> list[str]:
@@ -67,7 +73,11 @@ class NpzSeries:
 
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
-        return _mesh(self.files[0], self.labels[k], self.positions[k].astype(np.float64), self.faces)
+        mesh = _mesh(self.files[0], self.labels[k], self.positions[k].astype(np.float64), self.faces)
+        if self.field is None or k > 0:
+            return mesh
+        with reading(self.files[0]):
+            return replace(mesh, parts=groups_of_field(*self.field, [self.faces], len(mesh.vertices)))
 
 
 def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
@@ -85,10 +95,9 @@ def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
                 raise InputError(f"unpacks to {unpacked:,} bytes, and {limit}")
             return {name: _npy(archive, member) for name, member in members.items()}
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{path}: {reason_of(error)}") from error
     except Exception as error:  # zipfile, zlib and NumPy each raise their own
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a NumPy archive ({reason}); write it again") from error
+        raise InputError(f"{path}: cannot be read as a NumPy archive ({reason_of(error)}); write it again") from error
 
 
 def _npy(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
@@ -115,9 +124,10 @@ class XdmfSeries:
     xdmf: Xdmf
     displacement: str | None
     surface: bool
+    split: Split = False
 
     @classmethod
-    def open(cls, xdmf: Xdmf, displacement: str | None, surface: bool) -> "XdmfSeries":
+    def open(cls, xdmf: Xdmf, displacement: str | None, surface: bool, split: Split = False) -> "XdmfSeries":
         """The series of a file.
 
         Raises:
@@ -126,13 +136,13 @@ class XdmfSeries:
         path = xdmf.path
         if displacement is None and not all(xdmf.has_points(k) for k in range(1, len(xdmf.frames))):
             with reading(path):
-                points, _, fields = xdmf.grid(len(xdmf.frames) - 1)
-                names = [repr(name) for name, read in fields.items() if read().shape == points.shape]
+                grid = xdmf.grid(len(xdmf.frames) - 1)
+                names = [repr(name) for name, read in grid.fields.items() if read().shape == grid.points.shape]
             raise InputError(
                 f"{path}: all its frames have the same geometry; expected --displacement NAME with the field that "
                 f"moves it, and found {', '.join(names) or 'no field of vectors at the points'}"
             )
-        return cls(path.name, [path], xdmf, displacement, surface)
+        return cls(path.name, [path], xdmf, displacement, surface, split)
 
     @property
     def labels(self) -> list[str]:
@@ -153,8 +163,10 @@ class XdmfSeries:
         path = self.files[0]
         with reading(path):
             grid = self.xdmf.grid(k)
-            vertices, faces = displaced(path, grid, self.displacement), triangles(path, grid, self.surface)
-        return _mesh(path, self.labels[k], vertices, faces, self.surface)
+            vertices, (faces, midsides) = displaced(path, grid, self.displacement), triangles(path, grid, self.surface)
+            mesh = _mesh(path, self.labels[k], vertices, faces)
+            parts = parts_of(path, grid, self.split, needs_field=True) if k == 0 else None
+        return replace(mesh, is_surface=self.surface, midsides=midsides, parts=parts)
 
 
 def open_xdmf(path: Path, max_bytes: int) -> Xdmf:
@@ -163,9 +175,9 @@ def open_xdmf(path: Path, max_bytes: int) -> Xdmf:
         return Xdmf(path, max_bytes)
 
 
-def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray, is_surface: bool = False) -> Mesh:
+def _mesh(path: Path, label: str, vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     try:
         check_part(vertices, faces)
     except InputError as error:
         raise InputError(f"{label}: {error}") from error
-    return Mesh(path.with_name(label), vertices, faces, "indexed", is_surface=is_surface)
+    return Mesh(path.with_name(label), vertices, faces, "indexed")

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 
 # Cells of a fixed number of corners, by VTK's number: their names and corners.
 VTK_CELLS = {
@@ -19,11 +19,12 @@ Blocks = list[tuple[str, Any]]
 
 
 class Grid(NamedTuple):
-    """Points, cells of one type in each block, and the fields at the points, which are read when they are called."""
+    """Points, cells of one type in each block, and fields at points and of cells, which are read when called."""
 
     points: np.ndarray
     blocks: Blocks
     fields: Mapping[str, Callable[[], np.ndarray]]
+    cell_fields: Mapping[str, Callable[[], np.ndarray]]
 
 
 @contextlib.contextmanager
@@ -34,7 +35,7 @@ def reading(path: Path) -> Iterator[None]:
     except Exception as error:
         if str(error).startswith(f"{path}"):
             raise
-        reason = " ".join(str(error).split()) or type(error).__name__
+        reason = reason_of(error)
         if not isinstance(error, InputError):
             reason = f"cannot be read ({reason}); write it again, or save it as PLY"
         raise InputError(f"{path}: {reason}") from error
@@ -70,16 +71,20 @@ def vtk_blocks(types: np.ndarray, ends: np.ndarray, corners: np.ndarray) -> Bloc
     return blocks
 
 
-def triangles(path: Path, grid: Grid, surface: bool) -> np.ndarray:
-    """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others."""
-    from ccd_warp._input.cells import SHELLS, VOLUMES, surface_of
+def triangles(path: Path, grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others.
+
+    And of quadratic cells, which are taken by their corners, the ends and the node of each edge.
+    """
+    from ccd_warp._input.cells import SHELLS, VOLUMES, by_corners, surface_of
 
     for kind, _ in grid.blocks:
         if kind not in (*SHELLS, *(VOLUMES if surface else ())):
             advice = "; --surface, in Python surface=True, takes the boundary surface" if kind in VOLUMES else ""
             raise InputError(f"{path}: holds cells of the type {kind}; expected triangles and quads{advice}")
     try:
-        return surface_of(grid.blocks, "cells", len(grid.points))
+        cells, midsides = by_corners(grid.blocks, "cells", len(grid.points))
+        return surface_of(cells, "cells", len(grid.points)), midsides
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
 

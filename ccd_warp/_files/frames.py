@@ -9,12 +9,14 @@ import numpy as np
 
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.mesh import Mesh, read_mesh
+from ccd_warp._files.natural import are_swapped
+from ccd_warp._files.parts import Parts, Split, components, groups
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_count
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.cells import warn_of_midsides
+from ccd_warp._input.messages import InputError, warn
 
 _MOST_BYTES = 2**63 - 1
-_MOST_NAMES = 3  # of the groups of a body, in its name
 
 __all__ = ["Body", "InputError", "body_between", "make_body", "read_frames", "read_static", "write_mesh"]
 
@@ -36,6 +38,7 @@ class Body:
         num_copies: Number of vertices that were merged into each, shape [n]; None where none were.
         half_space: The half-space that it is in place of a mesh; None of a file.
         is_surface: Whether its faces are the surface of volumes, so that the other vertices are inside them.
+        parts: The parts of its cells into which it is to be split; None if it is not.
     """
 
     name: str
@@ -50,6 +53,7 @@ class Body:
     num_copies: np.ndarray | None = None
     half_space: HalfSpace | None = None
     is_surface: bool = False
+    parts: Parts | None = None
 
     @classmethod
     def of_half_space(cls, name: str, half_space: HalfSpace) -> "Body":
@@ -62,66 +66,52 @@ class Body:
         """What :meth:`ccd_warp.CollisionMesh.from_arrays` takes of it: the vertices inside take no part."""
         return self.half_space or (self.vertices_t0, {"triangle": self.faces} if self.is_surface else self.faces)
 
-    def split(self) -> list["Body"]:
+    def split(self, split: Split = False) -> list["Body"]:
         """The objects, groups and nodes of the file as bodies of their own, called by their names.
 
         Those that share a vertex are one body. A vertex in no face belongs to the body of the vertex before it.
+
+        Args:
+            split: Whether each of these is divided into its connected components; a field divided it in reading.
         """
-        if self.face_name is None:
-            return [self]
-        part_of_name = _connected(self.faces, self.face_name, len(self.names))
-        vertex_part = np.full(len(self.vertices_t0), -1, dtype=np.int64)
-        vertex_part[self.faces] = part_of_name[self.face_name][:, None]
+        cells, count = [self.faces], len(self.vertices_t0)
+        if self.parts is not None:
+            return self._divided(self.parts)
+        if self.face_name is not None:
+            bodies = self._divided(groups(self.names, self.face_name, cells, count))
+            return [part for body in bodies for part in body.split(split)] if split is True else bodies
+        return self._divided(components(cells, count)) if split is True else [self]
+
+    def _divided(self, parts: Parts) -> list["Body"]:
+        """Each part as a body."""
+        if len(parts.names) == 1:
+            return [replace(self, names=("",), face_name=None, parts=None)]
+        vertex_part = parts.of_vertex
         last = np.maximum.accumulate(np.where(vertex_part >= 0, np.arange(len(vertex_part)), -1))
         vertex_part = vertex_part[np.where(last >= 0, last, self.faces.min())]
-        face_part = part_of_name[self.face_name]
-        vertices, faces = _by_part(vertex_part, len(self.names)), _by_part(face_part, len(self.names))
+        vertices, faces = (_by_part(each, len(parts.names)) for each in (vertex_part, vertex_part[self.faces[:, 0]]))
         local = np.empty(len(vertex_part), dtype=np.int64)
-        names: dict[int, list[str]] = {}
-        for name in np.unique(self.face_name).tolist():
-            names.setdefault(int(part_of_name[name]), []).append(self.names[name])
         bodies = []
-        for part, of_part in names.items():
-            chosen = vertices[part]
+        for name, chosen, of_part in zip(parts.names, vertices, faces, strict=True):
             local[chosen] = np.arange(len(chosen))
             bodies.append(
                 Body(
-                    _joined(of_part) or self.name,
+                    self.name + name if parts.is_suffix else name or self.name,
                     self.vertices_t0[chosen],
                     self.vertices_t1[chosen],
-                    local[self.faces[faces[part]]],
+                    local[self.faces[of_part]],
                     self.source_index[chosen],
                     self.is_static,
                     0 if self.num_copies is None else int(self.num_copies[chosen].sum()),
+                    is_surface=self.is_surface,
                 )
             )
-        return [replace(bodies[0], name=self.name)] if len(bodies) == 1 else bodies
+        return bodies
 
 
 def _by_part(parts: np.ndarray, count: int) -> list[np.ndarray]:
     """The indices that belong to each part, ascending."""
     return np.split(np.argsort(parts, kind="stable"), np.cumsum(np.bincount(parts, minlength=count))[:-1])
-
-
-def _connected(faces: np.ndarray, face_name: np.ndarray, count: int) -> np.ndarray:
-    """The number of the part to which each name belongs, where names whose faces share a vertex are one part."""
-    part = np.arange(count)
-    of_corner = np.repeat(face_name, 3)
-    order = np.lexsort((of_corner, faces.ravel()))
-    vertex, name = faces.ravel()[order], of_corner[order]
-    shares = (vertex[1:] == vertex[:-1]) & (name[1:] != name[:-1])
-    for a, b in np.unique(np.column_stack([name[:-1], name[1:]])[shares], axis=0).tolist():
-        part[part == part[b]] = part[a]
-    return part
-
-
-def _joined(names: Sequence[str]) -> str:
-    """The name of a body of several groups: that of their object, or the first ones."""
-    distinct = list(dict.fromkeys(filter(None, names)))
-    if len(distinct) > 1 and len({name.partition("/")[0] for name in distinct}) == 1:
-        return distinct[0].partition("/")[0]
-    shown = distinct[:_MOST_NAMES]
-    return " + ".join(shown) + (f" + {len(distinct) - len(shown)} more" if len(distinct) > len(shown) else "")
 
 
 def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = False) -> Body:
@@ -132,7 +122,12 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
 
 
 def read_frames(
-    start_path: str | Path, end_path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool = False
+    start_path: str | Path,
+    end_path: str | Path,
+    *,
+    max_bytes: int = MAX_BYTES,
+    surface: bool = False,
+    split: Split = False,
 ) -> Body:
     """Read the two ends of a step.
 
@@ -141,6 +136,7 @@ def read_frames(
         end_path: Mesh file of the end positions, with the same faces.
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         surface: Whether volume cells stand for their boundary surface.
+        split: Name of the field of cells at the start that tells the parts of the body; no other value does anything.
 
     Returns:
         A moving body.
@@ -151,8 +147,21 @@ def read_frames(
         ValueError: If ``max_bytes`` is not a positive integer.
     """
     max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    start, end = (read_mesh(Path(path), max_bytes, surface=surface) for path in (start_path, end_path))
-    return body_between(start, end)
+    start = read_mesh(Path(start_path), max_bytes, surface=surface, split=split)
+    end = read_mesh(Path(end_path), max_bytes, surface=surface)
+    body = body_between(start, end)
+    warn_of_step(start, end)
+    return body
+
+
+def warn_of_step(start: Mesh, end: Mesh) -> None:
+    """Say what is odd about two frames: nodes of quadratic cells off their edges, and names in the other order."""
+    warn_of_midsides(f"cells of {start.path.name}", start.midsides, start.faces, start.vertices, end.vertices)
+    if are_swapped(start.path, end.path):
+        warn(
+            f"the step goes from {start.path.name} to {end.path.name}; are the two swapped? The frame at the start of "
+            "the step comes first"
+        )
 
 
 def body_between(start: Mesh, end: Mesh) -> Body:
@@ -187,7 +196,13 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     name = start.path.name
     if start.sharing == "indexed":
         body = make_body(name, start.vertices, end.vertices, start.faces)
-        return replace(body, names=start.names, face_name=start.face_name, is_surface=start.is_surface)
+        return replace(
+            body,
+            names=start.names,
+            face_name=start.face_name,
+            is_surface=start.is_surface or len(start.midsides) > 0,
+            parts=start.parts,
+        )
     if start.sharing == "soup":
         source_index, merged = _merge(np.hstack([start.vertices, _node_of_vertex(start)]))
         torn = np.flatnonzero((end.vertices[source_index][merged] != end.vertices).any(axis=1))
@@ -216,13 +231,22 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     )
 
 
-def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool = False) -> Body:
+def read_static(
+    path: str | Path,
+    *,
+    max_bytes: int = MAX_BYTES,
+    surface: bool = False,
+    split: Split = False,
+    needs_field: bool = False,
+) -> Body:
     """Read an obstacle that does not move.
 
     Args:
         path: Mesh file.
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         surface: Whether volume cells stand for their boundary surface.
+        split: Name of the field of cells that tells the parts of the body, if the file has it.
+        needs_field: Whether the file must have it.
 
     Returns:
         A static body.
@@ -231,10 +255,13 @@ def read_static(path: str | Path, *, max_bytes: int = MAX_BYTES, surface: bool =
         InputError: If the file is missing, damaged or not finite, or unpacks to more than the limit.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    mesh = read_mesh(Path(path), check_count("max_bytes", max_bytes, _MOST_BYTES), surface=surface)
+    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
+    mesh = read_mesh(Path(path), max_bytes, surface=surface, split=split, needs_field=needs_field)
     if mesh.sharing == "indexed":
+        warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
         body = make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
-        return replace(body, names=mesh.names, face_name=mesh.face_name, is_surface=mesh.is_surface)
+        is_surface = mesh.is_surface or len(mesh.midsides) > 0
+        return replace(body, names=mesh.names, face_name=mesh.face_name, is_surface=is_surface, parts=mesh.parts)
     source_index, merged = _merge(np.hstack([mesh.vertices, _node_of_vertex(mesh)]))
     vertices = mesh.vertices[source_index]
     return Body(

@@ -9,6 +9,7 @@ from ccd_warp._files.text import CUT, shown
 from ccd_warp._input.messages import InputError
 
 _GLB_HEADER = 12  # bytes: magic, version, length
+_LONGEST_NAME = 1 << 10  # of a file beside it; what is longer is a buffer whose beginning is damaged
 # Extensions that a file may require and that do not affect its triangles.
 _HARMLESS = (
     "KHR_mesh_quantization",
@@ -76,6 +77,9 @@ def _check_tree(tree: dict[str, Any], binary: bytes, fetch: Callable[[str], byte
                 found = len(base64.b64decode(uri.partition("base64,")[2], validate=True))
             except ValueError as error:
                 raise InputError(f"buffer {k} is no base64 ({error}); {CUT}") from None
+        elif len(uri) > _LONGEST_NAME:
+            begin = shown(uri[:_LONGEST_NAME].encode())
+            raise InputError(f"buffer {k} lies in {begin}, no file has a name of {len(uri):,} characters; {CUT}")
         else:
             found = len(fetch(uri))
         if found < buffer["byteLength"]:

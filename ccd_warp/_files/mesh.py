@@ -3,7 +3,7 @@
 import io
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal, NamedTuple
 from urllib.parse import unquote
@@ -17,12 +17,13 @@ from ccd_warp._files.gltf import check_glb, check_gltf
 from ccd_warp._files.obj import read_obj
 from ccd_warp._files.off import read_off
 from ccd_warp._files.opened import read_file
+from ccd_warp._files.parts import Parts, Split, parts_of
 from ccd_warp._files.ply import read_ply
 from ccd_warp._files.stl import read_stl
 from ccd_warp._files.vtk import read_vtk
 from ccd_warp._files.vtu import read_vtu
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError
+from ccd_warp._input.messages import InputError, reason_of
 from ccd_warp._input.trimesh_bodies import transformed
 
 # How a format stores a vertex that several faces share.
@@ -76,6 +77,8 @@ class Mesh:
         names: Names of its objects, groups and nodes; "" stands for what has none.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
         is_surface: Whether it is the surface of volumes, so that the other vertices are inside them.
+        midsides: Ends of the edges of quadratic cells and the node in the middle of each, shape [k, 3].
+        parts: The parts of its cells, where it is to be split by these.
     """
 
     path: Path
@@ -85,9 +88,19 @@ class Mesh:
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
     is_surface: bool = False
+    midsides: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
+    parts: Parts | None = None
 
 
-def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surface: bool = False) -> Mesh:
+def read_mesh(
+    path: Path,
+    max_bytes: int,
+    displacement: str | None = None,
+    surface: bool = False,
+    split: Split = False,
+    *,
+    needs_field: bool = True,
+) -> Mesh:
     """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
 
     Args:
@@ -95,6 +108,8 @@ def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surfa
         max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
         displacement: Field of a VTK or XDMF file that is added to its positions.
         surface: Whether volume cells of such a file stand for their boundary surface.
+        split: How its cells are to be split, see :mod:`ccd_warp._files.parts`; other files are split by their faces.
+        needs_field: Whether the file must have the field by which it is split.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
@@ -103,11 +118,17 @@ def read_mesh(path: Path, max_bytes: int, displacement: str | None = None, surfa
     if path.suffix.lower() in CELL_SUFFIXES:
         with reading(path):
             grid = _read_cells(path, max_bytes)
-            vertices, faces = displaced(path, grid, displacement), triangles(path, grid, surface)
+            vertices, (faces, midsides) = displaced(path, grid, displacement), triangles(path, grid, surface)
             if not len(faces):
                 raise InputError("holds no triangles; give a triangle mesh")
             check_part(vertices, faces)
-        return Mesh(path, vertices, faces, "indexed", is_surface=surface)
+            split_parts = parts_of(path, grid, split, needs_field=needs_field)
+        return Mesh(path, vertices, faces, "indexed", is_surface=surface, midsides=midsides, parts=split_parts)
+    if isinstance(split, str) and needs_field:
+        raise InputError(
+            f"{path}: holds no fields of cells, and is to be split by {split!r}; expected a VTU, VTK, XDMF or NPZ "
+            "file, or --split (split=True) for connected components"
+        )
     data = read_file(path, max_bytes)
     end = archive_end(path.name)
     if end is None or end == ".3mf":
@@ -195,10 +216,9 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
             check_part(part.vertices, part.faces)
         return parts
     except InputError as error:
-        raise InputError(f"{label}: {error}") from error
+        raise InputError(f"{label}: {reason_of(error)}") from error
     except Exception as error:  # trimesh raises whatever its parsers raise
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason}); {_ADVICE}") from error
+        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason_of(error)}); {_ADVICE}") from error
 
 
 def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -7,6 +7,15 @@ from pathlib import Path
 from ccd_warp._input.messages import InputError
 
 _NUMBER = re.compile(r"([0-9]+)")
+# Words by which the names of two frames tell which comes later.
+_LATER = (
+    ("start", "end"),
+    ("begin", "end"),
+    ("before", "after"),
+    ("first", "last"),
+    ("old", "new"),
+    ("initial", "final"),
+)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -30,6 +39,14 @@ def series_name(paths: Sequence[Path]) -> str:
         return paths[0].name
     name = shared.partition("#")[0].strip("_-. ")
     return name or paths[0].absolute().parent.name or paths[0].name
+
+
+def are_swapped(start: Path, end: Path) -> bool:
+    """Whether the names of two frames say that the second comes before the first."""
+    if pattern_of(start) == pattern_of(end) and "#" in pattern_of(start):
+        return _last_number(start) > _last_number(end)
+    first, second = start.stem.lower(), end.stem.lower()
+    return first != second and any(late in first and first.replace(late, early) == second for early, late in _LATER)
 
 
 def grouped_frames(paths: Sequence[Path]) -> list[list[Path]]:

@@ -10,6 +10,7 @@ from ccd_warp._files.caches import NpzSeries, XdmfSeries, open_xdmf
 from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, Mesh, read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
 from ccd_warp._files.opened import read_file
+from ccd_warp._files.parts import Split
 from ccd_warp._input.messages import InputError
 
 _ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
@@ -48,6 +49,7 @@ class FileSeries:
     displacement: str | None = None
     surface: bool = False
     times: list[float] | None = None
+    split: Split = False
 
     @property
     def labels(self) -> list[str]:
@@ -56,7 +58,8 @@ class FileSeries:
 
     def read(self, k: int) -> Mesh:
         """The mesh of file ``k``."""
-        return read_mesh(self.files[k], self.max_bytes, self.displacement, self.surface)
+        split = self.split if k == 0 else False
+        return read_mesh(self.files[k], self.max_bytes, self.displacement, self.surface, split)
 
 
 def find_series(
@@ -66,6 +69,7 @@ def find_series(
     displacement: str | None = None,
     faces: Path | None = None,
     surface: bool = False,
+    split: Split = False,
 ) -> list[Series]:
     """The frames that files, folders and caches hold, one series for each that moves.
 
@@ -76,6 +80,7 @@ def find_series(
         displacement: Field of displacements that VTK and XDMF files hold.
         faces: Mesh file whose faces a ``.npz`` without faces takes.
         surface: Whether volume cells in VTK and XDMF files stand for their boundary surface.
+        split: How their cells are to be split; the first frame has the parts.
 
     Raises:
         InputError: If a path is missing or not known, or they differ in the number of frames, or hold fewer than two.
@@ -86,17 +91,17 @@ def find_series(
     def add(path: Path) -> None:
         suffix = path.suffix.lower()
         if suffix == ".npz":
-            series.append(NpzSeries.open(path, max_bytes, faces))
+            series.append(NpzSeries.open(path, max_bytes, faces, split))
         elif suffix == ".pvd":
-            series.extend(_pvd_series(path, max_bytes, displacement, surface))
+            series.extend(_pvd_series(path, max_bytes, displacement, surface, split))
         elif suffix in (".xdmf", ".xmf") and (xdmf := open_xdmf(path, max_bytes)).is_series:
-            series.append(XdmfSeries.open(xdmf, displacement, surface))
+            series.append(XdmfSeries.open(xdmf, displacement, surface, split))
         else:
             frames.append(path)
 
     def add_frames() -> None:
         for group in grouped_frames(frames) if frames else ():
-            series.append(FileSeries(series_name(group), group, max_bytes, displacement, surface))
+            series.append(FileSeries(series_name(group), group, max_bytes, displacement, surface, None, split))
         frames.clear()
 
     for path in paths:
@@ -142,7 +147,7 @@ def _files_of(folder: Path) -> list[Path]:
     return caches or frames
 
 
-def _pvd_series(path: Path, max_bytes: int, displacement: str | None, surface: bool) -> list[Series]:
+def _pvd_series(path: Path, max_bytes: int, displacement: str | None, surface: bool, split: Split) -> list[Series]:
     """The series of a collection of ParaView: a body for each part, with a file for each time."""
     try:
         root = ET.fromstring(read_file(path, max_bytes))
@@ -165,5 +170,5 @@ def _pvd_series(path: Path, max_bytes: int, displacement: str | None, surface: b
         entries.sort(key=lambda entry: entry[0])
         times, files = [time for time, _ in entries], [file for _, file in entries]
         name = path.name if len(parts) == 1 else series_name(files)
-        series.append(FileSeries(name, files, max_bytes, displacement, surface, times))
+        series.append(FileSeries(name, files, max_bytes, displacement, surface, times, split))
     return series

@@ -35,7 +35,7 @@ def read_vtk(data: bytes) -> Grid:
         raise InputError("holds another dataset than an UNSTRUCTURED_GRID; save it as PLY or VTU")
     found: dict[bytes, np.ndarray] = {}
     corners, ends = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-    fields: dict[str, np.ndarray] = {}
+    fields: dict[bytes, dict[str, np.ndarray]] = {b"POINT_DATA": {}, b"CELL_DATA": {}, b"": {}}
     at, count = b"", -1
     while words := _line(stream):
         section = words[0].upper()
@@ -59,10 +59,10 @@ def read_vtk(data: bytes) -> Grid:
                 for _ in range(_number(number)):
                     name, width, length, kind = _line(stream)
                     values = stream.values(_number(width) * _number(length), _type(kind))
-                    _keep(fields, at, name, values, _number(width))
+                    _keep(fields[at], name, values, _number(width))
             case [b"SCALARS", name, kind, *width] if len(width) < 2 and stream.words()[:1] == [b"LOOKUP_TABLE"]:
                 components = _number(width[0]) if width else 1
-                _keep(fields, at, name, stream.values(components * count, _type(kind)), components)
+                _keep(fields[at], name, stream.values(components * count, _type(kind)), components)
             case [b"TEXTURE_COORDINATES", name, width, kind]:
                 stream.values(_number(width) * count, _type(kind))
             case [b"LOOKUP_TABLE", name, number]:
@@ -70,13 +70,17 @@ def read_vtk(data: bytes) -> Grid:
             case [b"COLOR_SCALARS", name, width]:
                 stream.values(_number(width) * count, stream.colours)
             case [keyword, name, kind] if keyword in _WIDTHS:
-                _keep(fields, at, name, stream.values(_WIDTHS[keyword] * count, _type(kind)), _WIDTHS[keyword])
+                _keep(fields[at], name, stream.values(_WIDTHS[keyword] * count, _type(kind)), _WIDTHS[keyword])
             case _:
                 raise InputError(f"holds the line {shown(b' '.join(words))}, which is not read; {CUT}")
     if not {b"POINTS", b"CELLS", b"CELL_TYPES"} <= found.keys() or len(found[b"CELL_TYPES"]) != len(ends):
         raise InputError(f"has no points, or no cells, or other types than cells; {CUT}")
     blocks = vtk_blocks(found[b"CELL_TYPES"], ends, corners)
-    return Grid(found[b"POINTS"], blocks, {name: partial(np.asarray, values) for name, values in fields.items()})
+    of_points, of_cells = (
+        {name: partial(np.asarray, values) for name, values in fields[at].items()}
+        for at in (b"POINT_DATA", b"CELL_DATA")
+    )
+    return Grid(found[b"POINTS"], blocks, of_points, of_cells)
 
 
 def _line(stream: "_Text | _Binary") -> list[bytes]:
@@ -86,9 +90,8 @@ def _line(stream: "_Text | _Binary") -> list[bytes]:
     return words
 
 
-def _keep(fields: dict[str, np.ndarray], at: bytes, name: bytes, values: np.ndarray, width: int) -> None:
-    if at == b"POINT_DATA":
-        fields[unquote(name.decode())] = values.reshape(-1, width) if width > 1 else values
+def _keep(fields: dict[str, np.ndarray], name: bytes, values: np.ndarray, width: int) -> None:
+    fields[unquote(name.decode(errors="replace"))] = values.reshape(-1, width) if width > 1 else values
 
 
 def _number(word: bytes) -> int:

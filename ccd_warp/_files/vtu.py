@@ -39,7 +39,8 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
     if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or unknown:
         raise InputError(f"is no VTKFile of the type UnstructuredGrid with {', '.join(sorted(_ATTRIBUTES))} alone")
     arrays = _Arrays(root, body[1:], max_bytes)
-    points, blocks, fields, first = [np.zeros((0, 3))], [], [], 0
+    points, blocks, first = [np.zeros((0, 3))], [], 0
+    fields: dict[str, list[dict[str, Callable[[], np.ndarray]]]] = {"PointData": [], "CellData": []}
     for piece in _one(root, "UnstructuredGrid").findall("Piece"):
         num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
         (positions,) = _one(piece, "Points")
@@ -48,10 +49,17 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
             if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
                 raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
             blocks.append((name, cells + first))
-        fields.append({each.get("Name", ""): partial(arrays.read, each, "fiu", num_points) for each in _fields(piece)})
+        for tag, count in (("PointData", num_points), ("CellData", num_cells)):
+            found = [array for parent in piece.findall(tag) for array in parent]
+            fields[tag].append({each.get("Name", ""): partial(arrays.read, each, "fiu", count) for each in found})
         first += num_points
-    names = [name for name in fields[0] if all(name in each for each in fields)] if fields else []
-    return Grid(np.concatenate(points), blocks, {name: partial(_joined, [f[name] for f in fields]) for name in names})
+    return Grid(np.concatenate(points), blocks, _of_all(fields["PointData"]), _of_all(fields["CellData"]))
+
+
+def _of_all(pieces: list[dict[str, Callable[[], np.ndarray]]]) -> dict[str, Callable[[], np.ndarray]]:
+    """The fields that all pieces have."""
+    names = [name for name in pieces[0] if all(name in each for each in pieces)] if pieces else []
+    return {name: partial(_joined, [each[name] for each in pieces]) for name in names}
 
 
 def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
@@ -66,10 +74,6 @@ def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
 
 def _joined(parts: list[Callable[[], np.ndarray]]) -> np.ndarray:
     return np.concatenate([read() for read in parts])
-
-
-def _fields(piece: ET.Element) -> list[ET.Element]:
-    return [array for parent in piece.findall("PointData") for array in parent]
 
 
 def _one(parent: ET.Element, tag: str) -> ET.Element:

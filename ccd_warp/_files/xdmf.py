@@ -3,6 +3,7 @@
 import math
 import posixpath
 import zlib
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from ccd_warp._input.messages import InputError
 _KINDS = {"Float": "f", "Int": "i", "UInt": "u", "Char": "i", "UChar": "u"}
 # Number of a cell's type in a topology of the type Mixed, and what each topology is called, as VTK's cells are.
 _MIXED = {4: "triangle", 5: "quad", 6: "tetra", 7: "pyramid", 8: "wedge", 9: "hexahedron"}
+_MIXED |= {36: "triangle6", 37: "quad8", 38: "tetra10", 48: "hexahedron20"}
 _TOPOLOGIES = {
     **{"Triangle": "triangle", "Quadrilateral": "quad", "Tetrahedron": "tetra", "Pyramid": "pyramid", "Wedge": "wedge"},
     **{"Hexahedron": "hexahedron", "Polyvertex": "vertex", "Polyline": "line", "Edge_3": "line3"},
@@ -75,15 +77,18 @@ class Xdmf:
         points = self._read(geometry, "f")
         if points.ndim != 2 or points.shape[1] != 3:
             raise InputError(f"its points have shape {points.shape}; expected (n, 3)")
-        names = [each.get("Name", "") for each in self._fields(k)]
-        if len(set(names)) != len(names):
-            raise InputError(f"frame {k} has two fields of one name; {CUT}")
-        fields = [partial(self._read, each, "f") for each in self._fields(k)]
-        return Grid(points, self._cells(topology), dict(zip(names, fields, strict=True)))
+        return Grid(points, self._cells(topology), self._fields(k, "Node", "f"), self._fields(k, "Cell", "fiu"))
 
-    def _fields(self, k: int) -> list[ET.Element]:
-        fields = [field for each in self._series for field in each[k].findall("Attribute")]
-        return [field for field in fields if field.get("Center", "Node") == "Node"]
+    def _fields(self, k: int, centre: str, kinds: str) -> dict[str, Callable[[], np.ndarray]]:
+        """The fields at the nodes or of the cells, of numbers of these kinds."""
+        found = [field for each in self._series for field in each[k].findall("Attribute")]
+        found = [field for field in found if field.get("Center", "Node") == centre]
+        fields: dict[str, Callable[[], np.ndarray]] = {
+            each.get("Name", ""): partial(self._read, each, kinds) for each in found
+        }
+        if centre == "Node" and len(fields) != len(found):
+            raise InputError(f"frame {k} has two fields of one name; {CUT}")
+        return fields
 
     def _part(self, k: int, tag: str) -> ET.Element:
         found = self.frames[k].findall(tag) or self._base.findall(tag)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_array, on_host, validated_indices, validated_positions
+from ccd_warp._input.messages import warn
 from ccd_warp._input.names import body_label
 
 _Integers = NDArray[np.int64]
@@ -21,10 +22,24 @@ _SIDES = {
     "pyramid": ((0, 3, 2, 1), (0, 1, 4, 4), (1, 2, 4, 4), (2, 3, 4, 4), (3, 0, 4, 4)),
 }
 _SHELLS = {"triangle": ((0, 1, 2, 2),), "quad": ((0, 1, 2, 3),)}
-VOLUMES, SHELLS = tuple(_SIDES), tuple(_SHELLS)
 _CORNERS = {"tetra": 4, "hexahedron": 8, "wedge": 6, "pyramid": 5, "triangle": 3, "quad": 4}
-_BY_CORNERS = {_CORNERS[kind]: kind for kind in VOLUMES}
-_EXPECTED = f"cells by type, {', '.join(VOLUMES)}, {' or '.join(SHELLS)}"
+# Quadratic cells: the one that their corners form, and the edges in the middle of which the nodes behind these are.
+_RING = ((0, 1), (1, 2), (2, 3), (3, 0))
+_QUADRATIC = {
+    "tetra10": ("tetra", ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3))),
+    "hexahedron20": (
+        "hexahedron",
+        (*_RING, *((a + 4, b + 4) for a, b in _RING), *((a, a + 4) for a in range(4))),
+    ),
+    "triangle6": ("triangle", ((0, 1), (1, 2), (2, 0))),
+    "quad8": ("quad", _RING),
+}
+VOLUMES = (*_SIDES, "tetra10", "hexahedron20")
+SHELLS = (*_SHELLS, "triangle6", "quad8")
+_BY_CORNERS = {_CORNERS[kind]: kind for kind in _SIDES} | {10: "tetra10", 20: "hexahedron20"}
+_EXPECTED = f"cells by type, {', '.join(_SIDES)}, {' or '.join(_SHELLS)}, or quadratic {', '.join(_QUADRATIC)}"
+# A node is on its edge if it is within so many lengths of this, more than single precision rounds.
+_STRAIGHT = 1e-6
 
 
 class _Sides(NamedTuple):
@@ -65,9 +80,11 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
         if isinstance(body, (tuple, list)) and len(body) in (2, 3) and isinstance(body[1], Mapping):
             label = body_label(b, names)
             vertices = validated_positions(body[0], f"vertices of {label}", 3)
-            faces = surface_of(body[1].items(), f"cells of {label}", len(vertices), vertices)
+            cells, midsides = by_corners(body[1].items(), f"cells of {label}", len(vertices))
+            faces = surface_of(cells, f"cells of {label}", len(vertices), vertices)
             if not len(faces):
                 raise ValueError(f"cells in place of faces of {body_label(b, names)} are none; expected {_EXPECTED}")
+            warn_of_midsides(f"cells of {label}", midsides, faces, vertices)
             bodies[b], is_of_cells[b] = (vertices, faces, *body[2:]), True
     return bodies, is_of_cells
 
@@ -84,6 +101,59 @@ def _is_typed(block: Any) -> bool:
     if isinstance(block, tuple):
         return len(block) == 2 and isinstance(block[0], str)
     return isinstance(getattr(block, "type", None), str) and hasattr(block, "data")
+
+
+def by_corners(
+    cells: Iterable[tuple[str, Any]], label: str, num_vertices: int
+) -> tuple[list[tuple[str, Any]], _Integers]:
+    """Cells with their types, the quadratic ones by their corners; and the ends of each edge of these, and its node.
+
+    Raises:
+        ValueError: If an index of a quadratic cell is not known.
+    """
+    linear: list[tuple[str, Any]] = []
+    midsides = [np.zeros((0, 3), dtype=np.int64)]
+    for kind, values in cells:
+        if kind in _QUADRATIC:
+            kind_of_corners, edges = _QUADRATIC[kind]
+            count = _CORNERS[kind_of_corners]
+            nodes = validated_indices(values, count + len(edges), num_vertices, f"{label}[{kind!r}]")
+            midsides += [nodes[:, [a, b, count + k]] for k, (a, b) in enumerate(edges)]
+            kind, values = kind_of_corners, nodes[:, :count]
+        linear.append((kind, values))
+    return linear, np.concatenate(midsides)
+
+
+def warn_of_midsides(label: str, midsides: _Integers, faces: _Integers, *frames: NDArray[np.float64]) -> None:
+    """Say how far the nodes of quadratic cells lie off the edges of the surface that stands for them.
+
+    Args:
+        label: What the message calls the cells.
+        midsides: Ends of each edge and its node, shape [k, 3].
+        faces: The surface, shape [m, 3].
+        frames: Positions at one time or several, shape [n, 3].
+    """
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    first, last = np.sort(midsides[:, :2], axis=1).T
+    midsides = midsides[np.isin(first << 32 | last, ends[:, 0] << 32 | ends[:, 1])]
+    if not len(midsides):
+        return
+    off, length = np.zeros((2, len(midsides)))
+    for vertices in frames:
+        with np.errstate(all="ignore"):  # sizes without a square are not those of a mesh
+            a, b, node = np.moveaxis(vertices[midsides], 1, 0)
+            edge = b - a
+            squared = np.einsum("ij,ij->i", edge, edge)
+            share = np.clip(np.einsum("ij,ij->i", node - a, edge) / np.where(squared > 0.0, squared, 1.0), 0.0, 1.0)
+            off = np.fmax(off, np.linalg.norm(node - a - share[:, None] * edge, axis=1))
+            length = np.fmax(length, np.sqrt(squared))
+    if (off <= _STRAIGHT * length).all():
+        return
+    warn(
+        f"{label}: quadratic ones collide by their corners, and the nodes in the middle of their edges lie up to "
+        f"{off.max():.3g} off these, the longest of which is {length.max():.3g}; where that matters, divide the cells "
+        "into linear ones, or give the body a radius"
+    )
 
 
 def surface_of(

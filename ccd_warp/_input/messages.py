@@ -1,4 +1,12 @@
-"""Messages on bad input: one line, without control characters that a terminal would obey."""
+"""Messages on bad input: one line, without control characters that a terminal would obey.
+
+And warnings, as of the line of the program that has called the package.
+"""
+
+import sys
+import warnings
+
+_MOST_LETTERS = (400, 200)  # of what a file holds, at the beginning and at the end
 
 
 class InputError(ValueError):
@@ -14,3 +22,18 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def reason_of(error: Exception) -> str:
+    """What an exception says, in one line that a file cannot fill with its content; its type where it says nothing."""
+    text = " ".join(str(error).split()) or type(error).__name__
+    first, last = _MOST_LETTERS
+    return text if len(text) <= first + last else f"{text[:first]} … {text[-last:]}"
+
+
+def warn(message: str) -> None:
+    """Warn, as of the line of the caller's program that has called the package."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, RuntimeWarning, stacklevel=level)

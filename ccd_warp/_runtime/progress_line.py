@@ -76,7 +76,7 @@ def line_of(progress: Progress, seconds: float) -> str:
     """The line of a stage that has taken ``seconds`` so far."""
     share = min(1.0, progress.done / max(progress.total, 1))
     bar = f"{'#' * int(share * _WIDTH):{_WIDTH}}"
-    left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "…"
+    left = f"about {_duration(seconds * (1.0 - share) / share)} left" if share > 0.02 else "..."
     return f"{progress.stage}  [{bar}] {share:4.0%}  {left}"
 
 

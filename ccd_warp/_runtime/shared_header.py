@@ -5,6 +5,7 @@ serves all: Warp writes it under another name first, so no thread finds half of 
 """
 
 import os
+import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,9 +19,11 @@ _BEGINS_WITHIN = 0.2
 # Nobody waits longer than this, in seconds; who has waited in vain makes a header of its own.
 _LONGEST_WAIT = 30.0
 _PAUSE = 0.01
+_TRIES = 3
 
 _of_thread = threading.local()
 _lock = threading.Lock()
+_folders: set[str] = set()
 
 
 @contextmanager
@@ -32,6 +35,17 @@ def one_header() -> Iterator[None]:
         yield
     finally:
         _of_thread.shares = False
+
+
+def remove_headers() -> None:
+    """Remove the folders of all headers, before a process ends at once: Python would at its usual end.
+
+    Threads that still compile get none from now on, and wait.
+    """
+    if _lock.acquire(timeout=_LONGEST_WAIT):
+        for folder in _folders:
+            for _ in range(_TRIES):  # a compiler may be writing into it
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _share() -> None:
@@ -56,19 +70,26 @@ class _Shared:
         self._since = 0.0
 
     def __call__(self) -> Any:
-        if not getattr(_of_thread, "shares", False):
-            return self._folder_of_thread()
         with _lock:
+            if not getattr(_of_thread, "shares", False):
+                return self._new()
             if self._folder is None or not os.path.isdir(self._folder):
-                self._folder, self._since = self._folder_of_thread(), time.monotonic()
+                self._folder, self._since = self._new(), time.monotonic()
                 return self._folder
             folder, since = self._folder, self._since
         end = time.monotonic() + _LONGEST_WAIT
         while self._is_begun(folder, since):
             if time.monotonic() > end:
-                self._folder = None
-                return self._folder_of_thread()
+                with _lock:
+                    self._folder = None
+                    return self._new()
             time.sleep(_PAUSE)
+        return folder
+
+    def _new(self) -> Any:
+        folder = self._folder_of_thread()
+        if folder is not None:
+            _folders.add(folder)
         return folder
 
     @staticmethod

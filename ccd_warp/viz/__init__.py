@@ -6,7 +6,9 @@ rigid bodies are where they are at these times, and lines show the arcs of their
 earliest contacts are points with their normals as arrows; later contacts are fainter and drawn at their future
 positions. Nothing hides a contact. At t = 1 the colours show the toi of the vertices, on large faces the earliest of
 their corners; what touches nothing is pale in the colour of its body, and large faces of static bodies stay grey. Where
-a small body touches first, a close-up shows it. :func:`to_pyvista` gives the step as data sets, for other pictures.
+a small body touches first, or primitives below a hundredth of the picture, a close-up shows the contact. With the
+result of ``check_start=True``, points mark at t = 0 where surfaces cross. :func:`to_pyvista` gives the step as data
+sets, for other pictures.
 
 Pictures need no display and no GPU, but an OpenGL library that works without them: on Linux, EGL or OSMesa, which most
 systems have; otherwise install it, for example with ``apt-get install libegl1 libgl1-mesa-dri``.
@@ -170,19 +172,20 @@ def render_step(
 
 
 def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_max: float) -> None:
-    from ccd_warp.viz._front import draw_close_up, draw_contacts
+    from ccd_warp.viz._front import draw_close_up, draw_contacts, draw_crossings
 
     scene = panels[0].scene
     is_hit = np.isfinite(scene.toi)
     middle = scene.toi if is_hit else t_max
     middle_title = f"t = toi = {_rounded_down(middle)}" if is_hit else f"t = {t_max:g}, no contact"
-    titles = ("t = 0", middle_title, "t = 1")
+    titles = ("t = 0, surfaces cross" if len(scene.crossing_points) else "t = 0", middle_title, "t = 1")
     for panel, t, title in zip(panels, (0.0, middle, 1.0), titles, strict=True):
         panel.look()
         panel.draw_bodies(t, toi_range if panel is panels[2] else None)
         panel.draw_trails()
         panel.write_title(title)
     panels[0].draw_legend()
+    draw_crossings(panels[0])
     if toi_range is not None:
         panels[2].draw_toi_bar(toi_range)
     if is_hit:

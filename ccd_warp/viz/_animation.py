@@ -4,7 +4,7 @@ import importlib
 import shutil
 import subprocess
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,14 @@ class FrameView:
 
 
 def draw_frame(
-    mesh: CollisionMesh, positions: NDArray[np.float64], contacts: ArrayLike, title: str, view: FrameView
+    mesh: CollisionMesh,
+    positions: NDArray[np.float64],
+    contacts: ArrayLike,
+    title: str,
+    view: FrameView,
+    *,
+    crossing: ArrayLike = (),
+    sizes: tuple[float, float] = (0.0, 0.0),
 ) -> NDArray[np.uint8]:
     """An image of a mesh at one time.
 
@@ -65,14 +72,22 @@ def draw_frame(
         contacts: Places of contacts, the first of which is marked, shape [m, 3].
         title: Line above it.
         view: The view.
+        crossing: Places where surfaces cross, shape [k, 3].
+        sizes: Of the smaller body and the smaller primitive of the first contact, which may be shown close-up.
 
     Returns:
         Red, green and blue, uint8, shape [height, width, 3].
     """
-    scene = _scene(mesh, positions, np.asarray(contacts, dtype=np.float64).reshape(-1, 3), view)
+    points, crossings = (np.asarray(each, dtype=np.float64).reshape(-1, 3) for each in (contacts, crossing))
+    scene = replace(
+        _scene(mesh, positions, points, view),
+        crossing_points=(crossings - view.centre) / view.unit,
+        first_body_size=sizes[0] / view.unit,
+        first_contact_size=sizes[1] / view.unit,
+    )
 
     def draw(plotter: Any) -> None:
-        from ccd_warp.viz._front import draw_contacts
+        from ccd_warp.viz._front import draw_close_up, draw_contacts, draw_crossings
         from ccd_warp.viz._panel import Panel
 
         panel = Panel(plotter, (0, 0), scene, view.camera, ZOOM * min(_SIZE) / _SHORTER_SIDE)
@@ -80,8 +95,9 @@ def draw_frame(
         panel.draw_bodies(0.0)
         panel.write_title(title)
         panel.draw_legend()
+        draw_crossings(panel)
         if len(scene.contact_points):
-            draw_contacts(panel)
+            draw_close_up(panel, draw_contacts(panel))
 
     return drawn(_SIZE, 1, draw)
 
@@ -99,6 +115,7 @@ def _scene(
         contact_is_first=np.arange(len(contacts)) == 0,
         first_contact=0 if len(contacts) else -1,
         first_body_size=0.0,
+        first_contact_size=0.0,
     )
 
 

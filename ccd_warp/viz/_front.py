@@ -9,15 +9,19 @@ from vtkmodules.vtkRenderingCore import vtkActor2D, vtkRenderer
 
 from ccd_warp.viz._camera import Camera
 from ccd_warp.viz._panel import LABEL_SIZE, LINE_COLOUR, Panel, add_lights, aim, flat_actor, write
-from ccd_warp.viz._scene import StepScene
+from ccd_warp.viz._scene import CROSSING_COLOUR, StepScene
 
 _FIRST_COLOUR, _LATER_COLOUR, _LATER_OPACITY = "#c8102e", "#d8484f", 0.3
 # In pixels.
 _FIRST_SIZE, _LATER_SIZE, _ARROW_LENGTH = 10, 2.5, 50
 _GAP, _TITLE, _FRAME_WIDTH = 8, 36, 1
-# A close-up is drawn if the smaller body of the first contact takes less than _SMALL of the panel's shorter side. The
-# close-up takes _SIDE of that side, and the body _SHARE of the close-up.
-_SMALL, _SIDE, _SHARE = 0.1, 0.31, 0.4
+# A close-up is drawn if the smaller body of the first contact takes less than _SMALL of the panel's shorter side, or
+# its smaller primitive less than _TINY. The close-up takes _SIDE of that side, the body _SHARE of the close-up, the
+# primitive _SHARE_OF_CONTACT, unless it is so small that single precision, in which it is drawn, would show.
+_SMALL, _TINY, _SIDE, _SHARE, _SHARE_OF_CONTACT = 0.1, 0.01, 0.31, 0.4, 0.2
+_LEAST_HALF = 5e-4
+_CROSSING_SIZE = 8
+_INSET_EDGE = 0.5
 _WHITE = 250
 
 
@@ -30,8 +34,18 @@ def draw_contacts(panel: Panel) -> Any:
     return front
 
 
+def draw_crossings(panel: Panel) -> None:
+    """Mark where surfaces cross at the start."""
+    points = panel.scene.crossing_points
+    if len(points):
+        behind = panel.renderer
+        front = _add_renderer(panel, behind.GetViewport())
+        front.SetActiveCamera(behind.GetActiveCamera())
+        front.AddActor(flat_actor(pyvista.PolyData(points), CROSSING_COLOUR, point_size=_CROSSING_SIZE * panel.zoom))
+
+
 def draw_close_up(panel: Panel, front: Any) -> None:
-    """Draw the first contact enlarged in the emptiest corner of a panel, if its smaller body is small.
+    """Draw the first contact enlarged in the emptiest corner of a panel, if its smaller body or primitive is small.
 
     Args:
         panel: A panel with its bodies drawn.
@@ -39,10 +53,13 @@ def draw_close_up(panel: Panel, front: Any) -> None:
     """
     scene, camera = panel.scene, panel.camera
     size, shorter = camera.size, min(camera.size)
-    if not 0.0 < scene.first_body_size < _SMALL * shorter * camera.pixel:
+    has_small_body = 0.0 < scene.first_body_size < _SMALL * shorter * camera.pixel
+    if not has_small_body and not 0.0 < scene.first_contact_size < _TINY * shorter * camera.pixel:
         return
     side = _SIDE * shorter
     half = 0.5 * scene.first_body_size / _SHARE
+    if not has_small_body:
+        half = max(0.5 * scene.first_contact_size / _SHARE_OF_CONTACT, _LEAST_HALF)
     focus = scene.contact_points[scene.first_contact]
     near = replace(
         camera,
@@ -62,7 +79,7 @@ def draw_close_up(panel: Panel, front: Any) -> None:
     add_lights(inset)
     for actor in renderer.actors.values():
         if not isinstance(actor, vtkActor2D):
-            inset.AddActor(actor)
+            inset.AddActor(actor if has_small_body else _with_edges(actor, panel.zoom))
     aim(inset.GetActiveCamera(), near)
     line_width = _FRAME_WIDTH * panel.zoom
     front.AddActor(flat_actor(_frame(near, half), LINE_COLOUR, line_width=line_width))
@@ -70,7 +87,15 @@ def draw_close_up(panel: Panel, front: Any) -> None:
     contacts.SetActiveCamera(inset.GetActiveCamera())
     _add_contacts(contacts, scene, near.pixel, panel.zoom)
     contacts.AddActor(flat_actor(_frame(near, 0.99 * half), LINE_COLOUR, line_width=line_width))
-    write(contacts, f"× {camera.pixel / near.pixel:.0f}", (0.05, 0.05), LABEL_SIZE * panel.zoom)
+    write(contacts, f"× {camera.pixel / near.pixel:.0f}", (0.05, 0.05), LABEL_SIZE * panel.zoom, is_on_white=True)
+
+
+def _with_edges(actor: Any, zoom: float) -> Any:
+    """The same actor with the edges of its faces, which are too short to be seen in the panel."""
+    other = pyvista.Actor(mapper=actor.mapper.copy(), prop=actor.prop.copy())  # which keeps what it has drawn
+    other.prop.show_edges, other.prop.edge_color, other.prop.edge_opacity = True, "black", 0.6
+    other.prop.line_width = _INSET_EDGE * zoom
+    return other
 
 
 def _add_renderer(panel: Panel, viewport: tuple[float, ...]) -> Any:

@@ -218,13 +218,23 @@ def flat_actor(
     return actor
 
 
-def write(renderer: Any, text: str, position: tuple[float, float], size: float, *, is_centred: bool = False) -> None:
+def write(
+    renderer: Any,
+    text: str,
+    position: tuple[float, float],
+    size: float,
+    *,
+    is_centred: bool = False,
+    is_on_white: bool = False,
+) -> None:
     """Write a text at a position in fractions of a renderer."""
     actor = pyvista.Text(text=text, position=position)
     actor.GetPositionCoordinate().SetCoordinateSystemToNormalizedViewport()
     actor.prop.font_size, actor.prop.color = round(size), TEXT_COLOUR
     actor.prop.font_family = "arial"
     actor.prop.justification_horizontal = "center" if is_centred else "left"
+    if is_on_white:
+        actor.prop.background_color, actor.prop.background_opacity = "white", 0.8
     renderer.AddActor(actor)
 
 

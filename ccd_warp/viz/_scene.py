@@ -20,6 +20,7 @@ from ccd_warp._status import PairKind
 from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost
 
 STATIC_COLOUR = "#c6c6c2"
+CROSSING_COLOUR = "#d6008f"
 MOVING_COLOURS = ("#5b87b5", "#d09a55", "#7fa678", "#a27fae", "#c27a70", "#6aa8a6")
 # A contact counts as one of the earliest if it is at most this fraction of the step after the first.
 _SAME_TOI = 1e-6
@@ -45,6 +46,7 @@ class StepScene:
         points: Indices of the vertices in no face and no edge, shape [P].
         vertex_body: Body of each vertex, shape [V].
         static: Bodies that do not move, bool, shape [B].
+        kinematic: Bodies that move as they are told, bool, shape [B].
         vertex_toi: Earliest toi of each vertex, inf if none, float64, shape [V].
         toi: Earliest toi of the scene, inf if none.
         contact_points: Positions of the contacts, float64, shape [m, 3].
@@ -52,11 +54,14 @@ class StepScene:
         contact_is_first: Contacts that are the earliest, bool, shape [m].
         first_contact: Index of the earliest contact, -1 without one.
         first_body_size: Longest side of the smaller body of that contact, 0 without one.
+        first_contact_size: Longest side of the smaller of its primitives, of a vertex with the faces or edges around
+            it, 0 without one.
         names: Name of each body.
         squares: Corners of squares in the planes of those half-spaces that the box reaches, shape [H, 4, 3].
         place: Positions at a time, shape [V, 3], where bodies turn; None where all vertices move straight.
         arcs: Paths of some vertices of bodies that turn, shape [k, 3] each.
         between: Outermost positions between both ends of the step, where bodies turn, shape [n, 3].
+        crossing_points: Places where surfaces cross at the start, as far as they are known, shape [k, 3].
     """
 
     start: NDArray[np.float64]
@@ -66,6 +71,7 @@ class StepScene:
     points: NDArray[np.int32]
     vertex_body: NDArray[np.int32]
     static: NDArray[np.bool_]
+    kinematic: NDArray[np.bool_]
     vertex_toi: NDArray[np.float64]
     toi: float
     contact_points: NDArray[np.float64]
@@ -73,11 +79,13 @@ class StepScene:
     contact_is_first: NDArray[np.bool_]
     first_contact: int
     first_body_size: float
+    first_contact_size: float
     names: tuple[str, ...]
     squares: NDArray[np.float64]
     place: Callable[[float], NDArray[np.float64]] | None = None
     arcs: list[NDArray[np.float64]] = field(default_factory=list)
     between: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    crossing_points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
     def positions(self, t: float) -> NDArray[np.float64]:
         """Positions at a time, shape [V, 3]."""
@@ -113,18 +121,23 @@ class StepScene:
 
     @cached_property
     def legend(self) -> list[tuple[NDArray[np.uint8], str]]:
-        """Colours and what they mean: the first moving bodies, and all static ones; empty if all bodies are static."""
-        moving, static = (
-            [name for name, s in zip(self.names, self.static, strict=True) if s == kind] for kind in (0, 1)
-        )
-        if not moving:
-            return []
+        """Colours and what they mean: the first moving bodies, all static ones unless all are, and crossings."""
+        kinds = [
+            "static" if s else "kinematic" if k else "moving" for s, k in zip(self.static, self.kinematic, strict=True)
+        ]
+        moving, static = np.flatnonzero(~self.static).tolist(), np.flatnonzero(self.static).tolist()
         palette = [_rgb(colour) for colour in MOVING_COLOURS]
-        shown = len(moving) if len(moving) <= _MOST_NAMED else _MOST_NAMED - 1
-        entries = [(palette[k % len(palette)], f"{shortened(moving[k])}, moving") for k in range(shown)]
-        if shown < len(moving):
-            entries.append((palette[shown % len(palette)], f"and {len(moving) - shown} more, moving"))
-        return entries + ([(_rgb(STATIC_COLOUR), f"{listed(static)}, static")] if static else [])
+        count = len(moving) if len(moving) <= _MOST_NAMED else _MOST_NAMED - 1
+        entries = [
+            (palette[k % len(palette)], f"{shortened(self.names[body])}, {kinds[body]}")
+            for k, body in enumerate(moving[:count])
+        ]
+        if count < len(moving):
+            others = " and ".join(sorted({kinds[body] for body in moving[count:]}, reverse=True))
+            entries.append((palette[count % len(palette)], f"and {len(moving) - count} more, {others}"))
+        if moving and static:
+            entries.append((_rgb(STATIC_COLOUR), f"{listed([self.names[body] for body in static])}, static"))
+        return entries + ([(_rgb(CROSSING_COLOUR), "surfaces cross")] if len(self.crossing_points) else [])
 
     @cached_property
     def body_edge_length(self) -> NDArray[np.float64]:
@@ -181,6 +194,7 @@ def make_scene(
     centre, unit = middle_of(np.concatenate([start, between]), np.concatenate([end, between]))
     first = int(np.argmin(contacts.toi)) if len(contacts) else -1
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
+    sizes = contact_sizes(mesh, start, contacts, first)
     return StepScene(
         **placed(mesh, start, end, centre, unit),
         vertex_toi=np.asarray(result.vertex_toi),
@@ -189,10 +203,12 @@ def make_scene(
         contact_normals=mesh._in_space(np.asarray(contacts.normal)),
         contact_is_first=is_first,
         first_contact=first,
-        first_body_size=_smaller_body_size(mesh, start, contacts, first) / unit if first >= 0 else 0.0,
+        first_body_size=sizes[0] / unit,
+        first_contact_size=sizes[1] / unit,
         place=None if moving.paths is None else lambda t: (moving.all_at(t) - centre) / unit,
         arcs=[(arc - centre) / unit for arc in arcs_of(moving, _MOST_TRAILS)],
         between=(between - centre) / unit,
+        crossing_points=(_crossing_points(mesh, result) - centre) / unit,
     )
 
 
@@ -212,6 +228,7 @@ def placed(
         "points": np.flatnonzero(is_point).astype(np.int32),
         "vertex_body": mesh.vertex_body,
         "static": mesh.static,
+        "kinematic": mesh.kinematic,
         "names": mesh.names,
         # those whose middle is not far from the box of the picture; a plane far below would not be seen
         "squares": squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE],
@@ -243,11 +260,27 @@ def middle_of(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDA
     return lower + half_sides, float(half_sides.max()) or 1.0
 
 
-def _smaller_body_size(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> float:
-    """Longest side of the smaller body of a contact."""
-    corners = pair_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
-    bodies = {int(mesh.vertex_body[side[0, 0]]) for side in corners if side.size}
-    return min(float(np.ptp(start[mesh.vertex_body == body], axis=0).max()) for body in bodies)
+def contact_sizes(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> tuple[float, float]:
+    """Longest side of the smaller body of a contact, and of its smaller primitive; 0 where there is none.
+
+    A vertex has the size of the faces and edges around it.
+    """
+    if k < 0:
+        return 0.0, 0.0
+    sides = pair_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
+    chosen: tuple[list[NDArray[Any]], list[NDArray[Any]]] = [], []
+    for corners in (side.ravel() for side in sides if side.size):
+        chosen[0].append(np.flatnonzero(mesh.vertex_body == mesh.vertex_body[corners[0]]))
+        around = [each[(each == corners[0]).any(axis=1)].ravel() for each in (mesh.faces, mesh.edges)]
+        chosen[1].append(np.concatenate([corners, *(around if len(corners) == 1 else [])]))
+    body, primitive = ([float(np.ptp(start[each], axis=0).max()) for each in of_sides] for of_sides in chosen)
+    return min(body), min((size for size in primitive if size > 0.0), default=0.0)
+
+
+def _crossing_points(mesh: CollisionMesh, result: MeshResult | HostLaunchResult) -> NDArray[np.float64]:
+    """Where surfaces cross at the start, where the result has it."""
+    start = getattr(result, "start", None)
+    return np.zeros((0, 3)) if start is None else mesh._in_space(start.points[start.is_crossing])
 
 
 def _rgb(colour: str) -> NDArray[np.uint8]:

@@ -1,9 +1,11 @@
 """The command `ccd-warp`: what it prints, what it writes, and how it refuses bad input."""
 
 import csv
+import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -271,6 +273,10 @@ def test_report_says_where_surfaces_cross_at_the_start(tmp_path, capfd):
     assert _run(tmp_path, "--fail-on-contact", "--output", tmp_path / "out.json") == 1
     expected = [{"bodies": ["start.ply", "start.ply"], "edges_through_faces": 2}]
     assert json.loads((tmp_path / "out.json").read_text())["crossing_at_start"] == expected
+    assert capfd.readouterr().err == ""
+    write_mesh(tmp_path / "end.ply", face + 2.0 * np.eye(3)[[2]] * (np.arange(6) > 2)[:, None], faces)
+    assert _run(tmp_path) == 0
+    assert "warning: surfaces cross at the start of the step and not at its end; are START" in capfd.readouterr().err
 
 
 def test_report_says_where_no_edge_passes_through_a_face(scene, capfd):
@@ -290,6 +296,19 @@ def test_frames_in_different_units_are_warned_of(scene, capfd):
     )
     assert error.count("\n") == 1
     assert _run(scene, "--quiet") == 0
+    assert capfd.readouterr().err == ""
+
+
+def test_vertices_in_another_order_and_frames_in_the_other_are_warned_of(scene, capfd):
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    write_mesh(scene / "end.ply", (ball.vertices + [0.1, 0.2, 2.0])[::-1], ball.faces)
+    assert _run(scene) == 0
+    renumbered, *_ = capfd.readouterr().err.splitlines()
+    assert "the vertices of start.ply are at the same places at the start and at the end of the step" in renumbered
+    assert main(["run", str(scene / "end.ply"), str(scene / "start.ply")]) == 0
+    swapped, *_ = capfd.readouterr().err.splitlines()
+    assert swapped.startswith("ccd-warp: warning: the step goes from end.ply to start.ply; are the two swapped?")
+    assert main(["run", str(scene / "end.ply"), str(scene / "start.ply"), "--quiet"]) == 0
     assert capfd.readouterr().err == ""
 
 
@@ -442,6 +461,23 @@ def test_help_and_version_end_well(capfd, arguments):
     assert captured.out.strip()
     if arguments == ("--version",):
         assert captured.out == f"ccd-warp {ccd.__version__}\n"
+
+
+def test_help_and_reports_are_spelled_where_a_terminal_knows_ascii_alone(scene, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "1000")
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
+    for name in ("run", "sequence", "demo", "explore", "bench"):
+        with pytest.raises(SystemExit):
+            main([name, "--help"])
+    for name in ("start", "end"):
+        shutil.copy(scene / f"{name}.ply", scene / f"{name} é.ply")
+    obstacles = [each for _ in range(40) for each in ("--static", str(scene / "floor.ply"))]
+    assert main(["run", str(scene / "start é.ply"), str(scene / "end é.ply"), *obstacles]) == 0
+    assert main(["run", str(scene / "none é.ply"), str(scene / "end é.ply")]) == 2
+    out = written.getvalue().decode("ascii")
+    assert "cpu, cuda, cuda:1, ... (" in out and "  ... 11 more bodies" in out and "start \\xe9.ply" in out
+    assert sys.stdout.errors == "strict"
 
 
 def test_demo_says_miss_and_gives_the_toi(tmp_path, capfd):

@@ -20,7 +20,8 @@ pty = pytest.importorskip("pty", reason="terminals of POSIX")
 _PATIENCE = 600.0
 # The command, whose lines are shown at once; `overlaps` is the number of pairs from which on it warns.
 _RUN = """
-import sys, threading
+import signal, sys, threading
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have had it ignored
 import ccd_warp._runtime.progress_line, ccd_warp._runtime.threads, ccd_warp._engine.host.oddities
 ccd_warp._runtime.progress_line.PATIENCE = 0.0
 ccd_warp._runtime.threads._TICK = 1e-2
@@ -51,6 +52,7 @@ pipeline.{name}(frames.vertices_t0, frames.vertices_t1)
 # The module of the mesh reader is imported by code that catches whatever an import raises, as trimesh itself does.
 _INTERRUPTED_IMPORT = """
 import importlib.abc, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
 class Finder(importlib.abc.MetaPathFinder):
     def find_spec(self, name, *_):
         if name == "trimesh":
@@ -157,7 +159,7 @@ def test_every_part_of_a_run_is_named_while_it_takes_long(triangles_in_a_plane, 
         "writing the results",
         "drawing the picture",
     ):
-        assert f"\r{part} …" in shown, part
+        assert f"\r{part} ..." in shown, part
     assert screen_of(shown) == []
 
 
@@ -166,7 +168,7 @@ def test_pictures_of_an_animation_are_counted_although_stderr_is_closed_meanwhil
     folder = ["--output", str(tmp_path / "out"), "--picture", str(tmp_path / "out.gif")]
     status, shown = at_terminal([*triangles_in_a_plane(20), *folder], name="sequence")
     assert status == 0
-    assert "\rreading the first step …" in shown and "pictures  [" in shown and shown.count("100%") == 2
+    assert "\rreading the first step ..." in shown and "pictures  [" in shown and shown.count("100%") == 2
     assert screen_of(shown) == []
 
 
@@ -239,6 +241,10 @@ def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch
         with pytest.warns(RuntimeWarning, match=r"most often of sheet and lining \(100 % of a sample\)$"):
             result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
         assert (result.counts.num_batches > 1) == (pair_bytes == 1)
+    # of twelve sheets that lie in each other, no two have a tenth of the pairs
+    mesh = ccd.CollisionMesh.from_arrays([(flat, faces)] * 12, self_collision=False)
+    with pytest.warns(RuntimeWarning, match=r"memory_limit bounds the memory$"):
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1, device="cpu")
     mesh = ccd.CollisionMesh.from_arrays([(flat, faces), (flat + [9, 9, 9], faces)], names=["cloth", "far"])
     end = mesh.vertices + 0.1 * (mesh.vertex_body[:, None] == 0)
     with pytest.warns(RuntimeWarning, match=r"most often of cloth and itself \(\d+ % of a sample\)$"):
@@ -247,7 +253,7 @@ def test_warning_of_overlaps_names_the_bodies_that_lie_in_each_other(monkeypatch
 
 def test_estimate_is_what_the_stage_has_taken_and_its_share():
     assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
-    assert line_of(Progress(None, "pairs", 1, 1000), 10.0).endswith("0%  …")
+    assert line_of(Progress(None, "pairs", 1, 1000), 10.0).endswith("0%  ...")
     assert line_of(Progress(None, "pairs", 50, 100), 600.0).endswith("about 10 min left")
     assert "100%" in line_of(Progress(None, "pairs", 101, 100), 1.0)
 

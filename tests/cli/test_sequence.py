@@ -17,7 +17,7 @@ from conftest import loaded_example
 import ccd_warp as ccd
 from ccd_warp._cli import sequence as sequence_command
 from ccd_warp._cli.command import main
-from ccd_warp._cli.sequence_records import ranges_text
+from ccd_warp._cli.sequence_records import draw_plot, ranges_text
 from ccd_warp._files.frames import write_mesh
 
 # A separation at which the cloth of the example, which keeps clear of the globe, has contacts in most steps.
@@ -129,7 +129,11 @@ def test_ctrl_c_keeps_the_steps_so_far(cloth, tmp_path):
     count, frames, faces, _ = cloth
     positions = np.tile(frames[:, :count], (6, 1, 1))
     np.savez(tmp_path / "cloth.npz", positions=positions, faces=faces)
-    command = [sys.executable, "-m", "ccd_warp", "sequence", "cloth.npz", *OPTIONS, "--output", "out"]
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have had it ignored
+        "from ccd_warp._cli.command import run_program; run_program()"
+    )
+    command = [sys.executable, "-P", "-c", program, "sequence", "cloth.npz", *OPTIONS, "--output", "out"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     journal, end = tmp_path / "out" / "sequence.journal", time.monotonic() + 600.0  # a guard against hanging
     while process.poll() is None and time.monotonic() < end:
@@ -288,6 +292,36 @@ def test_pictures_of_a_sequence(ball, suffix):
     with Image.open(picture) as image:
         # Five frames and the toi of the four steps with a contact.
         assert getattr(image, "n_frames", 1) == (9 if suffix == ".gif" else 1)
+
+
+def test_steps_at_whose_start_surfaces_cross_are_marked(tmp_path, monkeypatch):
+    """In the plot and the animation: a triangle comes down through another, and stays there without a contact."""
+    from PIL import Image
+
+    vertices = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]])
+    for k, height in enumerate((4.0, 3.0, 0.0, 0.0, 0.0)):
+        frame = vertices + height * np.outer(np.arange(6) > 2, [0, 0, 1])
+        write_mesh(tmp_path / f"a_{k}.ply", frame, np.array([[0, 1, 2], [3, 4, 5]]))
+    plots = []
+    monkeypatch.setattr("ccd_warp._cli.sequence.draw_plot", lambda *arguments: plots.append(draw_plot(*arguments)))
+    output = ["--quiet", "--output", tmp_path / "out", "--picture", tmp_path / "out.gif"]
+    pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    assert _run(*sorted(tmp_path.glob("*.ply")), *output) == 0
+    rows = _rows(tmp_path / "out" / "steps.csv")
+    assert [(row["toi"] == "inf", int(row["crossing_at_start"])) for row in rows] == [
+        *((True, 0), (False, 0)),
+        *((True, 2), (True, 2)),
+    ]
+    lines = {line.get_label(): line.get_xdata().tolist() for line in plots[0].axes[0].lines}
+    assert lines == {"no contact": [0], "toi": [1], "surfaces cross at the start": [2, 3]}
+    assert [text.get_text() for text in plots[0].axes[0].get_legend().get_texts()] == [*lines]
+    with Image.open(tmp_path / "out.gif") as image:
+        marked = []
+        for k in range(image.n_frames):
+            image.seek(k)
+            is_marked = np.abs(np.asarray(image.convert("RGB")).astype(int) - [214, 0, 143]).max(axis=2) < 24
+            marked.append(bool(is_marked.sum() > 100))
+    assert marked == [False, False, False, True, True, False]  # the third is at the toi, the last begins no step
 
 
 def test_colour_of_few_pixels_stays_as_it_is(tmp_path):

@@ -158,3 +158,117 @@ def test_files_of_an_archive_are_bodies(tmp_path):
         "b/one.obj/x",
         "b/one.obj/y",
     ]
+
+
+def _hollow_cube(place):
+    """The hexahedra of a hollow cube, 3 x 3 x 3 without the middle: its two surfaces are of one part."""
+    places = np.array([place for place in np.ndindex(3, 3, 3) if place != (1, 1, 1)])
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    nodes, cells = np.unique((places[:, None] + corners).reshape(-1, 3), axis=0, return_inverse=True)
+    return nodes / 3.0 + place, cells.reshape(-1, 8)
+
+
+@pytest.fixture(params=["vtu", "vtk", "xdmf"])
+def cubes(request, tmp_path):
+    """Files of three hollow cubes above one another, cells of all in turn; the highest comes down on the middle one."""
+    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    parts = [_hollow_cube([0.0, 0.0, 2.0 * k]) for k in range(3)]
+    nodes = np.concatenate([part for part, _ in parts])
+    cells = np.concatenate([cells + k * len(parts[0][0]) for k, (_, cells) in enumerate(parts)])
+    material = np.repeat([7, 3, 7], len(parts[0][1]))
+    order = np.random.default_rng(0).permutation(len(cells))
+    order = np.append(0, order[order != 0])  # the cells of the first cube come first
+    end = nodes.copy()
+    end[-len(parts[0][0]) :, 2] -= 1.5
+    for name, x in (("start", nodes), ("end", end)):
+        data = {"material": [material[order]], "vector": [np.zeros((len(cells), 3))]}
+        mesh = meshio.Mesh(x, [("hexahedron", cells[order])], cell_data=data)
+        mesh.write(tmp_path / f"{name}.{request.param}")
+    return [tmp_path / f"{name}.{request.param}" for name in ("start", "end")], nodes, end
+
+
+def test_what_hangs_together_by_its_cells_is_a_body(cubes):
+    paths, nodes, end = cubes
+    frames = ccd.read_frames(*paths, surface=True, split=True, static=paths[:1])
+    names = [f"{paths[0].name}#{k}" for k in range(3)]
+    assert {*frames.mesh.names[:3]} == {*names} and frames.mesh.names[3:] == tuple(
+        f"{n} (2)" for n in frames.mesh.names[:3]
+    )
+    assert frames.mesh.body_vertex_range.tolist() == [64 * k for k in range(7)]
+    count = len(nodes)
+    assert sorted(frames.source_index[:count]) == sorted(frames.source_index[count:]) == list(range(count))
+    assert np.array_equal(frames.vertices_t0, nodes[frames.source_index])
+    assert np.array_equal(frames.vertices_t1[:count], end[frames.source_index[:count]])
+
+
+def test_cells_of_one_value_of_a_field_are_a_body(cubes):
+    paths, *_ = cubes
+    frames = ccd.read_frames(*paths, surface=True, split="material", kinematic=["material 3"])
+    assert frames.mesh.names == ("material 3", "material 7") and frames.mesh.kinematic.tolist() == [True, False]
+    assert frames.source_index.tolist() == [*range(64, 128), *range(64), *range(128, 192)]
+    whole = ccd.read_frames(*paths, surface=True)
+    split, one = (ccd.mesh_ccd(each.mesh, each.vertices_t0, each.vertices_t1) for each in (frames, whole))
+    assert split.toi == one.toi == pytest.approx(2 / 3) and len(split.contacts) == len(one.contacts)
+    assert {*split.first.body_names} == {"material 3", "material 7"}
+
+
+def test_a_command_names_the_parts(cubes, capfd):
+    paths, *_ = cubes
+    options = ["--surface", "--kinematic", f"{paths[0].name}#0", "--radius", f"{paths[0].name}#1=0.05"]
+    assert main(["run", *options, "--split", *map(str, paths)]) == 0
+    assert f"{paths[0].name}#0  kinematic" in capfd.readouterr().out
+    options = ["--split=material", "--surface", "--radius", "material 3=0.25", "--no-self-collision", *map(str, paths)]
+    assert main(["run", *options]) == 0
+    out = capfd.readouterr().out
+    assert "scene toi  0.499999" in out and "material 3  moving" in out and "of material 7" in out
+
+
+@pytest.mark.parametrize(
+    ("split", "message"),
+    [
+        ("colour", "has no field 'colour' of its cells; expected one of them: 'material', 'vector'"),
+        ("vector", r"the field 'vector' is .* of shape \(78, 3\); expected a finite number for each of the 78 cells"),
+        (3, "split is 3; expected True, False or the name of a field of cells"),
+        ("", "split is ''; expected True, False"),
+    ],
+)
+def test_a_field_that_tells_no_parts_is_refused(cubes, split, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        ccd.read_frames(*cubes[0], surface=True, split=split)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_soup_and_a_group_are_split_by_what_shares_a_vertex(tmp_path):
+    boxes = [trimesh.creation.box(extents=(1, 1, 1)).apply_translation([3.0 * k, 0, 0]) for k in range(3)]
+    trimesh.util.concatenate(boxes).export(tmp_path / "a.stl")
+    frames = ccd.read_frames(tmp_path / "a.stl", tmp_path / "a.stl", split=True)
+    assert frames.mesh.names == ("a.stl#0", "a.stl#1", "a.stl#2") and frames.num_merged.tolist() == [28, 28, 28]
+    assert ccd.read_frames(tmp_path / "a.stl", tmp_path / "a.stl").mesh.names == ("a.stl",)
+    (tmp_path / "a.obj").write_text(_obj((["o two"], TRIANGLE), ([], TRIANGLE + 3.0), (["o one"], TRIANGLE + 6.0)))
+    assert [body.name for body in read_static(tmp_path / "a.obj").split(True)] == ["two#0", "two#1", "one"]
+    with pytest.raises(ValueError, match=r"a\.obj: holds no fields of cells, and is to be split by 'part'"):
+        ccd.read_frames(tmp_path / "a.obj", tmp_path / "a.obj", split="part")
+
+
+def test_parts_that_share_a_vertex_are_one_body_called_by_both(tmp_path):
+    """Of a cache the first frame tells the parts; a number or a text for each face."""
+    positions = np.random.default_rng(0).uniform(size=(12, 3)) + np.arange(3.0)[:, None, None]
+    faces = np.array([[0, 1, 2], [3, 4, 5], [2, 6, 7], [8, 9, 10]])
+    for values, names in (
+        ([5, 4, 9, 5], ("part 4", "part 5 + part 9")),
+        ([0.5, 0.25, 2.0, 4.0], ("part 0.25", "part 0.5 + part 2", "part 4")),
+        (["shirt", "ball", "sleeve", "shirt"], ("ball", "shirt + sleeve")),
+    ):
+        np.savez(tmp_path / "a.npz", positions=positions, faces=faces, part=np.array(values))
+        sequence = ccd.read_sequence(tmp_path / "a.npz", split="part")
+        assert sequence.mesh.names == names
+        assert all(step.mesh is sequence.mesh for step in sequence.steps())
+        assert np.array_equal(sequence[2], positions[2][sequence.step(0).source_index])
+    np.savez(tmp_path / "a.npz", positions=positions, faces=faces, part=np.array([1, 2, 3]))
+    for split, message in (("part", r"is int64 of shape \(3,\)"), ("other", "holds no array 'other'")):
+        with pytest.raises(ValueError, match=message):
+            ccd.read_sequence(tmp_path / "a.npz", split=split)
+    np.savez(tmp_path / "a.npz", positions=positions, faces=faces, part=np.array([1, 2, 2, 1]))
+    with pytest.warns(RuntimeWarning, match="of all 2 values of the field 'part' hang together"):
+        assert ccd.read_sequence(tmp_path / "a.npz", split="part").mesh.names == ("a.npz",)
+    assert ccd.read_sequence(tmp_path / "a.npz", split=True).mesh.names == ("a.npz#0", "a.npz#1", "a.npz#2")

@@ -6,6 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
+import ccd_warp as ccd
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.mesh import read_mesh
 from ccd_warp._input.messages import InputError
@@ -151,3 +152,47 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     _refused(path, data.replace(b"/" + name, b"/bomb"), "a chunk that unpacks to more than its 168 bytes")
     huge = data.replace(b"/" + name, b"/huge").replace(b'Dimensions="7 3"', b'Dimensions="%d 3"' % (1 << 27))
     _refused(path, huge, "has 3,221,225,472 bytes, and the limit is")
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "xdmf"])
+@pytest.mark.parametrize("kind", ["triangle6", "quad8", "tetra10", "hexahedron20"])
+def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path, kind, suffix):
+    """One cell with straight edges; at the end of the step a node is a tenth off the middle of its edge."""
+    cube = np.array(
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float
+    )
+    ring = [(0, 1), (1, 2), (2, 3), (3, 0)]
+    corners, edges = {
+        "triangle6": ([0, 1, 2], [(0, 1), (1, 2), (2, 0)]),
+        "quad8": ([0, 1, 2, 3], ring),
+        "tetra10": ([0, 1, 3, 4], [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]),
+        "hexahedron20": (range(8), [*ring, *((a + 4, b + 4) for a, b in ring), *((a, a + 4) for a in range(4))]),
+    }[kind]
+    points = cube[list(corners)]
+    start = np.concatenate([points, points[np.array(edges)].mean(axis=1)])
+    end = start - [0, 0, 3.0]
+    end[len(points)] += [0.25, -0.1, 0.0]  # along the edge, and off it
+    paths = [tmp_path / f"{name}.{suffix}" for name in ("start", "end")]
+    for path, x in zip(paths, (start, end), strict=True):
+        meshio.Mesh(x, [(kind, np.arange(len(start))[None])]).write(path)
+    with pytest.warns(
+        RuntimeWarning, match=f"^cells of start.{suffix}: quadratic ones .* up to 0.1 off these, the longest"
+    ):
+        frames = ccd.read_frames(*paths, surface=kind in ("tetra10", "hexahedron20"))
+    linear = ccd.CollisionMesh.from_volume(points, {kind.rstrip("01268"): np.arange(len(points))[None]})
+    assert np.array_equal(frames.mesh.faces, linear.faces)
+    assert frames.mesh.inner_vertices.tolist() == list(range(len(points), len(start)))
+    with pytest.warns(RuntimeWarning, match="quadratic ones"):
+        sequence = ccd.read_sequence(paths, surface=kind in ("tetra10", "hexahedron20"), static=paths[:1])
+    assert len(sequence.mesh.inner_vertices) == 2 * len(edges) and np.array_equal(sequence[1][: len(end)], end)
+
+
+def test_quadratic_cells_among_others_in_xdmf(tmp_path):
+    data = {"Topology": [4, 0, 1, 2, 36, 0, 2, 3, 4, 5, 6], "Geometry": POINTS.ravel().tolist()}
+    items = "".join(
+        f'<{tag} Type="{kind}"><DataItem DataType="{number}" Dimensions="{shape}" Format="XML">'
+        f"{' '.join(map(repr, data[tag]))}</DataItem></{tag}>"
+        for tag, kind, number, shape in (("Topology", "Mixed", "Int", "11"), ("Geometry", "XYZ", "Float", "7 3"))
+    )
+    text = f"<Xdmf><Domain><Grid>{items}</Grid></Domain></Xdmf>"
+    assert _read(tmp_path / "a.xdmf", text.encode()) == [[0, 1, 2], [0, 2, 3]]

@@ -308,6 +308,18 @@ def test_gltf_that_would_be_read_in_part_is_refused(tmp_path):
             read_static(tmp_path / "a.gltf")
 
 
+@pytest.mark.parametrize(
+    ("uri", "said"), [("data;" + "A" * 30_000, "has a name of 30,005 characters"), ("B" * 700, "B … B")]
+)
+def test_damaged_buffer_is_not_quoted_whole(tmp_path, uri, said):
+    tree = json.loads(WHOLE["scene.gltf"])
+    tree["buffers"][0]["uri"] = uri
+    (tmp_path / "a.gltf").write_text(json.dumps(tree))
+    with pytest.raises(InputError, match=said) as caught:
+        read_static(tmp_path / "a.gltf")
+    assert len(str(caught.value)) < 800
+
+
 def test_gltf_reads_the_buffer_beside_it_whole_or_not_at_all(tmp_path):
     files = trimesh.Scene(trimesh.Trimesh(VERTICES, FACES, process=False)).export(file_type="gltf", merge_buffers=True)
     for name, data in files.items():

@@ -112,3 +112,16 @@ def test_what_is_no_table_is_refused(folder):
         ccd.read_poses(folder / "two.obj", folder / "none.csv")
     with pytest.raises(ValueError, match="path is 'arc'"):
         read(folder, "\n".join(ROWS), path="arc")
+
+
+def test_a_soup_of_parts_moves_by_the_poses_of_each(tmp_path):
+    boxes = [trimesh.creation.box().apply_translation([2.0 * k, 0, 0]) for k in range(3)]
+    trimesh.util.concatenate(boxes).export(tmp_path / "three.stl")
+    (tmp_path / "poses.csv").write_text("0,three.stl#0,0,0,0,0,0,0,1\n1,three.stl#0,1.5,0,0,0,0,0,1\n")
+    sequence = ccd.read_poses(tmp_path / "three.stl", tmp_path / "poses.csv", split=True)
+    mesh = sequence.mesh
+    assert mesh.names == ("three.stl#0", "three.stl#1", "three.stl#2") and mesh.static.tolist() == [False, True, True]
+    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=sequence.step(0))
+    assert result.toi == pytest.approx(2 / 3) and {*result.first.body_names} == {*mesh.names[:2]}
+    with pytest.raises(ValueError, match=r"three\.stl: holds no fields of cells, and is to be split by 'x'"):
+        ccd.read_poses(tmp_path / "three.stl", tmp_path / "poses.csv", split="x")

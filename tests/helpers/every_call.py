@@ -261,7 +261,7 @@ def every_call(folder):
         "read_poses": (
             ccd.read_poses,
             {"mesh_path": start, "poses_path": folder / "poses.json", "path": "linear", "static": [], "kinematic": []}
-            | {"max_bytes": 10**6},
+            | {"split": False, "max_bytes": 10**6},
         ),
         "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
         "find_steps": (datasets.find_steps, {"folder": folder}),
@@ -274,6 +274,7 @@ def every_call(folder):
                 "kinematic": [],
                 "self_collision": True,
                 "surface": False,
+                "split": False,
                 "max_bytes": 1000,
             },
         ),
@@ -287,6 +288,7 @@ def every_call(folder):
                 "displacement": None,
                 "faces": None,
                 "surface": False,
+                "split": False,
                 "max_bytes": 1000,
             },
         ),

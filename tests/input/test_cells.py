@@ -175,7 +175,7 @@ def test_nodes_inside_fall_through_a_half_space_and_copies_have_their_own(bar):
         ([[0, 1, 2, 4], [0, 1, 2, 5], [0, 1, 2, 6]], r"has 3 cells at the side \[0, 2, 1, 1\]; expected at most two"),
         ([[0, 1, 2, 300]], r"holds index 300; expected indices in \[0, 116\)"),
         (np.zeros((2, 7), dtype=int), r"cells has shape \(2, 7\); expected \(n, corners\) with 4 of a tetra"),
-        ({"tetra10": np.zeros((1, 10), dtype=int)}, "holds the type 'tetra10'; expected cells by type"),
+        ({"tetra14": np.zeros((1, 14), dtype=int)}, "holds the type 'tetra14'; expected cells by type"),
         ({"tetra": np.zeros((0, 4), dtype=int)}, "cells in place of faces of body 0 are none"),
         ({}, "cells in place of faces of body 0 are none"),
         (3, "cells is 3; expected integers"),
@@ -194,3 +194,45 @@ def test_a_list_of_bodies_may_hold_cells_by_type(bar):
     assert mesh.num_faces == 1 + 132 and (mesh.inner_vertices > 3).all()
     with pytest.raises(ValueError, match=r"has shape \(2, 2\); expected \(n, 3\)"):
         ccd.CollisionMesh.from_arrays([(np.zeros((2, 2)), {"tetra": np.zeros((1, 4), dtype=int)})])
+
+
+# the edges of each cell in the order of the nodes in the middle of these
+_RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
+_EDGES = {
+    "tetra": [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)],
+    "hexahedron": [*_RING, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)],
+    "triangle": _RING[:2] + [(2, 0)],
+    "quad": _RING,
+}
+
+
+@pytest.mark.parametrize("kind", _EDGES)
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_quadratic_cells_collide_by_their_corners_and_say_how_far_their_nodes_are_off(bar, kind, scale):
+    nodes, cells = bar
+    linear = cells[kind] if kind in cells else cells["hexahedron"][:, [3, 0, 1] if kind == "triangle" else [0, 1, 2, 3]]
+    quadratic = np.column_stack(
+        [linear, len(nodes) + np.arange(linear.shape[0] * len(_EDGES[kind])).reshape(len(linear), -1)]
+    )
+    ends = linear[:, np.array(_EDGES[kind])].reshape(-1, 2)
+    every = scale * np.concatenate([nodes, nodes[ends].mean(axis=1)])
+    of_type = {f"{kind}{quadratic.shape[1]}": quadratic}
+    mesh = ccd.CollisionMesh.from_volume(every, of_type)  # straight edges, of which nothing is said
+    expected = ccd.CollisionMesh.from_volume(scale * nodes, {kind: linear})
+    assert np.array_equal(mesh.faces, expected.faces) and {*range(len(nodes), len(every))} <= {*mesh.inner_vertices}
+    # the nodes at one end of the bar are moved along their edges, and by a tenth across these
+    bent = every.copy()
+    is_at_end = (every[len(nodes) :, 0] == 0) & (np.ptp(nodes[ends], axis=1) == [0, 1, 0]).all(axis=1)
+    assert is_at_end.any()
+    bent[len(nodes) :][is_at_end] += scale * np.array([-0.1, 0.2, 0.0])
+    with pytest.warns(RuntimeWarning, match=f"cells of body 0: quadratic .* up to {0.1 * scale:.3g} off these, the"):
+        mesh = ccd.CollisionMesh.from_volume(bent, of_type)
+    assert np.array_equal(mesh.faces, expected.faces)
+    end = bent + scale * np.array([0, 0, -1.0])
+    plate = (scale * PLATE[0] * [1, 1, 0.5], PLATE[1])
+    with pytest.warns(RuntimeWarning):
+        both = ccd.CollisionMesh.from_volume(bent, of_type, [plate])
+    assert ccd.mesh_ccd(both, both.vertices, np.concatenate([end, plate[0]])).toi == pytest.approx(0.5, abs=1e-5)
+    quadratic[0, -1] = len(every)
+    with pytest.raises(ValueError, match=rf"cells of body 0\['{kind}\d+'\] holds index {len(every)}"):
+        ccd.CollisionMesh.from_volume(every, of_type)

@@ -72,7 +72,7 @@ REQUIRED |= {("from_volume", "vertices"), ("RigidMotion of a twist", "twist"), (
 REQUIRED |= {("Joint", "kind"), ("Joint", "axis")}
 PATHS = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path", "paths"}
 # What is no mistake: the value has the meaning that the documentation gives it.
-FLAGS = {"check_start", "self_collision", "codimensional_points", "progress", "surface"}
+FLAGS = {"check_start", "self_collision", "codimensional_points", "progress", "surface", "split"}
 TAKEN = {
     "None": OPTIONAL,
     "negative zero": {"minimum_separation", "minimum_distance", "t_max", "inflation", "t", "radius", "distance"},
@@ -86,7 +86,7 @@ TAKEN = {
     "numpy bool": FLAGS,
     "0-d float array": {"radius"},
     "0-d int array": {"radius"},
-    "0-d bool array": FLAGS - {"progress", "check_start", "surface"},
+    "0-d bool array": FLAGS - {"progress", "check_start", "surface", "split"},
     "int beyond float64": {"memory_limit", "exclusion_rings", "max_work", "max_bytes"},
     "minus one": {"i"},
     "text": TEXTS,

@@ -1,6 +1,11 @@
 """Threads that compile take one precompiled header, and wait for the thread that makes it."""
 
+import os
+import signal
+import subprocess
+import sys
 import threading
+import time
 import types
 
 import pytest
@@ -73,6 +78,31 @@ def test_a_folder_that_is_gone_is_not_given(runtime, tmp_path):
     thread.join()
     (tmp_path / found[0]).rmdir()
     assert folder_here(runtime) == str(tmp_path / str(threading.get_ident()))
+
+
+def test_ctrl_c_while_the_header_is_made_leaves_no_file(tmp_path):
+    for name, z in (("start", 1), ("end", -1)):
+        rows = [f"v {x} {y} {z * (k // 3)}" for k, (x, y) in enumerate(2 * [(0, 0), (1, 0), (0, 1)])]
+        (tmp_path / f"{name}.obj").write_text("\n".join([*rows, "f 1 2 3", "f 4 5 6", ""]))
+    program = (
+        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have had it ignored
+        "from ccd_warp._cli.command import run_program; run_program()"
+    )
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    process = subprocess.Popen(
+        [sys.executable, "-P", "-c", program, "run", "start.obj", "end.obj", "--device", "cpu"],
+        cwd=tmp_path,
+        env=os.environ | {"TMPDIR": str(temporary), "WARP_CACHE_PATH": str(tmp_path / "cache")},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    while process.poll() is None and not any(temporary.glob("*/*.tmp")):
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    assert (process.communicate(timeout=600.0)[1], process.returncode) == ("", 130)
+    assert not any(temporary.iterdir())
 
 
 def test_where_warp_asks_for_no_folder_nothing_is_changed(monkeypatch):

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -277,6 +278,14 @@ def test_the_legend_names_what_moves_and_what_is_static():
     crowd = ccd.CollisionMesh.from_arrays([(np.eye(3) + 3.0 * k, [[0, 1, 2]]) for k in range(9)], static=[7, 8])
     texts = [text for _, text in make_scene(*_with_result(crowd, crowd.vertices, crowd.vertices)).legend]
     assert texts == ["body 0, moving", "body 1, moving", "and 5 more, moving", "body 7, body 8, static"]
+    bodies = [(np.eye(3) + 3.0 * k, [[0, 1, 2]]) for k in range(5)]
+    for kinematic, expected in (
+        ([0], ["body 0, kinematic", "body 1, moving", "and 3 more, moving"]),
+        ([4], ["body 0, moving", "body 1, moving", "and 3 more, moving and kinematic"]),
+        (range(2, 5), ["body 0, moving", "body 1, moving", "and 3 more, kinematic"]),
+    ):
+        mesh = ccd.CollisionMesh.from_arrays(bodies, kinematic=kinematic)
+        assert [text for _, text in make_scene(*_with_result(mesh, mesh.vertices, mesh.vertices)).legend] == expected
 
 
 @requires_drawing
@@ -396,6 +405,43 @@ def test_what_is_small_is_shown_close_up(tmp_path):
     panels = _draw(tmp_path, mesh, start, start + np.repeat([9.0, 0.0], [len(ball.vertices), 8])[:, None] * [1, 0, 0])
     blue = [int((panel[..., 2] - panel[..., 0] > 30).sum()) for panel in panels]
     assert blue[1] > 4 * blue[0] > 0
+
+
+@pytest.mark.parametrize("is_fine", [False, True])
+@requires_drawing
+def test_a_contact_below_a_hundredth_of_the_picture_is_shown_close_up(tmp_path, monkeypatch, is_fine):
+    """A box of a quarter of the picture comes down on its corner: fine faces are shown with their edges."""
+    box = trimesh.creation.box()
+    for _ in range(6 if is_fine else 0):
+        box = box.subdivide()
+    turn = trimesh.transformations.rotation_matrix(0.5, [1.0, 0.6, 0.0])[:3, :3]
+    floor = (np.array([[-2.0, -2, 0], [2, -2, 0], [2, 2, 0], [-2, 2, 0]]), [[0, 1, 2], [0, 2, 3]])
+    bodies = [(box.vertices @ turn.T + [0, 0, 1.5], box.faces), floor]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False)
+    step = mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.0])
+    scene = make_scene(*_with_result(mesh, *step))
+    assert scene.first_contact_size == pytest.approx(0.5 * (2**-6 if is_fine else 1.0), rel=0.5)
+    panels = _draw(tmp_path, mesh, *step, size=(1200, 400))
+    monkeypatch.setattr("ccd_warp.viz._front._TINY", 0.0)
+    without = _draw(tmp_path, mesh, *step, size=(1200, 400))
+    share = [(np.abs(a - b).max(axis=2) > 40).mean() for a, b in zip(panels, without, strict=True)]
+    assert share[0] == share[2] == 0.0 and (share[1] > 0.04 if is_fine else share[1] == 0.0)
+
+
+@requires_drawing
+def test_places_where_surfaces_cross_at_the_start_are_marked_there():
+    mesh, start, _ = _balls_over_box()
+    start[mesh.vertex_body < 2] -= [0, 0, 0.7]
+    result, crossing = ccd.mesh_ccd(mesh, start, start), ccd.find_intersections(mesh, start)
+    assert crossing.num_crossing > 10
+    images = [
+        viz.draw_step(mesh, start, start, replace(result, start=each), size=(900, 300)).image.astype(int)
+        for each in (crossing, None)
+    ]
+    is_marked = [(np.abs(image - [214, 0, 143]).max(axis=2) < 12) for image in images]
+    assert is_marked[0][:, :300].sum() > 60 and not is_marked[0][:, 300:].any() and not is_marked[1].any()
+    scene = make_scene(mesh, start, start, replace(result, start=crossing))
+    assert [text for _, text in scene.legend][-1] == "surfaces cross"
 
 
 @requires_drawing

@@ -1,7 +1,5 @@
 """What is odd about a step, and sentences for it: positions that blow up, a distance of many edges, many overlaps."""
 
-import sys
-import warnings
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -30,6 +28,8 @@ _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
 # Pairs by which the bodies are found that the warning names, of more than a million: in 2 ms of a second or more.
 _MOST_SAMPLED = 1 << 12
+# Of these pairs, those of the bodies that it names: fewer say nothing.
+_LEAST_SHARE = 0.1
 
 
 class Farthest(NamedTuple):
@@ -149,7 +149,7 @@ def overlaps_described(mesh: "CollisionMesh", num_pairs: int, keys: "Mapping[Pai
     return (
         f"{num_pairs:,} pairs of {_num_primitives(mesh):,} primitives may touch, so parts of the scene seem to lie in "
         f"each other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
-        + ("" if mesh.num_bodies == 1 else f"; they are most often of {_most_common_bodies(mesh, keys)}")
+        + ("" if mesh.num_bodies == 1 else _most_common_bodies(mesh, keys))
     )
 
 
@@ -158,7 +158,7 @@ def _num_primitives(mesh: "CollisionMesh") -> int:
 
 
 def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:
-    """The two bodies, or the one, to which the most pairs belong, and the share of these in a sample."""
+    """Words on the two bodies, or the one, to which the most pairs of a sample belong; none below a tenth of them."""
     total = sum(map(len, keys.values()))
     sample = []
     for kind, of_kind in keys.items():
@@ -168,14 +168,9 @@ def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array
         bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
         sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
     pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
+    share = counts.max() / counts.sum()
+    if share < _LEAST_SHARE:
+        return ""
     a, b = pairs[np.argmax(counts)].tolist()
     names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
-    return f"{names} ({100 * counts.max() / counts.sum():.0f} % of a sample)"
-
-
-def warn(message: str) -> None:
-    """Warn, as of the line of the caller's program that has called the package."""
-    frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "ccd_warp":
-        frame, level = frame.f_back, level + 1
-    warnings.warn(message, RuntimeWarning, stacklevel=level)
+    return f"; they are most often of {names} ({100 * share:.0f} % of a sample)"

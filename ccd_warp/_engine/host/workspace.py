@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.step_boxes import StepBoxes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
-from ccd_warp._engine.host.oddities import warn
 from ccd_warp._engine.mesh.scene import norm_of, plane_query
 from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._input.messages import warn
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
