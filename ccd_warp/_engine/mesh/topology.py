@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
+from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
 from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
+from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.structs import struct_of
 from ccd_warp._status import PairKind, primitives_of
 from ccd_warp.kernels.boxes import box_tree as kernels
+from ccd_warp.kernels.boxes.body_frames import BodyFrames
 from ccd_warp.kernels.search.collision_filter import CollisionFilter
 
 if TYPE_CHECKING:
@@ -56,8 +60,9 @@ CORNER_ARRAYS = {kind: primitives_of(kind) for kind in PRIMITIVES}
 _LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
 
 
-# What a body is to a step: free to move, moved as it is told, or static.
-Role = Literal["moving", "kinematic", "static"]
+# What a body is to a step: free to move, moved as it is told, or static. Slender ones are free, too; a set of them is
+# searched for pairs within a body (`slender`).
+Role = Literal["moving", "kinematic", "static", "slender"]
 
 
 @dataclass(frozen=True)
@@ -292,11 +297,61 @@ class Topology:
     def bodies_of(self, role: Role) -> NDArray[np.bool_]:
         """The bodies with one role whose primitives are searched, bool, shape [B]."""
         mesh = self.mesh
+        if role == "slender":
+            chosen = np.zeros(mesh.num_bodies, dtype=bool)
+            chosen[[] if self.slender is None else self.slender.bodies] = True
+            return chosen
         if role == "kinematic":
             chosen = mesh.kinematic.copy()
             chosen[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
             return chosen
         return mesh.static if role == "static" else mesh._is_free
+
+    @lazy_property
+    def slender(self) -> SlenderBodies | None:
+        """The bodies whose own pairs have a search of their own, if any; a part of a mesh has none."""
+        return slender_bodies(self.mesh)
+
+    @lazy_property
+    def slender_vertices(self) -> wp.array:
+        """The vertices of slender bodies."""
+        return self.array(np.flatnonzero(self.bodies_of("slender")[self.mesh.vertex_body]).astype(np.int32))
+
+    @lazy_property
+    def body_frames(self) -> Any:
+        """The frames of slender bodies, as the struct of the kernels."""
+        found = self.slender
+        assert found is not None
+        of_body = np.zeros(self.mesh.num_bodies, dtype=np.int32)
+        of_body[found.bodies] = np.arange(len(found.bodies))
+        cell = np.concatenate([found.middle, np.ones((len(found.bodies), 1), dtype=np.float32)], axis=1)
+        frames = BodyFrames()
+        frames.of_vertex = self.array(of_body[self.mesh.vertex_body])
+        frames.edge, frames.cell = self.array(found.edge, wp.vec2i), self.array(cell, wp.vec4f)
+        frames.scale, frames.inner = self.array(found.scale, wp.float64), found.inner
+        return frames
+
+    @lazy_property
+    def is_free_alone(self) -> bool:
+        """Whether no pair of free bodies is left but those within slender bodies."""
+        mesh = self.mesh
+        of_bodies = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
+        return move_alone(mesh._is_free, mesh.self_collision & ~self.bodies_of("slender"), *of_bodies)
+
+    @lazy_property
+    def filters(self) -> dict[Role, Any]:
+        """The filters beside the search within slender bodies, by the role of two sets: for that, and without that."""
+        found: dict[Role, Any] = {}
+        for role in ("slender", "moving"):
+            given = self.collision_filter
+            found[role] = changed = struct_of(CollisionFilter, {name: getattr(given, name) for name in given._cls.vars})
+            changed.applies = 1
+            if role == "slender":
+                changed.by_world, changed.vertex_world = 1, self.vertex_body
+            else:
+                of_self = self.mesh.self_collision & ~self.bodies_of("slender")
+                changed.by_body, changed.self_collision = 1, self.array(of_self.astype(np.int32))
+        return found
 
     @property
     def samples_queries(self) -> bool:
