@@ -302,7 +302,8 @@ def tree_pairs_of(
 ) -> list[TreePair]:
     """The tree pairs to search: always with a tree of free bodies, and two of these unless ``skip_free`` is set.
 
-    Pairs within slender bodies have trees of their own if ``with_slender`` is set. Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
+    Pairs within slender bodies have trees of their own if ``with_slender`` is set. Trees that are not in ``trees`` yet,
+    by name of their sets, are made and added to it.
     """
 
     def tree(kind: str, role: Role) -> BoxSet:

@@ -53,9 +53,9 @@ def slender_bodies(mesh: "CollisionMesh") -> SlenderBodies | None:
     edges = {}
     for body in many.tolist():
         chosen = mesh.edges[order[first[body] + uneven_samples(int(count[body]), _SAMPLES)]]
-        edge = _edge_along(mesh._vertices_in_space[chosen], int(count[body]))
-        if edge is not None:
-            edges[body] = chosen[edge]
+        along = _edge_along(mesh._vertices_in_space[chosen], int(count[body]))
+        if along is not None:
+            edges[body] = chosen[along]
     if not edges:
         return None
     bodies, edge = np.array(list(edges)), np.array(list(edges.values()), dtype=np.int32)
@@ -75,7 +75,7 @@ def _longest(mesh: "CollisionMesh", body: int, origin: int) -> float:
 
 
 def _edge_along(points: NDArray[np.float64], count: int) -> int | None:
-    """Which of the sampled edges, shape [n, 2, 3], the frame lies along, if many fewer of all ``count`` overlap in it."""
+    """Along which of the sampled edges, shape [n, 2, 3], far fewer of all ``count`` edges overlap, if there is one."""
     with np.errstate(all="ignore"):
         points = points / np.abs(points).max()
         points = points - points.mean(axis=(0, 1))
