@@ -38,7 +38,7 @@ with the bodies).
 import warp as wp
 
 from ..pair.simd import cross, dot, magnitude
-from .box_tree import in_cell, write_vertex_aabb
+from .box_tree import BodyFrames, in_cell, write_vertex_aabb
 from .boxes import inflated_below
 from .lanes import vec8f
 
@@ -56,17 +56,6 @@ _LARGE_SINE = wp.constant(wp.float64(2.0**-6))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _INFINITY = wp.constant(wp.float32(wp.inf))
-
-
-@wp.struct
-class BodyFrames:
-    """The frames of slender bodies, each with a cell of a lattice in quantized coordinates."""
-
-    of_vertex: wp.array[wp.int32]  # whose frame each vertex is seen in
-    edge: wp.array[wp.vec2i]  # its vertices: the origin, and where the first axis points to
-    cell: wp.array[wp.vec4f]  # the middle of each cell; the fourth number is not used
-    scale: wp.array[wp.float64]  # of quarters of coordinates, a power of two: most of the body maps to its cell
-    inner: wp.float32  # half of half a cell
 
 
 @wp.func

@@ -13,6 +13,7 @@ from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import apply_order, rest_order
 from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import (
     BLOCK_CORNERS,
     VERTEX_AABB_FLOATS,
@@ -23,7 +24,6 @@ from ccd_warp._engine.mesh.topology import (
     choose_quantization,
     sorted_keys,
     typical_static_extent,
-    uneven_samples,
 )
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.boxes import box_tree as kernels

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.mesh.worlds import inner_part, lattice_bits, world_lattice
+from ccd_warp._engine.mesh.samples import uneven_samples
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 _MANY_PAIRS, _LEAST_GAIN = 1 << 20, 8
 # Edges from which both are estimated, and which of them, from the longest on, may give the direction of the frame.
 _SAMPLES, _TRIED = 128, (0, 16, 32, 64)
-_MOST_EXPONENT = 1000
 # Turns the first axis to the diagonal of a cube, so that what is long along it is long along all axes.
 _OBLIQUE = np.array([[1.0, 1.0, 0.0], [1.0, -0.5, np.sqrt(0.75)], [1.0, -0.5, -np.sqrt(0.75)]]) * np.sqrt(
     [1.0 / 3.0, 2.0 / 3.0, 2.0 / 3.0]
@@ -28,22 +27,16 @@ class SlenderBodies(NamedTuple):
     Attributes:
         bodies: Their indices, ascending, shape [n].
         edge: The vertices of an edge of each along which its frame lies, int32, shape [n, 2].
-        middle: The middle of each one's cell in quantized coordinates, float32, shape [n, 3].
-        scale: The scale of its quarter coordinates, powers of two, float64, shape [n].
-        inner: Half of half a cell.
+        size: How far a vertex of each is from the first one of its edge along an axis, float64, shape [n].
     """
 
     bodies: NDArray[np.intp]
     edge: NDArray[np.int32]
-    middle: NDArray[np.float32]
-    scale: NDArray[np.float64]
-    inner: float
+    size: NDArray[np.float64]
 
 
 def slender_bodies(mesh: "CollisionMesh") -> SlenderBodies | None:
     """The bodies that collide with themselves and have far fewer overlapping boxes in a frame of their own, if any."""
-    from ccd_warp._engine.mesh.topology import uneven_samples  # which imports this module
-
     count = np.bincount(mesh.edge_body, minlength=mesh.num_bodies)
     many = np.flatnonzero(mesh._is_free & mesh.self_collision & (count.astype(np.float64) ** 2 > 2.0 * _MANY_PAIRS))
     if len(many) == 0:
@@ -59,15 +52,12 @@ def slender_bodies(mesh: "CollisionMesh") -> SlenderBodies | None:
     if not edges:
         return None
     bodies, edge = np.array(list(edges)), np.array(list(edges.values()), dtype=np.int32)
-    bits = lattice_bits(len(bodies))
-    longest = [_longest(mesh, body, int(origin)) for body, origin in zip(bodies.tolist(), edge[:, 0], strict=True)]
-    # most of the body maps to the inner half of its cell, from which a margin of one more bit is left to motion
-    exponent = np.clip(np.frexp(longest)[1] + bits + 3, -_MOST_EXPONENT, _MOST_EXPONENT)
-    return SlenderBodies(bodies, edge, world_lattice(len(bodies)), np.ldexp(4.0, -exponent), inner_part(len(bodies)))
+    size = [_size_of(mesh, body, int(origin)) for body, origin in zip(bodies.tolist(), edge[:, 0], strict=True)]
+    return SlenderBodies(bodies, edge, np.array(size))
 
 
-def _longest(mesh: "CollisionMesh", body: int, origin: int) -> float:
-    """How far a vertex of the body is from its origin along an axis, or a little less than that is."""
+def _size_of(mesh: "CollisionMesh", body: int, origin: int) -> float:
+    """How far a vertex of a body is from another one along an axis, a finite number."""
     begin, end = mesh.body_vertex_range[body : body + 2]
     with np.errstate(over="ignore"):
         distance = np.abs(mesh._vertices_in_space[begin:end] - mesh._vertices_in_space[origin]).max()
@@ -82,26 +72,26 @@ def _edge_along(points: NDArray[np.float64], count: int) -> int | None:
         along = points[:, 1] - points[:, 0]
         length = np.linalg.norm(along, axis=1)
         longest = np.argsort(-length, kind="stable")[list(_TRIED)]
-        frames = [points @ _axes(along[k] / length[k]).T for k in longest]
-        in_any = _share_of_overlaps(frames[0] @ _OBLIQUE.T)
+        in_any = _share_of_overlaps(points @ _axes(along[longest[0]]).T @ _OBLIQUE.T)
         if not in_any * count**2 > 2.0 * _MANY_PAIRS:
             return None
-        shares = [_share_of_overlaps(each) for each in frames]
+        shares = [_share_of_overlaps(points @ _axes(along[k]).T) for k in longest]
     least = int(np.argmin(shares))
     return int(longest[least]) if shares[least] * _LEAST_GAIN <= in_any else None
 
 
 def _axes(first: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Three perpendicular unit vectors, of which this is the first."""
-    second = np.cross(first, np.eye(3)[np.argmin(np.abs(first))])
-    second /= np.linalg.norm(second)
-    return np.stack([first, second, np.cross(first, second)])
+    """Three perpendicular unit vectors, the first of which is parallel to the given one."""
+    axes: NDArray[np.float64] = np.linalg.qr(np.column_stack([first, np.eye(3)]))[0].T
+    return axes
 
 
 def _share_of_overlaps(points: NDArray[np.float64]) -> float:
     """The share of the pairs of these edges whose boxes overlap."""
     lower, upper = points.min(axis=1), points.max(axis=1)
-    overlaps = (lower[:, None] <= upper).all(axis=2)
-    overlaps &= overlaps.T
+    overlaps = lower[:, None, 0] <= upper[:, 0]
+    for k in (1, 2):
+        overlaps &= lower[:, None, k] <= upper[:, k]
+    overlaps = overlaps & overlaps.T
     num = len(points)
     return float((overlaps.sum() - num) / (num * (num - 1)))

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
+from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
-from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
+from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, lattice_bits, place_worlds, world_lattice
 from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.structs import struct_of
 from ccd_warp._status import PairKind, primitives_of
 from ccd_warp.kernels.boxes import box_tree as kernels
-from ccd_warp.kernels.boxes.body_frames import BodyFrames
 from ccd_warp.kernels.search.collision_filter import CollisionFilter
 
 if TYPE_CHECKING:
@@ -34,7 +34,6 @@ WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
-_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -322,13 +321,17 @@ class Topology:
         """The frames of slender bodies, as the struct of the kernels."""
         found = self.slender
         assert found is not None
+        num = len(found.bodies)
         of_body = np.zeros(self.mesh.num_bodies, dtype=np.int32)
-        of_body[found.bodies] = np.arange(len(found.bodies))
-        cell = np.concatenate([found.middle, np.ones((len(found.bodies), 1), dtype=np.float32)], axis=1)
-        frames = BodyFrames()
+        of_body[found.bodies] = np.arange(num)
+        cell = np.concatenate([world_lattice(num), np.ones((num, 1), dtype=np.float32)], axis=1)
+        # a body maps to half of the inner part of its cell, and the rest is left to its motion
+        exponent = np.frexp(found.size)[1] + lattice_bits(num) + 3
+        scale = np.ldexp(4.0, -np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))
+        frames = kernels.BodyFrames()
         frames.of_vertex = self.array(of_body[self.mesh.vertex_body])
         frames.edge, frames.cell = self.array(found.edge, wp.vec2i), self.array(cell, wp.vec4f)
-        frames.scale, frames.inner = self.array(found.scale, wp.float64), found.inner
+        frames.scale, frames.inner = self.array(scale, wp.float64), inner_part(num)
         return frames
 
     @lazy_property
@@ -467,16 +470,6 @@ class Topology:
             collision_filter.listed,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
-
-
-def uneven_samples(count: int, num: int) -> NDArray[np.intp]:
-    """Numbers below ``count``, one from each of ``num`` equal ranges, each time at another place of it.
-
-    At a fixed distance they could all stand for one vertex of many equal bodies or worlds.
-    """
-    numbers = np.arange(num)
-    places: NDArray[np.intp] = ((numbers + numbers * _GOLDEN % 1.0) * (count / num)).astype(np.intp)
-    return places
 
 
 def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
