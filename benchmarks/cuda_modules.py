@@ -10,8 +10,8 @@ import warp as wp
 
 # Modules that are files; explicit, so that `tests/kernels/test_cuda.py` fails for a file with kernels that is not here.
 _FILES = [
-    *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.half_warp_tree"),
-    *("boxes.box_groups", "boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
+    *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.body_frames"),
+    *("boxes.half_warp_tree", "boxes.box_groups", "boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
     *("step.contacts", "step.device_step", "step.contact_place", "step.place_bodies", "step.shorten_paths"),
     *("step.toi_slope", "step.attained", "step.toi_adjoint", "step.ordered_sums", "step.regularity"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),

@@ -41,6 +41,7 @@ class Plan:
         sampled_pairs: The same with a sample of their queries, where that is searched first.
         trees: The trees or spatial hashes of all of them, each once.
         static_trees: Those of static bodies.
+        slender_trees: Those for pairs within slender bodies.
         moving_trees: The others.
         norm: The norm of separations, by its name (``kernels.pair.norm``).
     """
@@ -61,17 +62,20 @@ class Plan:
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
         broad_phase = _BROAD_PHASES["tree" if goal == "intersections" else options.broad_phase]
         sets = ({} if kept is None else kept[broad_phase]), broad_phase
-        tree_pairs = tree_pairs_of(topology, self.kinds, mesh._is_free_alone, *sets)
+        self._has_narrow_phase = goal in ("contacts", "bound")
+        # the search of CUDA lists candidates in trees of endpoint AABBs alone
+        is_culled = self._has_narrow_phase or goal in AT_ONE_TIME or (execution.is_cuda and goal == "intersections")
+        self._num_aabbs = 2 if is_culled else 1
+        with_slender = is_culled and topology.slender is not None
+        is_alone = topology.is_free_alone if with_slender else mesh._is_free_alone
+        tree_pairs = tree_pairs_of(topology, self.kinds, is_alone, *sets, with_slender=with_slender)
         is_sampled = goal == "bound" and topology.samples_queries
         sampled = sampled_pairs_of(tree_pairs, topology, *sets) if is_sampled else []
         self.tree_pairs, self.sampled_pairs = broad_phase.searches(tree_pairs), broad_phase.searches(sampled)
         self.trees = trees_of(self.tree_pairs + self.sampled_pairs)
         self.static_trees = [tree for tree in self.trees if tree.primitives.is_static]
-        self.moving_trees = [tree for tree in self.trees if not tree.primitives.is_static]
-        self._has_narrow_phase = goal in ("contacts", "bound")
-        # the search of CUDA lists candidates in trees of endpoint AABBs alone
-        is_culled = self._has_narrow_phase or goal in AT_ONE_TIME or (execution.is_cuda and goal == "intersections")
-        self._num_aabbs = 2 if is_culled else 1
+        self.slender_trees = [tree for tree in self.trees if tree.primitives.role == "slender"]
+        self.moving_trees = [tree for tree in self.trees if tree.primitives.role not in ("static", "slender")]
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self._sink = int(BOUND if goal == "bound" else CONTACTS)  # of the narrow phase
         # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once

@@ -15,7 +15,7 @@ from ccd_warp._runtime.lanes import queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._status import PairKind
-from ccd_warp.kernels.boxes import box_tree, rest_order
+from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.pair.turns import Turns
@@ -161,6 +161,7 @@ class Stages:
             others = [contacts.first_contacts] if sink == CONTACTS else []
             others += [device_step.reset, box_tree.fill_vertex_aabbs]
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
+        others += [body_frames.fill_frame_aabbs] if self._has_slender else []
         search = self.search_kernel(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
         # the first to be compiled makes Warp's header for all: one that begins soon, beside the solver
         load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device, launcher.progress)
@@ -188,6 +189,25 @@ class Stages:
         """Compute the boxes of sets from the AABBs of the vertices; with a flag on the device only where it is set."""
         if sets:
             sets[0].fill(sets, self.vertex_aabbs, launcher, lambda each: self.boxes[each.name], only_if)
+
+    def fill_slender(self, launcher: Launcher, sets: list[BoxSet], active: wp.array) -> None:
+        """Compute the boxes for pairs within slender bodies, after all others, whose AABBs of vertices they replace."""
+        if sets:
+            topology = self.topology
+            of_vertices = [topology.slender_vertices, topology.vertex_body, active, topology.body_frames]
+            positions = [self.step.vertices_t0, self.step.vertices_t1]
+            launcher.launch(
+                body_frames.fill_frame_aabbs,
+                len(topology.slender_vertices),
+                inputs=[*of_vertices, *positions, self.t_end, self.inflation, self.box_radius],
+                outputs=[self.vertex_aabbs],
+            )
+            self.fill_boxes(launcher, sets)
+
+    @property
+    def _has_slender(self) -> bool:
+        """Whether pairs within slender bodies have a search of their own."""
+        return any(tree_pair.query.primitives.role == "slender" for tree_pair in self.tree_pairs)
 
     def reset(
         self,
@@ -307,12 +327,16 @@ class Stages:
 
     def searched(self, tree_pair: TreePair) -> list[Any]:
         """The inputs of a search besides its items."""
+        topology, collision_filter = self.topology, self.topology.collision_filter
+        roles = {tree.primitives.role for tree in (tree_pair.query, tree_pair.target)}
+        if self._has_slender and len(roles) == 1:
+            collision_filter = topology.filters[roles.pop()]
         return [
             *self.boxes[tree_pair.query.name],
             *self.boxes[tree_pair.target.name],
             tree_pair.packed,
             self.search_options,
-            self.topology.collision_filter,
+            collision_filter,
         ]
 
     def _search_in_half_warps(

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._display import counted
-from ccd_warp._engine.mesh.topology import NUM_SAMPLES, uneven_samples
+from ccd_warp._engine.mesh.samples import uneven_samples
+from ccd_warp._engine.mesh.topology import NUM_SAMPLES
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import shown
 from ccd_warp._input.arrays import as_any_array, as_array, as_positions, check_finite, on_host, validated_indices

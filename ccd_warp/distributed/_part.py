@@ -160,6 +160,10 @@ class PartTopology(Topology):
         is_here = mesh._is_free[mesh.vertex_body[tested]] & (self._vertex_below[tested] == 0)
         return self.array(tested[is_here])
 
+    @property
+    def slender(self) -> None:
+        """None: which bodies are slender is found in a whole mesh alone."""
+
     def numbers(self, kind: str) -> NDArray[np.integer]:
         """The index of each primitive of a kind in the whole mesh."""
         part = self._part

@@ -103,6 +103,17 @@ class Worlds:
     inner: wp.float32  # half of half a cell, a power of two: up to there coordinates are only shifted
 
 
+@wp.struct
+class BodyFrames:
+    """The frames of slender bodies (`body_frames`), each with a cell of a lattice in quantized coordinates."""
+
+    of_vertex: wp.array[wp.int32]  # whose frame each vertex is seen in
+    edge: wp.array[wp.vec2i]  # its vertices: the origin, and where the first axis points to
+    cell: wp.array[wp.vec4f]  # the middle of each cell; the fourth number is not used
+    scale: wp.array[wp.float64]  # of quarters of coordinates, a power of two: most of the body maps to its cell
+    inner: wp.float32  # half of half a cell
+
+
 @wp.func
 def quantized(x: wp.vec3d, origin: wp.vec3d, scale: wp.float64) -> wp.vec3f:
     """f: monotone in every component; with halves, so that the difference of two finite numbers is finite."""

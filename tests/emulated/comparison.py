@@ -69,6 +69,7 @@ def _plan() -> Iterator[tuple[tuple[str, str, str], bool]]:
     step in one of these two calls, by turns, and in one precision, likewise; more where kernels need it.
     """
     more = [("launches", step) for step in ("in the plane", "spatial hash, excluded pairs", "trees of four levels")]
+    more += [("launches", "needles side by side")]
     more += [(call, step) for call in ("on_the_host", "launches") for step in _OF_BOTH]
     for call, steps in _PLAN.items():
         for k, step in enumerate(steps):

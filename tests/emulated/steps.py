@@ -67,6 +67,14 @@ def _in_plane(**arguments: Any) -> Made:
     return mesh, mesh.vertices, mesh.vertices + moves
 
 
+def _squeezed_tube() -> Made:
+    """Needles whose pairs are searched in a frame of their own, beside a face."""
+    mesh = ccd.CollisionMesh.from_arrays([scenes.tube(800), (scenes.TRIANGLE, scenes.FACE)])
+    end = mesh.vertices - [0.5, 0.0, 0.0]
+    end[:1600] = scenes.squeezed(mesh.vertices[:1600], 0.6)
+    return mesh, mesh.vertices, end
+
+
 def _in_worlds() -> Made:
     _, mesh, start, end = scenes.cloth_and_ball_in_worlds(6)
     return mesh, start.reshape(-1, 3), end.reshape(-1, 3)
@@ -175,6 +183,7 @@ STEPS = {
     "one thread": StepCase(_crowd, {"num_threads": 1}),
     "trees of four levels": StepCase(lambda: scenes.crowd(np.random.default_rng(29), 1500, 0.02, 0.02), {}),
     "bodies that may not meet": StepCase(_in_one_place, {}),
+    "needles side by side": StepCase(_squeezed_tube, {}),
 }
 # Meshes with radii, for which the Euclidean kernels are compiled: by the calls that need each of these, and no others.
 THICK = {

@@ -11,7 +11,8 @@ from oracles import brute_force
 from scenes import soup
 
 import ccd_warp as ccd
-from ccd_warp._engine.mesh.topology import NUM_SAMPLES, Topology, choose_quantization, uneven_samples
+from ccd_warp._engine.mesh.samples import uneven_samples
+from ccd_warp._engine.mesh.topology import NUM_SAMPLES, Topology, choose_quantization
 from ccd_warp._engine.mesh.worlds import lattice_bits, world_lattice
 from ccd_warp._runtime.launch import Execution
 

@@ -199,6 +199,10 @@ class EdgePointTopology(Topology):
         return found
 
     @property
+    def slender(self) -> None:
+        """None: edge points are no vertices of a body of long thin parts."""
+
+    @property
     def kinds(self) -> tuple[PairKind, ...]:
         """Kinds of pairs to search for."""
         mesh = self.mesh.original

@@ -13,6 +13,7 @@ from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import apply_order, rest_order
 from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import (
     VERTEX_AABB_FLOATS,
     WIDTH,
@@ -22,7 +23,6 @@ from ccd_warp._engine.mesh.topology import (
     choose_quantization,
     sorted_keys,
     typical_static_extent,
-    uneven_samples,
 )
 from ccd_warp._mesh import blocks_of
 from ccd_warp._runtime.launch import Execution

@@ -33,6 +33,7 @@ _PAIRED: tuple[tuple[Role, Role], ...] = (
     ("kinematic", "moving"),
     ("moving", "static"),
     ("static", "moving"),
+    ("slender", "slender"),
 )
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
@@ -292,10 +293,13 @@ def tree_pairs_of(
     skip_free: bool,
     trees: dict[str, BoxSet],
     make: Callable[[PrimitiveSet], BoxSet],
+    *,
+    with_slender: bool = False,
 ) -> list[TreePair]:
     """The tree pairs to search: always with a tree of free bodies, and two of these unless ``skip_free`` is set.
 
-    Trees that are not in ``trees`` yet, by name of their sets, are made and added to it.
+    Pairs within slender bodies have trees of their own if ``with_slender`` is set. Trees that are not in ``trees`` yet,
+    by name of their sets, are made and added to it.
     """
 
     def tree(kind: str, role: Role) -> BoxSet:
@@ -305,21 +309,24 @@ def tree_pairs_of(
         return trees[primitives.name]
 
     tree_pairs = []
-    paired = [pair for pair in _PAIRED if all(topology.bodies_of(role).any() for role in pair)]
+    paired = [pair for pair in _PAIRED if with_slender or "slender" not in pair]
+    paired = [pair for pair in paired if all(topology.bodies_of(role).any() for role in pair)]
     meets = {pair: topology.meets(*pair) for pair in paired}
     for kind in kinds:
         if kind == PairKind.VERTEX_PLANE:
             continue  # every plane meets every vertex
         first, second = topology.primitives_of(kind)
         for of_first, of_second in paired:
-            is_mirrored = of_first != "moving" and first == second
+            is_turned = of_first != "moving" == of_second
             meets_any, meets_all = meets[of_first, of_second]
-            if is_mirrored or not meets_any or (skip_free and of_first == of_second):
+            if (is_turned and first == second) or not meets_any:
+                continue
+            if skip_free and of_first == of_second == "moving":
                 continue
             if topology.primitives(first, of_first).count and topology.primitives(second, of_second).count:
                 a, b = tree(first, of_first), tree(second, of_second)
                 # the free primitives are the queries, so that the tree of the static ones is only traversed
-                swapped = of_first != "moving" or (
+                swapped = is_turned or (
                     topology.fewer_query and of_second == "moving" and b.primitives.count < a.primitives.count
                 )
                 query, target = (b, a) if swapped else (a, b)

@@ -384,6 +384,7 @@ class DeviceStep(Plan):
         if self.moving_trees:
             stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, active)
         stages.fill_boxes(recording, self.moving_trees)
+        stages.fill_slender(recording, self.slender_trees, active)
         stages.find_pairs(recording, self.tree_pairs, is_any_unlisted=self._is_any_unlisted)
 
     def _record_narrow_phase(

@@ -140,7 +140,7 @@ def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions") -
 
 
 def are_many(mesh: "CollisionMesh", num_pairs: int) -> bool:
-    """Whether so many pairs are left by the cull that parts of the scene seem to lie in each other."""
+    """Whether so many pairs are left by the cull that parts of the scene seem to lie in each other or side by side."""
     return num_pairs >= max(_MANY_PAIRS, _MANY_PAIRS_EACH * _num_primitives(mesh))
 
 
@@ -148,8 +148,8 @@ def overlaps_described(mesh: "CollisionMesh", num_pairs: int, keys: "Mapping[Pai
     """A sentence on so many pairs, of which some keys are given, with the bodies of most of these."""
     return (
         f"{num_pairs:,} pairs of {_num_primitives(mesh):,} primitives may touch, so parts of the scene seem to lie in "
-        f"each other; pair_kinds, or exclusion_rings of the mesh, leave pairs out, and memory_limit bounds the memory"
-        + ("" if mesh.num_bodies == 1 else _most_common_bodies(mesh, keys))
+        "each other, or to be long and thin side by side; pair_kinds, or exclusion_rings of the mesh, leave pairs out, "
+        "and memory_limit bounds the memory" + ("" if mesh.num_bodies == 1 else _most_common_bodies(mesh, keys))
     )
 
 

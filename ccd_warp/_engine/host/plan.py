@@ -229,6 +229,7 @@ class HostPlan(Plan):
         self._fill(t_end, with_trees=is_sorted or not self.execution.is_cuda)
         if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self.moving_trees]):
             self._bind_trees()
+        self._fill_slender()
 
     def skip_boxes(self, *, goes_on: bool = False) -> None:
         """Search nothing in a step, or in a slice with which it ``goes_on``, as no body is near another."""
@@ -240,6 +241,13 @@ class HostPlan(Plan):
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
         if self.trees and not self.is_idle:
             self._fill(t_end, with_trees=True)
+            self._fill_slender()
+
+    def _fill_slender(self) -> None:
+        """Compute the boxes for pairs within slender bodies, which stay in the order of the rest configuration."""
+        if self.slender_trees:
+            active, trees = self._active, self.slender_trees
+            self.play("slender boxes", lambda stages, recording: stages.fill_slender(recording, trees, active))
 
     def _fill(self, t_end: float, *, with_trees: bool) -> None:
         self.bind(t_end=t_end)

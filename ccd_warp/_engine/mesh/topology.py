@@ -13,9 +13,13 @@ from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.body_groups import BodyGroups, bodies_that_may_meet
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
-from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
+from ccd_warp._engine.mesh.samples import uneven_samples
+from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
+from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, lattice_bits, place_worlds, world_lattice
+from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.structs import struct_of
 from ccd_warp._status import PairKind, primitives_of
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.search.collision_filter import CollisionFilter
@@ -31,7 +35,6 @@ WORTH_SAMPLING = 1 << 14  # vertices
 VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
-_GOLDEN = (5.0**0.5 - 1.0) / 2.0
 _MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -57,8 +60,9 @@ CORNER_ARRAYS = {kind: primitives_of(kind) for kind in PRIMITIVES}
 _LISTED = (*(kind.name.lower() for kind in PRIMITIVES), "bodies")
 
 
-# What a body is to a step: free to move, moved as it is told, or static.
-Role = Literal["moving", "kinematic", "static"]
+# What a body is to a step: free to move, moved as it is told, or static. Slender ones are free, too; a set of them is
+# searched for pairs within a body (`slender`).
+Role = Literal["moving", "kinematic", "static", "slender"]
 
 
 @dataclass(frozen=True)
@@ -297,11 +301,65 @@ class Topology:
     def bodies_of(self, role: Role) -> NDArray[np.bool_]:
         """The bodies with one role whose primitives are searched, bool, shape [B]."""
         mesh = self.mesh
+        if role == "slender":
+            chosen = np.zeros(mesh.num_bodies, dtype=bool)
+            chosen[[] if self.slender is None else self.slender.bodies] = True
+            return chosen
         if role == "kinematic":
             chosen = mesh.kinematic.copy()
             chosen[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
             return chosen
         return mesh.static if role == "static" else mesh._is_free
+
+    @lazy_property
+    def slender(self) -> SlenderBodies | None:
+        """The bodies whose own pairs have a search of their own, if any; a part of a mesh has none."""
+        return slender_bodies(self.mesh)
+
+    @lazy_property
+    def slender_vertices(self) -> wp.array:
+        """The vertices of slender bodies."""
+        return self.array(np.flatnonzero(self.bodies_of("slender")[self.mesh.vertex_body]).astype(np.int32))
+
+    @lazy_property
+    def body_frames(self) -> Any:
+        """The frames of slender bodies, as the struct of the kernels."""
+        found = self.slender
+        assert found is not None
+        num = len(found.bodies)
+        of_body = np.zeros(self.mesh.num_bodies, dtype=np.int32)
+        of_body[found.bodies] = np.arange(num)
+        cell = np.concatenate([world_lattice(num), np.ones((num, 1), dtype=np.float32)], axis=1)
+        # a body maps to half of the inner part of its cell, and the rest is left to its motion
+        exponent = np.frexp(found.size)[1] + lattice_bits(num) + 3
+        scale = np.ldexp(4.0, -np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))
+        frames = kernels.BodyFrames()
+        frames.of_vertex = self.array(of_body[self.mesh.vertex_body])
+        frames.edge, frames.cell = self.array(found.edge, wp.vec2i), self.array(cell, wp.vec4f)
+        frames.scale, frames.inner = self.array(scale, wp.float64), inner_part(num)
+        return frames
+
+    @lazy_property
+    def is_free_alone(self) -> bool:
+        """Whether no pair of free bodies is left but those within slender bodies."""
+        mesh = self.mesh
+        of_bodies = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
+        return move_alone(mesh._is_free, mesh.self_collision & ~self.bodies_of("slender"), *of_bodies)
+
+    @lazy_property
+    def filters(self) -> dict[Role, Any]:
+        """The filters beside the search within slender bodies, by the role of two sets: for that, and without that."""
+        found: dict[Role, Any] = {}
+        for role in ("slender", "moving"):
+            given = self.collision_filter
+            found[role] = changed = struct_of(CollisionFilter, {name: getattr(given, name) for name in given._cls.vars})
+            changed.applies = 1
+            if role == "slender":
+                changed.by_world, changed.vertex_world = 1, self.vertex_body
+            else:
+                of_self = self.mesh.self_collision & ~self.bodies_of("slender")
+                changed.by_body, changed.self_collision = 1, self.array(of_self.astype(np.int32))
+        return found
 
     @property
     def samples_queries(self) -> bool:
@@ -438,16 +496,6 @@ class Topology:
             collision_filter.meets_itself,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
-
-
-def uneven_samples(count: int, num: int) -> NDArray[np.intp]:
-    """Numbers below ``count``, one from each of ``num`` equal ranges, each time at another place of it.
-
-    At a fixed distance they could all stand for one vertex of many equal bodies or worlds.
-    """
-    numbers = np.arange(num)
-    places: NDArray[np.intp] = ((numbers + numbers * _GOLDEN % 1.0) * (count / num)).astype(np.intp)
-    return places
 
 
 def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
