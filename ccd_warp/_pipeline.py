@@ -240,7 +240,7 @@ class CollisionPipeline:
         self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
-            start, end = map(self.mesh._in_space, frames())
+            start, end = map(self.mesh._in_space, self.mesh._both_placed(*frames()))
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
@@ -307,7 +307,7 @@ class CollisionPipeline:
                 capacities = self._with_capacities(max_pairs, max_contacts)
             layout = None
             if vertices is not None:
-                layout = self.mesh._in_space(self.mesh.frame(vertices, "vertices").copy())
+                layout = self.mesh._in_space(self.mesh._placed(self.mesh.frame(vertices, "vertices").copy()))
             self._reserve(capacities, layout)
             assert self._device_step
             return self._device_step.result
@@ -502,7 +502,7 @@ class CollisionPipeline:
         if step is None:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
-            layout = paths.at(mesh, mesh.vertices, mesh.vertices, 0.0)
+            layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
             step = DeviceArcStep(self._topology, self._options, self._capacities, layout, self._layout, self.radius)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
         self._check_places(step, prepared)
@@ -746,7 +746,7 @@ class CollisionPipeline:
                 f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
                 f"mesh.replicate({motion.num_worlds}), or False"
             )
-        worlds = MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
+        worlds = MotionWorlds(self, *self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1)), motion)
         return worlds if not is_one or worlds.is_sparse else None
 
     def _looks_for_parts(self) -> bool:
@@ -770,7 +770,7 @@ class CollisionPipeline:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions at both ends where joints move links, checked."""
         check_options_on_arcs(self._options)
-        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        start, end = self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1))
         self._joints_at(motion, 0.0).check_own_frames(self.mesh, start, end)
         return start, end
 
@@ -961,14 +961,14 @@ class CollisionPipeline:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
         from ccd_warp._engine.at_one_time.proximity_step import HoldStep  # few programs need it
 
-        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
     def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance."""
         from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
-        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         of_search = self.counts, self.timings
         near = self._run(
             HoldStep, lambda: self._one_frame(positions), lambda step: step.worlds_near(contacts, distance)
