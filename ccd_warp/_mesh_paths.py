@@ -84,9 +84,10 @@ class MeshPaths(BodyPaths):
     ) -> NDArray[np.float64]:
         """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
         times = _times(t, len(body))
-        x: NDArray[np.float64] = (1.0 - times) * start + times * end
-        rigid = np.flatnonzero(self.is_rigid[body])
-        x[rigid] = self.positions(start[rigid], body[rigid], times[rigid, 0])
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            x: NDArray[np.float64] = (1.0 - times) * start + times * end
+            rigid = np.flatnonzero(self.is_rigid[body])
+            x[rigid] = self.positions(start[rigid], body[rigid], times[rigid, 0])
         return x
 
     def velocities(

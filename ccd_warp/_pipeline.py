@@ -216,7 +216,8 @@ class CollisionPipeline:
         start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
         rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
         first = np.searchsorted(mesh.vertex_body[rows], bodies)
-        start[rows], end[rows] = motion._ends(start[rows], first)
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            start[rows], end[rows] = motion._ends(start[rows], first)
         return start, end, None
 
     def _paths_of(self, motion: RigidMotion | JointMotion | MeshPaths) -> MeshPaths:

@@ -75,6 +75,7 @@ def motion_warnings(
     moving = mesh.moving_vertices
     if not len(moving):
         return []
+    vertices_t0, vertices_t1 = mesh._both_placed(vertices_t0, vertices_t1)
     with np.errstate(all="ignore"):
         sizes = [float(np.ptp(frame[moving], axis=0).max()) for frame in (vertices_t0, vertices_t1)]
         small, large = sorted(sizes)

@@ -183,7 +183,7 @@ def test_mesh_is_frozen():
     with pytest.raises(AttributeError):
         del mesh.faces
     arrays = [value for field in fields(mesh) if isinstance(value := getattr(mesh, field.name), np.ndarray)]
-    assert len(arrays) == 16
+    assert len(arrays) == 17
     for array in arrays:
         with pytest.raises(ValueError):
             array[...] = 0
