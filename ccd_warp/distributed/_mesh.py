@@ -432,7 +432,7 @@ class DistributedMesh:
             moved = np.flatnonzero(self._is_static & self.is_owned & ~self.is_unused & (start != end).any(axis=1))
             if len(moved):
                 self._refuse_motion(moved, start[moved], end[moved])
-            end = np.where(self._is_static[:, None], start, end)
+            end = np.where((self._is_static & ~self.is_unused)[:, None], start, end)
         return start, end
 
     def _refuse_motion(self, rows: NDArray[np.intp], start: NDArray[np.float64], end: NDArray[np.float64]) -> NoReturn:
