@@ -501,6 +501,8 @@ def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists
         assert np.array_equal(values, others)
     assert np.isinf(found[0][2][mesh.unused_vertices]).all() and np.isinf(found[0][3][mesh.unused_vertices]).all()
     assert len(expected[1][4]) > 5 and expected[1][3] < 1
+    copies = ccd.CollisionPipeline(mesh.replicate(2), device="cpu").launch(*(np.tile(each, (2, 1)) for each in (x, y)))
+    assert copies.world_toi.numpy().tolist() == [expected[1][1]] * 2 and not copies.flags.numpy()[0]
 
 
 # --- bad input ---

@@ -188,11 +188,12 @@ def test_a_vertex_that_nothing_uses_takes_no_part_wherever_it_is(far):
 
 
 def test_cells_are_turned_outward_whatever_lies_in_no_cell():
-    """A mirrored tetrahedron, and a node so far away that its volume would be lost beside it."""
+    """A tetrahedron either way round, and a node so far away that its volume would be lost beside it."""
     nodes = np.vstack([np.eye(4, 3), [[1e300] * 3], [[np.nan] * 3]])
-    mesh = CollisionMesh.from_volume(nodes, [[1, 0, 2, 3]])
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0 and mesh.unused_vertices.tolist() == [4, 5]
+    for corners in ([1, 0, 2, 3], [0, 1, 2, 3]):
+        mesh = CollisionMesh.from_volume(nodes, [corners])
+        a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+        assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0 and mesh.unused_vertices.tolist() == [4, 5]
 
 
 def test_from_trimesh_takes_paths_and_point_clouds():
