@@ -64,9 +64,9 @@ class CollisionMesh(ReadOnly):
     A body may be given by **volume cells**. It collides by their boundary surface, its faces. The nodes inside take no
     part.
 
-    A mesh **in the plane** has positions with two coordinates and no faces. Every vertex is tested against every edge,
-    and codimensional points against each other. Wherever positions are taken or given, by NumPy or on a device, they
-    have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
+    A mesh **in the plane** has positions with two coordinates and no faces. Every vertex that takes part is tested
+    against every edge, and codimensional points against each other. Wherever positions are taken or given, by NumPy or
+    on a device, they have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
 
     A body may also be a **half-space** (:class:`ccd_warp.HalfSpace`), such as the ground: static, without vertices, and
     met by the vertices of all bodies that move.
@@ -718,16 +718,8 @@ class CollisionMesh(ReadOnly):
         Raises:
             ValueError: If the shape differs, or a value of a vertex that takes part is not finite.
         """
-        return validated_positions(
-            vertices,
-            name,
-            self.dimension,
-            self.num_vertices,
-            self._all_rows,
-            self.rows_by_world,
-            self._where,
-            self.unused_vertices,
-        )
+        rows, but = (self.dimension, self.num_vertices, self._all_rows), self.unused_vertices
+        return validated_positions(vertices, name, *rows, self.rows_by_world, self._where, but)
 
     @lazy_property
     def _all_rows(self) -> str:
@@ -759,11 +751,8 @@ class CollisionMesh(ReadOnly):
         start = self.frame(vertices_t0, "vertices_t0")
         by_world = self.rows_by_world
         if len(self.moving_vertices) == self.num_vertices:
-            reason = "like vertices_t0"
-            return start, validated_positions(
-                *(vertices_t1, "vertices_t1", self.dimension, self.num_vertices, reason, by_world, self._where),
-                self.unused_vertices,
-            )
+            rows, but = (self.dimension, self.num_vertices, "like vertices_t0"), self.unused_vertices
+            return start, validated_positions(vertices_t1, "vertices_t1", *rows, by_world, self._where, but)
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, by_world=by_world)
         moving = self.moving_vertices
         if len(end) == self.num_vertices:
@@ -784,6 +773,8 @@ class CollisionMesh(ReadOnly):
 
     def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Check that the rows of static bodies, which are finite where they take part, are the same at both ends."""
+        if all(np.array_equal(start[low:high], end[low:high]) for low, high in self.static_vertex_ranges):
+            return
         start, end = self._both_placed(start, end)
         for low, high in self.static_vertex_ranges:
             if not np.array_equal(start[low:high], end[low:high]):
