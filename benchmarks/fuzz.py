@@ -109,7 +109,7 @@ def check_mesh(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, options:
     first = 4 * np.arange(len(points_t0))[:, None]
     faces = first + [1, 2, 3] if kind == "vertex-face" else np.concatenate([first + [0, 1, 1], first + [2, 3, 3]])
     start, end = points_t0.reshape(-1, 3), points_t1.reshape(-1, 3)
-    mesh = ccd.CollisionMesh.from_arrays([(start, faces)])
+    mesh = ccd.CollisionMesh.from_arrays([(start, faces)], codimensional_points=kind == "vertex-face")
     contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
     step = ccd.collision_free_step(mesh, start, end, **options)
     wanted = ccd.PairKind[kind.replace("-", "_").upper()]

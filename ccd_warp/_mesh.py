@@ -5,6 +5,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import InitVar, dataclass, field, fields
+from itertools import pairwise
 from typing import Any, Unpack
 
 import numpy as np
@@ -55,15 +56,20 @@ class CollisionMesh(ReadOnly):
 
     Besides faces, a body may have **codimensional edges**, for cables, and **codimensional points**, for particles. A
     given edge that belongs to a face counts as an edge of that face. A vertex that belongs to no face and no edge is a
-    codimensional point only in bodies whose ``codimensional_points`` flag is set, because meshes from files often
-    contain unused vertices; in other bodies such a vertex is tested against faces only.
+    codimensional point only in bodies whose ``codimensional_points`` flag is set. A body of vertices alone is one of
+    particles in any case; without the flag they are tested against faces and half-spaces, not against each other.
 
-    A body may be given by **volume cells**. It collides by their boundary surface, its faces. The nodes inside keep
-    their rows wherever there is one a vertex, and collide with nothing: no toi of theirs is finite.
+    In all other bodies such a vertex takes **no part** (:attr:`unused_vertices`): files often have some, and bodies may
+    share one list of nodes. It keeps its rows in positions and results, collides with nothing, and no box, length scale
+    or world depends on where it is; its coordinates need not be finite. Its toi and its bound of displacement are inf.
+    A line search moves it by the fraction of its body, world or scene, and with ``per="vertex"`` all the way.
 
-    A mesh **in the plane** has positions with two coordinates and no faces. Every vertex is tested against every edge,
-    and codimensional points against each other. Wherever positions are taken or given, by NumPy or on a device, they
-    have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
+    A body may be given by **volume cells**. It collides by their boundary surface, its faces. The nodes inside take no
+    part.
+
+    A mesh **in the plane** has positions with two coordinates and no faces. Every vertex that takes part is tested
+    against every edge, and codimensional points against each other. Wherever positions are taken or given, by NumPy or
+    on a device, they have shape [V, 2] in place of [V, 3]; so have points and normals of contacts on the host.
 
     A body may also be a **half-space** (:class:`ccd_warp.HalfSpace`), such as the ground: static, without vertices, and
     met by the vertices of all bodies that move.
@@ -86,8 +92,8 @@ class CollisionMesh(ReadOnly):
         codimensional_edges: Indices into ``edges`` of the edges that belong to no face, ascending, int32, shape
             [E_codim].
         codimensional_points: Indices of the vertices that collide as points, ascending, int32, shape [V_codim].
-        inner_vertices: Indices of the vertices of volume cells that are not on a surface, ascending, int32, shape
-            [V_inner].
+        unused_vertices: Indices of the vertices that take no part, ascending, int32, shape [V_unused].
+        inner_vertices: Those of them that belong to bodies of volume cells, ascending, int32, shape [V_inner].
         vertex_body: Body of each vertex, int32, shape [V].
         edge_body: Body of each edge, int32, shape [E].
         face_body: Body of each face, int32, shape [F].
@@ -122,6 +128,7 @@ class CollisionMesh(ReadOnly):
     edges: NDArray[np.int32] = field(init=False)
     codimensional_edges: NDArray[np.int32] = field(init=False)
     codimensional_points: NDArray[np.int32] = field(init=False)
+    unused_vertices: NDArray[np.int32] = field(init=False)
     inner_vertices: NDArray[np.int32] = field(init=False)
     vertex_body: NDArray[np.int32] = field(init=False)
     edge_body: NDArray[np.int32] = field(init=False)
@@ -163,13 +170,16 @@ class CollisionMesh(ReadOnly):
         """Derive the remaining fields from the given ones, which are already validated."""
         vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
         edges, codimensional_edges = unique_edges(self.faces, given_edges)
+        lone = vertices_without_primitive(self.num_vertices, self.faces, edges[codimensional_edges])
+        of_lone, is_of_points = vertex_body[lone], np.ones(self.num_bodies, dtype=bool)
+        is_of_points[vertex_body[self.faces[:, 0]]] = is_of_points[vertex_body[edges[codimensional_edges, 0]]] = False
+        is_of_points |= with_codimensional_points
         derived = {
             "edges": edges,
             "codimensional_edges": codimensional_edges,
-            "codimensional_points": vertices_without_primitive(
-                self.faces, edges, with_codimensional_points & ~with_inner_vertices, vertex_body
-            ),
-            "inner_vertices": vertices_without_primitive(self.faces, edges, with_inner_vertices, vertex_body),
+            "codimensional_points": lone[(with_codimensional_points & ~with_inner_vertices)[of_lone]],
+            "unused_vertices": lone[(~is_of_points | with_inner_vertices)[of_lone]],
+            "inner_vertices": lone[with_inner_vertices[of_lone]],
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
             "face_body": vertex_body[self.faces[:, 0]],
@@ -184,6 +194,8 @@ class CollisionMesh(ReadOnly):
     def __repr__(self) -> str:
         parts = [counted(self.num_bodies, "body", "bodies") + (f" ({listed(self.names)})" if self._has_names else "")]
         parts += [f"{count} {name}" for name, count in self._sizes() if count]
+        num_unused = len(self.unused_vertices) - len(self.inner_vertices)
+        parts += [counted(num_unused, "vertex takes no part", "vertices take no part")] if num_unused else []
         parts += [counted(len(self.planes), "half-space", "half-spaces")] if len(self.planes) else []
         parts += ["in the plane"] if self.dimension == 2 else []
         parts += [f"{self.num_worlds} worlds"] if self.num_worlds > 1 else []
@@ -238,11 +250,12 @@ class CollisionMesh(ReadOnly):
                 into these vertices, shape [E_b, 2]. In place of faces a mapping of cells by type, as of
                 :meth:`from_volume`. Or (vertices, edges) for each body of a mesh in the plane, with
                 vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points. In place of
-                a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices.
+                a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices. Bodies may be given one list of
+                nodes: of each the vertices that its faces and edges use take part.
             static: Indices or names of the bodies that do not move; their end positions are their start positions.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
-                one flag for all bodies or one for each.
+                one flag for all bodies or one for each. Without it they take no part, unless the body has neither.
             kinematic: Indices or names of the bodies that move as they are told: no line search shortens their motion,
                 and they are tested against bodies that are neither static nor kinematic, alone. A half-space among them
                 has one vertex, the point of its plane.
@@ -328,6 +341,10 @@ class CollisionMesh(ReadOnly):
             ),
             planes=planes_of(half_spaces, joined.dimension, joined.offsets),
         )
+        for b, (begin, end) in enumerate(pairwise(offsets)):
+            low, high = np.searchsorted(mesh.unused_vertices, (begin, end))
+            unused = mesh.unused_vertices[low:high] - begin
+            check_finite(mesh.vertices[begin:end], f"vertices of {body_label(b, names)}", but=unused)
         return mesh if exclude_pairs is None else mesh.excluding(exclude_pairs)
 
     @classmethod
@@ -357,7 +374,8 @@ class CollisionMesh(ReadOnly):
                 one body for each node that has a geometry, placed by the node's transformation and called by its name;
                 or a :class:`ccd_warp.HalfSpace`.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
-                one flag for all bodies or one for each. The points of a point cloud always are.
+                one flag for all bodies or one for each. The points of a point cloud always are; others without it take
+                no part.
             names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
                 own. By default those of a scene's nodes, and "body 0", "body 1" and so on.
 
@@ -395,7 +413,7 @@ class CollisionMesh(ReadOnly):
         """Build a mesh from a volume mesh, which collides by its boundary surface, and other bodies.
 
         Wherever positions are taken or given there is a row for every node, and so of results for each vertex. Nodes
-        inside, and those of no cell, collide with nothing.
+        inside, and those of no cell, take no part.
 
         Args:
             vertices: Positions of all nodes, float, shape [V_0, 3].
@@ -542,8 +560,8 @@ class CollisionMesh(ReadOnly):
 
     @lazy_property
     def _surface_vertices(self) -> NDArray[np.int32]:
-        """The vertices that may collide with a face or a half-space: all but inner ones, ascending."""
-        return np.delete(np.arange(self.num_vertices, dtype=np.int32), self.inner_vertices)
+        """The vertices that may collide with a face or a half-space: all that take part, ascending."""
+        return np.delete(np.arange(self.num_vertices, dtype=np.int32), self.unused_vertices)
 
     @property
     def _free_surface_vertices(self) -> NDArray[np.int32]:
@@ -551,9 +569,35 @@ class CollisionMesh(ReadOnly):
         return self._surface_vertices[self._is_free[self.vertex_body[self._surface_vertices]]]
 
     @lazy_property
+    def _stand_ins(self) -> NDArray[np.intp]:
+        """For each vertex itself, and for one that takes no part another of its body that does, shape [V]."""
+        stand_ins, used, unused = np.arange(self.num_vertices), self._surface_vertices, self.unused_vertices
+        after = np.searchsorted(used, unused)  # one of the body is the nearest before or the nearest after
+        before = used[np.maximum(after - 1, 0)]
+        is_of_body = self.vertex_body[before] == self.vertex_body[unused]
+        stand_ins[unused] = np.where(is_of_body, before, used[np.minimum(after, len(used) - 1)])
+        return stand_ins
+
+    def _placed(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Positions in which vertices that take no part stand where others of their body do, so nothing sees them."""
+        return positions.take(self._stand_ins, axis=0) if len(self.unused_vertices) else positions
+
+    def _both_placed(
+        self, start: NDArray[np.float64], end: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The positions at both ends of a step so; they stay one array where they are one."""
+        placed = self._placed(start)
+        return placed, placed if end is start else self._placed(end)
+
+    @lazy_property
     def is_thick(self) -> bool:
-        """Whether a vertex has a radius above 0."""
-        return self.radius is not None and bool(self.radius.any())
+        """Whether a vertex that takes part has a radius above 0."""
+        return self._largest_radius > 0.0
+
+    @lazy_property
+    def _largest_radius(self) -> float:
+        """The largest radius of a vertex that takes part, 0 where there is none."""
+        return 0.0 if self.radius is None else float(self.radius[self._surface_vertices].max(initial=0.0))
 
     @lazy_property
     def _excludes_by_vertices(self) -> bool:
@@ -591,12 +635,12 @@ class CollisionMesh(ReadOnly):
 
     @lazy_property
     def length_scale(self) -> float:
-        """Longest side of the box around ``vertices``, 1 if it has none.
+        """Longest side of the box around the ``vertices`` that take part, 1 if it has none.
 
         It is the default unit of tolerance and separation in every step. Points of half-spaces are not in the box.
         """
-        points = self.planes.vertices[self.planes.vertices >= 0]
-        vertices = np.delete(self.vertices, points, axis=0) if len(points) else self.vertices
+        others = np.append(self.planes.vertices[self.planes.vertices >= 0], self.unused_vertices)
+        vertices = np.delete(self.vertices, others, axis=0) if len(others) else self.vertices
         with np.errstate(over="ignore"):
             side = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
         return min(side, float(np.finfo(np.float64).max)) or 1.0
@@ -628,7 +672,7 @@ class CollisionMesh(ReadOnly):
 
     @lazy_property
     def _vertices_in_space(self) -> NDArray[np.float64]:
-        return self._in_space(self.vertices)
+        return self._in_space(self._placed(self.vertices))
 
     def _in_space(self, positions: NDArray[np.float64]) -> NDArray[np.float64]:
         """Validated positions as the engine takes them: those in the plane have z = 0."""
@@ -682,11 +726,10 @@ class CollisionMesh(ReadOnly):
             The positions, float64, C order, shape [V, 3]; an array that already has this form is returned as it is.
 
         Raises:
-            ValueError: If the shape differs or a value is not finite.
+            ValueError: If the shape differs, or a value of a vertex that takes part is not finite.
         """
-        return validated_positions(
-            vertices, name, self.dimension, self.num_vertices, self._all_rows, self.rows_by_world, self._where
-        )
+        rows, but = (self.dimension, self.num_vertices, self._all_rows), self.unused_vertices
+        return validated_positions(vertices, name, *rows, self.rows_by_world, self._where, but)
 
     @lazy_property
     def _all_rows(self) -> str:
@@ -712,21 +755,19 @@ class CollisionMesh(ReadOnly):
             array that already has this form is returned as it is; otherwise the returned array is new, or a view.
 
         Raises:
-            ValueError: If a shape does not match, a value is not finite, or a row of a static body differs from that
-                in ``vertices_t0``; the sign of a zero is no difference.
+            ValueError: If a shape does not match, or, of vertices that take part, a value is not finite or a row of a
+                static body differs from that in ``vertices_t0``; the sign of a zero is no difference.
         """
         start = self.frame(vertices_t0, "vertices_t0")
         by_world = self.rows_by_world
         if len(self.moving_vertices) == self.num_vertices:
-            reason = "like vertices_t0"
-            return start, validated_positions(
-                vertices_t1, "vertices_t1", self.dimension, self.num_vertices, reason, by_world, self._where
-            )
+            rows, but = (self.dimension, self.num_vertices, "like vertices_t0"), self.unused_vertices
+            return start, validated_positions(vertices_t1, "vertices_t1", *rows, by_world, self._where, but)
         end = as_positions(vertices_t1, "vertices_t1", self.dimension, by_world=by_world)
         moving = self.moving_vertices
         if len(end) == self.num_vertices:
             if end is not start:
-                check_finite(end, "vertices_t1", where=self._where)
+                check_finite(end, "vertices_t1", where=self._where, but=self.unused_vertices)
                 self._check_static_stay(start, end)
             return start, end  # nothing to copy
         if len(end) != len(moving):
@@ -734,13 +775,17 @@ class CollisionMesh(ReadOnly):
                 f"vertices_t1 has shape {end.shape}; expected {start.shape} like vertices_t0 "
                 f"or {(len(moving), self.dimension)}, the moving vertices alone"
             )
-        check_finite(end, "vertices_t1", where=self._where_moving)
+        unused = np.flatnonzero(np.isin(moving, self.unused_vertices)) if len(self.unused_vertices) else None
+        check_finite(end, "vertices_t1", where=self._where_moving, but=unused)
         full = start.copy()
         full[moving] = end
         return start, full
 
     def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        """Check that the rows of static bodies, which are finite, are the same at both ends."""
+        """Check that the rows of static bodies, which are finite where they take part, are the same at both ends."""
+        if all(np.array_equal(start[rows], end[rows]) for rows in self._static_rows):
+            return
+        start, end = self._both_placed(start, end)
         for rows in self._static_rows:
             if not np.array_equal(start[rows], end[rows]):
                 vertices = np.arange(self.num_vertices)[rows]

@@ -72,9 +72,10 @@ class MeshPaths(BodyPaths):
     ) -> NDArray[np.float64]:
         """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
         times = _times(t, len(body))
-        x: NDArray[np.float64] = (1.0 - times) * start + times * end
-        rigid, rows = self._rows_of(body)
-        x[rigid] = self.positions(in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            x: NDArray[np.float64] = (1.0 - times) * start + times * end
+            rigid, rows = self._rows_of(body)
+            x[rigid] = self.positions(in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
         return x
 
     def velocities(
@@ -120,8 +121,9 @@ def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArra
     """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
     f = fraction[..., None]
     # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
-    # rounding.
-    return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
+    # rounding. Vertices that take no part may be at no number.
+    with np.errstate(invalid="ignore"):
+        return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -178,6 +180,7 @@ def check_own_frames(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArr
     if start is end:
         return
     differs = (start != end).any(axis=1) & mesh.rigid[mesh.vertex_body]
+    differs[mesh.unused_vertices] = False
     for vertex in np.flatnonzero(differs)[:1].tolist():
         raise ValueError(
             f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
@@ -195,8 +198,9 @@ def check_worlds(mesh: CollisionMesh) -> None:
         return
     first = np.zeros(mesh.num_bodies, dtype=np.int32)
     filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    first[filled] = mesh.vertex_world[mesh.body_vertex_range[filled]]
+    first[filled] = mesh.vertex_world[mesh._stand_ins[mesh.body_vertex_range[filled]]]
     differs = (mesh.vertex_world != first[mesh.vertex_body]) & mesh.rigid[mesh.vertex_body]
+    differs[mesh.unused_vertices] = False
     for vertex in np.flatnonzero(differs)[:1].tolist():
         body = int(mesh.vertex_body[vertex])
         raise ValueError(

@@ -214,7 +214,7 @@ def displacement_bounds(
 
     Returns:
         The bounds, lengths, float64, shape [V]. They are 0 for vertices of static bodies, which do not move, and for
-        those of pairs that touch, or are within ``minimum_distance``, already.
+        those of pairs that touch, or are within ``minimum_distance``, already; inf for those that take no part.
 
     Raises:
         ValueError: If the positions do not match the mesh or are not finite, ``search_radius`` or an option is out of

@@ -223,7 +223,8 @@ class CollisionPipeline:
         start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
         rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
         first = np.searchsorted(mesh.vertex_body[rows], bodies)
-        start[rows], end[rows] = motion._ends(start[rows], first)
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            start[rows], end[rows] = motion._ends(start[rows], first)
         return start, end, None
 
     def _warn_of_straight_motion(self) -> None:
@@ -262,7 +263,7 @@ class CollisionPipeline:
         self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
-            start, end = map(self.mesh._in_space, frames())
+            start, end = map(self.mesh._in_space, self.mesh._both_placed(*frames()))
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
@@ -328,7 +329,7 @@ class CollisionPipeline:
                 capacities = self._with_capacities(max_pairs, max_contacts)
             layout = None
             if vertices is not None:
-                layout = self.mesh._in_space(self.mesh.frame(vertices, "vertices").copy())
+                layout = self.mesh._in_space(self.mesh._placed(self.mesh.frame(vertices, "vertices").copy()))
             self._check_distance(lambda: self._layout if layout is None else layout)
             with self._line:
                 self._reserve(capacities, layout)
@@ -544,7 +545,7 @@ class CollisionPipeline:
         if step is None:
             if self._topology.device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
-            layout = mesh._in_space(paths.at(mesh, mesh.vertices, mesh.vertices, 0.0))
+            layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
             of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
             step = DeviceArcStep(*of_step, self._line.progress)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
@@ -798,7 +799,7 @@ class CollisionPipeline:
                 f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
                 f"mesh.replicate({motion.num_worlds}), or False"
             )
-        worlds = MotionWorlds(self, *self.mesh.frames(vertices_t0, vertices_t1), motion)
+        worlds = MotionWorlds(self, *self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1)), motion)
         return worlds if not is_one or worlds.is_sparse else None
 
     def _looks_for_parts(self) -> bool:
@@ -822,7 +823,7 @@ class CollisionPipeline:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Positions at both ends where joints move links, checked."""
         check_options_on_arcs(self._options)
-        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        start, end = self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1))
         self._joints_at(motion, 0.0)  # that there are as many worlds and links as in the mesh
         check_own_frames(self.mesh, start, end)
         return start, end
@@ -1014,14 +1015,14 @@ class CollisionPipeline:
         """How near each vertex is to anything at one time, as far as it is within its distance."""
         from ccd_warp._engine.at_one_time.proximity_step import HoldStep  # few programs need it
 
-        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
     def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance, or passes by at it."""
         from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
-        distance = hold_distance(self.mesh, self._options, self.mesh.radius)
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         of_search = self.counts, self.timings
         is_straight = isinstance(end, np.ndarray)
         frames = start, end if is_straight else start

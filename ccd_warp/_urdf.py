@@ -145,9 +145,10 @@ def _shape(file: Path, folders: Mapping[str, Path], geometry: Any) -> Body:
     if geometry.mesh is not None:
         mesh = read_mesh(_found(file, folders, geometry.mesh.filename), PLAIN_BYTES)
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-        vertices, merged = np.unique(vertices, axis=0, return_inverse=True)
+        used, faces = np.unique(faces, return_inverse=True)
+        vertices, merged = np.unique(vertices[used], axis=0, return_inverse=True)
         scale = 1.0 if geometry.mesh.scale is None else geometry.mesh.scale
-        return vertices * np.asarray(scale, dtype=np.float64), merged.reshape(-1)[faces]
+        return vertices * np.asarray(scale, dtype=np.float64), merged.reshape(-1)[faces.reshape(-1, 3)]
     if geometry.box is not None:
         made = creation.box(extents=geometry.box.size)
     elif geometry.cylinder is not None:

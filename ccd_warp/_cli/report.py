@@ -5,6 +5,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import fields
 
+import numpy as np
 import warp as wp
 
 from ccd_warp._cli.motion import Lengths
@@ -96,13 +97,16 @@ def body_rows(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[tuple[str, st
     ]
 
 
-def merged_lines(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[str]:
-    """What was merged in reading, a line for each body."""
-    return [
-        f"  ({body.merged:,} vertices of {name} merged by position)"
-        for name, body in zip(mesh.names, bodies, strict=True)
-        if body.merged
-    ][:_MOST_BODIES]
+def vertex_lines(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[str]:
+    """What was merged in reading and what takes no part, a line for each body."""
+    unused = mesh.vertex_body[np.setdiff1d(mesh.unused_vertices, mesh.inner_vertices)]
+    num_unused = np.bincount(unused, minlength=mesh.num_bodies).tolist()
+    lines = []
+    for name, body, count in zip(mesh.names, bodies, num_unused, strict=True):
+        lines += [f"  ({body.merged:,} vertices of {name} merged by position)"] if body.merged else []
+        described = counted(count, f"vertex of {name} in no face takes", f"vertices of {name} in no face take")
+        lines += [f"  ({described} no part)"] if count else []
+    return lines[:_MOST_BODIES]
 
 
 def scope_lines(mesh: CollisionMesh, options: Options, ignored: StartContacts | None) -> list[str]:
@@ -116,7 +120,7 @@ def _bodies(step: SolvedStep) -> list[str]:
         for row, toi in zip(body_rows(step.mesh, step.bodies), step.result.body_toi.tolist(), strict=True)
     ]
     header = ("body", "", "vertices", "faces", "earliest toi")
-    return body_table(header, rows, align="<<>><") + merged_lines(step.mesh, step.bodies)
+    return body_table(header, rows, align="<<>><") + vertex_lines(step.mesh, step.bodies)
 
 
 def _outcome(step: SolvedStep) -> list[str]:

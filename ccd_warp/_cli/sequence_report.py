@@ -13,8 +13,8 @@ from ccd_warp._cli.report import (
     format_table,
     format_title,
     format_toi,
-    merged_lines,
     scope_lines,
+    vertex_lines,
 )
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.scope import looked_at
@@ -40,7 +40,7 @@ def format_sequence(
     names = ", ".join(each.name for each in sequence._series)
     lines = [format_title(f"{len(sequence)} frames of {names}", options), ""]
     lines += body_table(("body", "", "vertices", "faces"), body_rows(mesh, bodies), align="<<>>")
-    lines += [*merged_lines(mesh, bodies), ""]
+    lines += [*vertex_lines(mesh, bodies), ""]
     bad = [record for record in records if record.hit]
     if bad:
         steps = ranges_text([record.step for record in bad])

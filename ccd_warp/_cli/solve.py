@@ -74,8 +74,10 @@ def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[n
 
 
 def moving_vertices(mesh: CollisionMesh, bodies: Sequence[Body], motion: RigidMotion | None) -> MovingVertices:
-    """How the vertices of all bodies move."""
-    return MovingVertices.of(mesh, *positions_of(bodies), None if motion is None else motion._body_paths)
+    """How the vertices of all bodies move; those that take no part as others of their bodies do."""
+    return MovingVertices.of(
+        mesh, *mesh._both_placed(*positions_of(bodies)), None if motion is None else motion._body_paths
+    )
 
 
 def moving_bodies(bodies: Sequence[Body]) -> list[int]:

@@ -288,8 +288,8 @@ def _node_of_vertex(mesh: Mesh) -> np.ndarray:
 
 def _merge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The first index of each distinct row, in order of appearance, and for each row the number of its distinct row."""
-    # Adding 0.0 turns -0.0 into 0.0, because they are the same position.
-    _, first, inverse = np.unique(rows + 0.0, axis=0, return_index=True, return_inverse=True)
+    # Adding 0.0 turns -0.0 into 0.0, because they are the same position; bits compare what is no number, too.
+    _, first, inverse = np.unique((rows + 0.0).view(np.int64), axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

@@ -222,16 +222,17 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
 
 
 def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Refuse faces of vertices that do not exist, and positions that are not finite."""
+    """Refuse faces of vertices that do not exist, and positions of vertices of faces that are not finite."""
     if faces.min() < 0 or faces.max() >= len(vertices):
         k = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
         raise InputError(f"face {k} is {faces[k].tolist()}, but the file has {len(vertices)} vertices; repair the file")
     bad = np.flatnonzero(~np.isfinite(vertices).all(axis=1))
+    bad = bad[np.isin(bad, faces)]
     if bad.size:
         k = int(bad[0])
         raise InputError(
             f"vertex {k} is {vertices[k].tolist()} ({bad.size} of {len(vertices)} vertices are not finite); "
-            "every coordinate must be finite"
+            "every coordinate of a face must be finite"
         )
 
 

@@ -88,15 +88,21 @@ def shown_number(value: Any) -> str:
 
 
 def check_finite(
-    array: NDArray[np.float64], name: str, row_name: str = "row", where: Callable[[int], str] | None = None
+    array: NDArray[np.float64],
+    name: str,
+    row_name: str = "row",
+    where: Callable[[int], str] | None = None,
+    but: NDArray[np.integer] | None = None,
 ) -> None:
-    """Raise a ValueError if a value is not finite; ``where`` describes a row of the array."""
+    """Raise a ValueError if a value is not finite, but in some rows; ``where`` describes a row of the array."""
     if array.size <= _FEW and math.isfinite(np.vdot(array, array)):
         return  # as below, in a third of the time; on one thread, since there are few
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
             return  # an infinity or NaN would make the sum non-finite; a sum that overflows proves nothing
     finite = np.isfinite(array)
+    if but is not None:
+        finite[but] = True
     if not finite.all():
         at = tuple(np.argwhere(~finite)[0])
         place = f"{row_name} {at[0]}{where(int(at[0])) if where else ''}"
@@ -173,10 +179,11 @@ def validated_positions(
     reason: str = "",
     by_world: Collection[tuple[int, int]] = (),
     where: Callable[[int], str] | None = None,
+    but: NDArray[np.integer] | None = None,
 ) -> NDArray[np.float64]:
-    """Finite positions as of :func:`as_positions`, or a ValueError; ``where`` describes a row."""
+    """Finite positions as of :func:`as_positions`, or a ValueError; ``where`` describes a row, some need not be."""
     array = as_positions(values, name, dimension, count, reason, by_world)
-    check_finite(array, name, where=where)
+    check_finite(array, name, where=where, but=but)
     return array
 
 

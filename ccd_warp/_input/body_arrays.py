@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arrays import as_any_array, on_host, validated_indices, validated_positions
+from ccd_warp._input.arrays import as_any_array, as_positions, on_host, validated_indices
 from ccd_warp._input.names import body_label
 
 
@@ -55,7 +55,7 @@ class JoinedBodies(NamedTuple):
 def joined_bodies(
     bodies: Sequence[Any], names: Sequence[str], points_of: Callable[[int, int], NDArray[np.float64]]
 ) -> JoinedBodies:
-    """Check and join the arrays of bodies, at least one of which is no half-space.
+    """Check and join the arrays of bodies, at least one of which is no half-space; positions may be no numbers.
 
     The vertices of a half-space, at most one, are given by ``points_of`` for its body and a number of coordinates.
 
@@ -76,7 +76,7 @@ def joined_bodies(
         begin = offsets[-1]
         if b in given:
             label, body = body_label(b, names), given[b]
-            vertices = validated_positions(body[0], f"vertices of {label}", dimension)
+            vertices = as_positions(body[0], f"vertices of {label}", dimension)  # which of them count is known later
             faces, edges = (body[1], body[2:]) if dimension == 3 else ((), body[1:])
             if len(edges) == 2:
                 raise ValueError(f"{label} is in the plane and has 3 arrays; expected a pair (vertices, edges)")

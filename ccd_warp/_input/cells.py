@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_array, on_host, validated_indices, validated_positions
+from ccd_warp._input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
 from ccd_warp._input.messages import warn
 from ccd_warp._input.names import body_label
 
@@ -79,11 +79,15 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
     for b, body in enumerate(bodies):
         if isinstance(body, (tuple, list)) and len(body) in (2, 3) and isinstance(body[1], Mapping):
             label = body_label(b, names)
-            vertices = validated_positions(body[0], f"vertices of {label}", 3)
+            vertices = as_positions(body[0], f"vertices of {label}", 3)
             cells, midsides = by_corners(body[1].items(), f"cells of {label}", len(vertices))
             faces = surface_of(cells, f"cells of {label}", len(vertices), vertices)
             if not len(faces):
                 raise ValueError(f"cells in place of faces of {body_label(b, names)} are none; expected {_EXPECTED}")
+            is_of_none = np.ones(len(vertices), dtype=bool)
+            for _, corners in cells:
+                is_of_none[np.asarray(corners, dtype=np.int64)] = False
+            check_finite(vertices, f"vertices of {label}", but=np.flatnonzero(is_of_none))
             warn_of_midsides(f"cells of {label}", midsides, faces, vertices)
             bodies[b], is_of_cells[b] = (vertices, faces, *body[2:]), True
     return bodies, is_of_cells
@@ -222,7 +226,7 @@ def _is_mirrored(sides: _Integers, vertices: NDArray[np.float64]) -> NDArray[np.
     """Which cells, given by their sides, shape [n, s, 4], have a negative volume in this order of corners."""
     points = vertices[sides]
     with np.errstate(all="ignore"):
-        points = points / (np.abs(vertices).max(initial=0.0) or 1.0)
+        points = points / (np.abs(points).max(initial=0.0) or 1.0)
         a, b, c, d = np.moveaxis(points - points.mean(axis=(1, 2))[:, None, None], 2, 0)
         volume = np.einsum("nsi,nsi->n", a, np.cross(b, c) + np.cross(c, d))
     mirrored: NDArray[np.bool_] = volume < 0.0

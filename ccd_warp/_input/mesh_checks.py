@@ -12,17 +12,11 @@ from ccd_warp._input.names import body_label, is_default_name
 
 
 def vertices_without_primitive(
-    faces: NDArray[np.int32],
-    edges: NDArray[np.int32],
-    is_chosen: NDArray[np.bool_],
-    vertex_body: NDArray[np.int32],
+    num_vertices: int, faces: NDArray[np.int32], edges: NDArray[np.int32]
 ) -> NDArray[np.int32]:
-    """Vertices in no face and no edge, of the bodies that are chosen."""
-    if not is_chosen.any():
-        return np.zeros(0, dtype=np.int32)
-    is_without = is_chosen[vertex_body]
-    is_without[faces] = False
-    is_without[edges] = False
+    """Vertices in no face and in no edge that is none of a face, ascending."""
+    is_without = np.ones(num_vertices, dtype=bool)
+    is_without[faces] = is_without[edges] = False
     return np.flatnonzero(is_without).astype(np.int32)
 
 

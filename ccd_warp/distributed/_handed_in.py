@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arrays import as_array, on_host, validated_indices, validated_positions
+from ccd_warp._input.arrays import as_array, as_positions, on_host, validated_indices
 from ccd_warp._input.mesh_checks import validated_radius
 
 
@@ -18,7 +18,7 @@ class HandedIn:
     """The part of a mesh that a rank hands in; the arguments are those of :class:`DistributedMesh`.
 
     Attributes:
-        vertices: Rest positions, float64, shape [n, 3] or [n, 2].
+        vertices: Rest positions, which may be no numbers, float64, shape [n, 3] or [n, 2].
         vertex_ids: Id of each vertex, int64, shape [n].
         order: Rows of the vertices by ascending id.
         faces: Rows of the vertices of the faces, shape [f, 3].
@@ -69,7 +69,7 @@ def handed_in(
     Raises:
         ValueError: If an argument is not as described.
     """
-    positions = validated_positions(vertices, "vertices", dimension)
+    positions = as_positions(vertices, "vertices", dimension)  # which of them count, all ranks have to say
     count = len(positions)
     ids = _per_vertex("vertex_ids", vertex_ids, count)
     order = np.argsort(ids, kind="stable")

@@ -63,6 +63,7 @@ class DistributedMesh:
         vertex_ids: The ids of the vertices on this rank, as given, int64, shape [n].
         owner: Rank that owns each of them, int64, shape [n].
         is_owned: Whether this rank does, bool, shape [n].
+        is_unused: Which of them take no part, bool, shape [n].
         planes: The planes of half-spaces in the order of their bodies, as of :class:`ccd_warp.CollisionMesh`.
     """
 
@@ -108,7 +109,8 @@ class DistributedMesh:
                 their vertices in the bodies' own frames. A body may lie on several ranks.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge of any rank uses are
-                codimensional points: one flag for all bodies or one for each.
+                codimensional points: one flag for all bodies or one for each. Without it they take no part, unless the
+                body has neither, as of :class:`ccd_warp.CollisionMesh`.
             body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B].
             exclusion_rings: As of :class:`ccd_warp.CollisionMesh`, over the edges of the whole mesh.
             exclude_pairs: ``"bodies"``, pairs of their numbers, and ``"vertices"``, pairs of ids; each shape [k, 2].
@@ -154,6 +156,8 @@ class DistributedMesh:
         sizes = f"{self.num_vertices:,} vertices, {self.num_edges:,} edges, {self.num_faces:,} faces"
         sizes += f", {counted(len(self.planes), 'half-space', 'half-spaces')}" if len(self.planes) else ""
         sizes += ", in the plane" if self.dimension == 2 else ""
+        if self._num_unused:
+            sizes += f", {counted(self._num_unused, 'vertex takes no part', 'vertices take no part')}"
         return (
             f"DistributedMesh({self.num_bodies} bodies, {sizes}; "
             f"rank {self.ranks.rank} of {self.ranks.size} has {len(self.vertex_ids):,} vertices)"
@@ -325,13 +329,24 @@ class DistributedMesh:
         """Number edges and faces of the whole mesh, and choose for each the rank that answers for it."""
         edges, self.num_edges = numbered_edges(self._homes, self.numbers, self._order, given.faces, given.edges)
         faces, self.num_faces = numbered_faces(self._homes, self.numbers, given.faces)
-        is_used = np.zeros(len(self.numbers))
-        is_used[given.faces] = 1.0
-        is_used[given.edges[given.edges[:, 0] != given.edges[:, 1]]] = 1.0
+        is_used, has_primitives = np.zeros(len(self.numbers)), np.zeros(self.num_bodies, dtype=np.int64)
+        for corners in (given.faces, given.edges[given.edges[:, 0] != given.edges[:, 1]]):
+            is_used[corners], has_primitives[self.bodies[corners]] = 1.0, 1
         is_used_by_any = is_used.copy()
         self.copies.back(is_used, is_used_by_any, np.add)
-        is_point = (is_used_by_any == 0.0) & self._with_points[self.bodies]
-        own = self.owned_rows
+        self.copies.forward([(is_used_by_any, is_used_by_any)])
+        is_alone, is_of_points = is_used_by_any == 0.0, self._with_points[self.bodies]
+        is_of_particles = self.ranks.most(has_primitives)[self.bodies] == 0
+        is_point = is_alone & is_of_points
+        self.is_unused = is_alone & ~is_of_points & ~is_of_particles
+        self._num_unused = int(self.ranks.total(np.array((self.is_unused & self.is_owned).sum())))
+        check_finite(
+            self.vertices,
+            "vertices",
+            where=lambda row: f" (vertex id {self.vertex_ids[row]})",
+            but=np.flatnonzero(self.is_unused),
+        )
+        own = np.flatnonzero(self.is_owned & ~self.is_unused)
         vertices = Primitives(self.numbers[own], own[:, None].astype(np.int64), is_point[own])
         self.primitives = {"edge": edges, "face": faces, "vertex": vertices}
 
@@ -340,7 +355,7 @@ class DistributedMesh:
         self.vertices = self.vertices.copy()
         self.copies.forward([(self.vertices, self.vertices)])
         self._measure_radii()
-        own = self.vertices[self.owned_rows]
+        own = self.vertices[self.is_owned & ~self.is_unused]
         lower = self.ranks.least(own.min(axis=0, initial=np.inf))
         upper = self.ranks.most(own.max(axis=0, initial=-np.inf))
         with np.errstate(over="ignore"):
@@ -361,7 +376,7 @@ class DistributedMesh:
         self.copies.back(self.box_radius.copy(), self.box_radius, np.maximum)
         self.copies.forward([(self.box_radius, self.box_radius)])
         body_radius = np.zeros(self.num_bodies)
-        np.maximum.at(body_radius, self.bodies, self.radius)
+        np.maximum.at(body_radius, self.bodies, np.where(self.is_unused, 0.0, self.radius))
         self.body_radius = self.ranks.most(body_radius)
         self.is_thick = bool(self.body_radius.any())
 
@@ -380,12 +395,14 @@ class DistributedMesh:
             is_here = own.numbers[order][place] == wanted
             corners[is_here] = self.numbers[own.corners[order[place[is_here]]]]
         self.sample_primitives = self.ranks.most(corners).T
-        self.sample_vertices = uneven_samples(self.num_vertices, NUM_SAMPLES)
+        self.sample_vertices = samples = uneven_samples(self.num_vertices, NUM_SAMPLES)
+        is_unused = np.isin(samples, self.numbers[self.is_unused]).astype(np.int64)
+        self.sample_vertices = np.where(self.ranks.most(is_unused), self.sample_primitives[0], samples)
 
     def frames(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, name_t0: str = "vertices_t0"
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Check the positions on this rank: those that it owns must be finite, those of ghosts are ignored.
+        """Check the positions on this rank: those that it owns and that take part must be finite, ghosts are ignored.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] in the plane.
@@ -410,12 +427,13 @@ class DistributedMesh:
         for name, values in ((name_t0, start), ("vertices_t1", end)):
             # rows are copied only where one that is not finite may be a ghost's
             is_checked = is_all or np.isfinite(values).all()
-            check_finite(values if is_checked else values[self.owned_rows], name, where=self._where)
+            unused = np.flatnonzero(self.is_unused if is_checked else self.is_unused[self.owned_rows])
+            check_finite(values if is_checked else values[self.owned_rows], name, where=self._where, but=unused)
         if self._has_static and end is not start:
-            moved = np.flatnonzero((self._is_static & self.is_owned) & (start != end).any(axis=1))
+            moved = np.flatnonzero(self._is_static & self.is_owned & ~self.is_unused & (start != end).any(axis=1))
             if len(moved):
                 self._refuse_motion(moved, start[moved], end[moved])
-            end = np.where(self._is_static[:, None], start, end)
+            end = np.where((self._is_static & ~self.is_unused)[:, None], start, end)
         return start, end
 
     def _refuse_motion(self, rows: NDArray[np.intp], start: NDArray[np.float64], end: NDArray[np.float64]) -> NoReturn:

@@ -61,7 +61,8 @@ class LocalPaths:
             raise ValueError("motion differs between ranks; expected the same on all, with a row for every rigid body")
         own = mesh.owned_rows
         self._rigid = own[mesh.rigid[mesh.bodies[own]]]
-        differs = self._rigid[(start[self._rigid] != end[self._rigid]).any(axis=1)]
+        self._searched = self._rigid[~mesh.is_unused[self._rigid]]
+        differs = self._searched[(start[self._searched] != end[self._searched]).any(axis=1)]
         for row in differs[:1].tolist():
             raise ValueError(
                 f"vertices_t1 has another row for the vertex with id {mesh.vertex_ids[row]} than vertices_t0, and its "
@@ -88,7 +89,7 @@ class LocalPaths:
         of a slice reach beyond by the sagitta of the slice. Rounded up to a power of two, so that a plan holds for some
         more steps.
         """
-        rows = self._rigid
+        rows = self._searched
         bodies, x = self._mesh.bodies[rows], self.given[0][rows]
         x = in_space(x)
         turning = norms(self.paths.velocities(bodies, x, x, 0.0) - self.paths.velocity[bodies])

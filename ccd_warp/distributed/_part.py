@@ -78,6 +78,7 @@ def part_mesh(
         edges=edges,
         codimensional_edges=codimensional_edges,
         codimensional_points=codimensional_points,
+        unused_vertices=np.zeros(0, dtype=np.int32),  # which no rank is sent
         inner_vertices=np.zeros(0, dtype=np.int32),
         vertex_body=vertex_body,
         edge_body=vertex_body[edges[:, 0]],

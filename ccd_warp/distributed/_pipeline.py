@@ -410,6 +410,7 @@ class DistributedPipeline:
             )
             fraction = np.full(len(start), np.inf)
             plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
+            self._follow(fraction, per, is_limited=found.is_limited, turns=course is not None)
             vertices, own = np.empty_like(start), self.mesh.owned_rows
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
             vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
@@ -435,6 +436,29 @@ class DistributedPipeline:
                 max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
             return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work, motion=motion)
+
+    def _follow(self, fraction: NDArray[np.float64], per: str, *, is_limited: bool, turns: bool) -> None:
+        """Let vertices that take no part, which no rank is sent, go as others of their body or world do; collective."""
+        mesh = self.mesh
+        if not mesh._num_unused:
+            return
+        is_free = ~(mesh.static | mesh.kinematic)[mesh.bodies]
+        shared = mesh.is_owned & ~mesh.is_unused & is_free
+
+        def of_group(group: NDArray[np.int64], count: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            """The least and the largest fraction in the group of each vertex."""
+            least, most = np.ones(count), np.zeros(count)
+            np.minimum.at(least, group[shared], fraction[shared])
+            np.maximum.at(most, group[shared], fraction[shared])
+            return self._ranks.least(least)[group], self._ranks.most(most)[group]
+
+        least, most = of_group(mesh.worlds, mesh.num_worlds)
+        of_body = of_group(mesh.bodies, mesh.num_bodies)[0]
+        own = least if per in ("scene", "world") else of_body
+        if per == "vertex":  # in the last rounds a world has one fraction, and a rigid body always
+            own = np.where(is_limited & (least == most), least, 1.0)
+            own = np.where(turns & mesh.rigid[mesh.bodies], of_body, own)
+        fraction[mesh.is_unused] = np.where(is_free, own, 1.0)[mesh.is_unused]
 
     def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
         """The steps of a line search, of what does some work on one."""
@@ -465,7 +489,8 @@ class DistributedPipeline:
 
     @property
     def _hold_distance(self) -> float:
-        return hold_distance(self.mesh, self._options, self.mesh.body_radius)
+        radius = self.mesh.body_radius
+        return hold_distance(self.mesh, self._options, 0.0 if radius is None else float(radius.max(initial=0.0)))
 
     @property
     def _holding_inflation(self) -> float:

@@ -108,8 +108,8 @@ def make_plan(
     least, most = bounds.limits(lower, upper, whole.box_radius)
     limits = least[:, : whole.dimension], most[:, : whole.dimension]
     for values, farthest in zip(limits, (-np.inf, np.inf), strict=True):
-        values[~whole.is_owned] = farthest
-    static_rows = np.flatnonzero(whole.is_owned & whole.static[whole.bodies])
+        values[~whole.is_owned | whole.is_unused] = farthest
+    static_rows = np.flatnonzero(whole.is_owned & ~whole.is_unused & whole.static[whole.bodies])
     return Plan(
         bounds,
         limits,
@@ -135,7 +135,7 @@ def _is_in(points: NDArray[np.float64], region: tuple[NDArray[np.float64], NDArr
 
 def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float) -> Bounds:
     """The numbers from which the boxes of the plan follow."""
-    own = whole.owned_rows
+    own = np.flatnonzero(whole.is_owned & ~whole.is_unused)
     lower, upper = scene_box(start[own], end[own])
     extent, count = 0.0, 0
     kind = "edge" if whole.num_edges else "face"

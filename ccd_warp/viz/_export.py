@@ -64,7 +64,8 @@ def to_pyvista(
     blocks = pyvista.MultiBlock()
     squares = {}
     if len(mesh.planes):
-        squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, *middle_of(start, end)), strict=True))
+        box = middle_of(*mesh._both_placed(start, end))
+        squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, *box), strict=True))
     for body, name in enumerate(mesh.names):
         first, last = mesh.body_vertex_range[body : body + 2].tolist()
         chosen = _primitives(mesh, body)

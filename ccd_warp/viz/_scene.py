@@ -179,7 +179,7 @@ def make_scene(
     Raises:
         ValueError: If the mesh is empty, or the positions, the motion or the result do not match it.
     """
-    moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
+    moving = moving_vertices(mesh, *mesh._both_placed(*mesh.frames(vertices_t0, vertices_t1)), motion)
     start, end = moving.start, moving.end
     if len(start) == 0:
         raise ValueError("mesh has no vertices; expected something to draw")
@@ -218,7 +218,7 @@ def placed(
     """What a scene has of its mesh and positions, by attribute."""
     squares = (plane_squares(mesh, centre, unit) - centre) / unit
     is_point = np.ones(mesh.num_vertices, dtype=bool)
-    for covered in (mesh.faces, mesh.edges, mesh.inner_vertices):
+    for covered in (mesh.faces, mesh.edges, mesh.unused_vertices):
         is_point[covered] = False
     return {
         "start": (start - centre) / unit,

@@ -16,6 +16,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
+_INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 _DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 
 
@@ -106,6 +107,18 @@ def reset_bounds(
     if body_static[minima.vertex_body[v]] != 0 or (minima.world_flags[world_of(minima, v)] & INVALID_INPUT) != 0:
         bits = wp.int64(0)
     minima.vertex[v] = bits
+
+
+@wp.kernel
+def unbind(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    # out
+    minima: Minima,
+):
+    """Let nothing bound vertices that take no part."""
+    minima.vertex[vertices[begin + wp.tid()]] = _INFINITY_BITS
 
 
 @wp.kernel

@@ -25,7 +25,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=modul
 def read_moving(
     begin: int,
     # in
-    vertices: wp.array[wp.int32],
+    vertices: wp.array[wp.int32],  # -1 - v in place of a vertex v that takes no part
     vertices_t0: wp.array[vec],
     vertices_t1: wp.array[vec],
     t0_by_vertex: int,  # 0: the rows are the moving vertices only
@@ -37,9 +37,9 @@ def read_moving(
     end: wp.array[wp.vec3d],
     m: Minima,
 ):
-    """Read the positions of a moving vertex into float64."""
+    """Read the positions of a moving vertex into float64; those of one that takes no part need not be finite."""
     k = begin + wp.tid()
-    v = vertices[k]
+    v = wp.max(vertices[k], -1 - vertices[k])
     a = in_space(vertices_t0[wp.where(t0_by_vertex != 0, v, k)])
     b = in_space(vertices_t1[wp.where(t1_by_vertex != 0, v, k)])
     if is_displacement != 0:
@@ -47,7 +47,7 @@ def read_moving(
     if is_kept != 0:
         start[v] = a
         end[v] = b
-    if not (is_finite(a) and is_finite(b)):
+    if vertices[k] >= 0 and not (is_finite(a) and is_finite(b)):
         flag_world(m, v, INVALID_INPUT)
 
 

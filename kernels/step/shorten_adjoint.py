@@ -43,7 +43,7 @@ def shorten_back(
     row = wp.where(t1_by_vertex != 0, v, k)
     g = gradient_t1[row]
     f = share * t
-    if f > _ZERO:
+    if f > _ZERO and not (g == vec()):  # a vertex that takes no part may be at no number
         of_fraction[k] = wp.dot(in_space(g), end[v] - start[v])
     kept = real(f) * g
     gradient_t1[row] = kept

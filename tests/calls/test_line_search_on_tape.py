@@ -201,6 +201,23 @@ def test_kinematic_bodies_pass_their_gradient_through():
     np.testing.assert_array_equal(found[1][3:], 1.0)
 
 
+def test_vertices_that_take_no_part_leave_gradients_numbers():
+    """A face falls on another beside vertices that are at no number."""
+    mesh, start, end = falling()
+    _, expected, _ = gradients(pipeline_of(mesh), [array(start), array(end)], np.ones_like(start), per="body")
+    rows = np.array([1, 2, 3, 5, 6, 7])
+    x, y = np.full((2, 8, 3), np.nan)
+    x[rows], y[rows] = start, end
+    bodies = [(x[:4], [[1, 2, 3]]), (x[4:], [[1, 2, 3]])]
+    of_result = np.zeros_like(x)
+    of_result[rows] = 1.0
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    _, found, is_regular = gradients(pipeline_of(mesh), [array(x), array(y)], of_result, per="body")
+    for of_rows, of_all in zip(expected, found, strict=True):
+        np.testing.assert_array_equal(of_all[rows], of_rows)
+        assert np.isfinite(of_all).all() and is_regular.all()
+
+
 def test_a_graph_holds_both_passes_of_a_line_search():
     mesh, start, end = falling()
     pipeline, of_result = pipeline_of(mesh), np.ones_like(start)

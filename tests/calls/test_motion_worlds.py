@@ -277,13 +277,15 @@ WALL = (np.array([[-1.0, 2, -1], [1, 2, -1], [0, 2, 1]]), np.array([[0, 1, 2]]))
 LOOSE = np.array([[0.0, 1, 0]])
 
 
-@pytest.mark.parametrize("is_alone", [False, True], ids=["beside a ball", "alone"])
-def test_vertex_of_no_face_flies_into_a_wall(is_alone):
-    """It is in no part of its body, and meets faces all the same."""
+@pytest.mark.parametrize("kind", ["beside a ball", "beside a ball, as asked", "alone"])
+def test_vertex_of_no_face_flies_into_a_wall_where_it_is_a_particle(kind):
+    """Alone it is in no part of its body, and meets faces all the same; beside a ball it has to be asked for."""
     ball = trimesh.creation.icosphere(4, 0.1)
+    is_alone, is_point = kind == "alone", kind.endswith("asked")
     body = (LOOSE, np.zeros((0, 3), dtype=int)) if is_alone else (np.vstack([ball.vertices, LOOSE]), ball.faces)
     far = (ball.vertices + 50.0, ball.faces)
-    mesh = ccd.CollisionMesh.from_arrays([body, WALL, far], rigid=[0], static=[1, 2], self_collision=False)
+    options = {"rigid": [0], "static": [1, 2], "self_collision": False, "codimensional_points": is_point}
+    mesh = ccd.CollisionMesh.from_arrays([body, WALL, far], **options)
     start = np.tile([0, 0, 0, 0, 0, 0, 1.0], (2, 1, 1))
     slide = ccd.Joint("slide", "base", "link", "prismatic", (0, 1, 0))
     for motion in (
@@ -291,4 +293,4 @@ def test_vertex_of_no_face_flies_into_a_wall(is_alone):
         ccd.JointMotion([slide], np.zeros((2, 1)), np.full((2, 1), 1.5), links=["link"]),
     ):
         result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu")
-        np.testing.assert_allclose(result.world_toi, 2 / 3, atol=1e-12)
+        np.testing.assert_allclose(result.world_toi, 2 / 3 if is_alone or is_point else np.inf, atol=1e-12)

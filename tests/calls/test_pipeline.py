@@ -440,4 +440,69 @@ def test_triangle_meshes_and_their_unused_vertices_launch_no_point_kinds():
     assert ccd.mesh_ccd(asked, mesh.vertices, end).toi == pytest.approx(1.0, abs=1e-6)
 
 
+def answers(mesh, start, end, **options):
+    """What every call says of a step, of vertices a row each, and of all else."""
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", **options)
+    result = pipeline.mesh_ccd(start, end, check_start=True)
+    launched = pipeline.launch(start, end).to_host()
+    near, near_launched = pipeline.find_proximity(start, 0.2), pipeline.launch_proximity(start, 0.2).to_host()
+    rows = [result.vertex_toi, launched.vertex_toi, pipeline.displacement_bounds(start, 0.3)]
+    rows.append(pipeline.launch_displacement_bounds(start, 0.3).bounds.numpy().copy())
+    for per in ("scene", "body", "vertex"):
+        found, shortened = pipeline.line_search(start, end, per=per), end.copy()
+        pipeline.launch_line_search(start, shortened, per=per)
+        rows += [found.vertices, found.vertex_fraction, shortened]
+    others = [mesh.length_scale, launched.toi, launched.flags, pipeline.collision_free_step(start, end)]
+    others += [getattr(result.contacts, name) for name in ("toi", "points", "normal", "bodies")]
+    others += [near.distance, near_launched.distance, result.start.points, pipeline.find_intersections(end).points]
+    return rows, [*others, *map(len, vars(pipeline.find_candidates(start, end, 0.01)).values())]
+
+
+@pytest.mark.parametrize("far", [np.nan, 0.5, 1e300])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"static": ["ball"], "radius": [0.01, 0.02, 0.01, 0.0]},
+        {"kinematic": ["cable"], "self_collision": False},
+        {"codimensional_points": [False, False, True, False]},
+    ],
+)
+def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists_of_their_own(options, far):
+    """In map coordinates, each bit of every call on the host and on the device; the other rows are anywhere."""
+    rng = np.random.default_rng(0)
+    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
+    parts = [[ball.vertices, ball.faces], [ball.vertices * 0.5 + [0.1, 0, 1], ball.faces]]
+    parts.append([[[0.6, 0.1, 0], [0.7, 0, 0.5], [0.8, 0, 0.9]], np.zeros((0, 3), int), [[0, 1], [1, 2]]])
+    own = [(np.array(x) + [4e6, 5e5, 0], *primitives) for x, *primitives in parts]
+    counts = [len(x) for x, *_ in own]
+    first = np.cumsum([0, *counts])
+    shared, rows = [], []
+    for b, (x, *primitives) in enumerate(own):
+        nodes = np.full((first[-1], 3), far)
+        nodes[first[b] : first[b + 1]] = x
+        shared.append((nodes, *(np.array(each) + first[b] for each in primitives)))
+        rows += [b * first[-1] + first[b] + np.arange(counts[b])]
+    rows, ground = np.concatenate(rows), ccd.HalfSpace([4e6, 5e5, -0.6], [0, 0.1, 1])
+    options = {"names": ["ball", "small", "cable", "ground"], **options}
+    alone = ccd.CollisionMesh.from_arrays([*own, ground], **options | {"codimensional_points": False})
+    if "codimensional_points" in options:  # then the nodes of the cable's list are particles, so it has its own
+        shared[2], rows[-3:] = own[2], 2 * first[-1] + np.arange(3)
+    mesh = ccd.CollisionMesh.from_arrays([*shared, ground], **options)
+    start = alone.vertices
+    moves = rng.standard_normal(start.shape) * 0.05 - [0, 0, 0.6] * (alone.vertex_body != 0)[:, None]
+    end = start + moves * ~alone.static[alone.vertex_body][:, None]
+    x, y = np.full((2, mesh.num_vertices, 3), far)
+    x[rows], y[rows] = start, end
+    expected, found = answers(alone, start, end), answers(mesh, x, y)
+    assert found[0][0][mesh.unused_vertices].tolist() == [np.inf] * len(mesh.unused_vertices) != []
+    for of_rows, of_all in zip(expected[0], found[0], strict=True):
+        assert np.array_equal(of_rows, of_all[rows])
+    for values, others in zip(expected[1], found[1], strict=True):
+        assert np.array_equal(values, others)
+    assert np.isinf(found[0][2][mesh.unused_vertices]).all() and np.isinf(found[0][3][mesh.unused_vertices]).all()
+    assert len(expected[1][4]) > 5 and expected[1][3] < 1
+    copies = ccd.CollisionPipeline(mesh.replicate(2), device="cpu").launch(*(np.tile(each, (2, 1)) for each in (x, y)))
+    assert copies.world_toi.numpy().tolist() == [expected[1][1]] * 2 and not copies.flags.numpy()[0]
+
+
 # --- bad input ---

@@ -108,7 +108,7 @@ def test_hand_made_cases(bodies, moves, toi):
     assert result.toi <= toi and result.toi == pytest.approx(toi, abs=1e-6)
 
 
-def test_points_with_a_flag_meet_each_other_and_others_edges_alone():
+def test_points_with_a_flag_meet_each_other_and_edges_and_others_nothing():
     start = np.array([[0.0, 0], [0, 1], [5, 0], [6, 0], [0, 3], [0, 4]])
     end = start.copy()
     end[[4, 5]] = start[[5, 4]]
@@ -116,7 +116,7 @@ def test_points_with_a_flag_meet_each_other_and_others_edges_alone():
         mesh = ccd.CollisionMesh.from_arrays([(start, [[2, 3]])], codimensional_points=flag)
         assert np.unique(ccd.mesh_ccd(mesh, start, end).contacts.kind).tolist() == kinds
         through = start - [[5.5, 0]] * (np.arange(6) == 2)[:, None] + [[5.5, -2]] * (np.arange(6) == 1)[:, None]
-        assert ccd.mesh_ccd(mesh, start, through).hit
+        assert ccd.mesh_ccd(mesh, start, through).hit == flag
 
 
 @pytest.mark.parametrize("per", ["scene", "body", "vertex"])

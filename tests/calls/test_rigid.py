@@ -83,6 +83,27 @@ def test_half_a_turn_is_not_a_chord():
     assert result.body_toi[2] == np.inf
 
 
+@pytest.mark.parametrize("far", [np.nan, 1e9])
+def test_vertices_that_take_no_part_make_no_body_larger(far):
+    """Of a body, its sphere in a tree of parts, and its reach on joints."""
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    stray = (np.vstack([[[far] * 3], ball.vertices]), ball.faces + 1)
+    tois = []
+    for body in ((ball.vertices, ball.faces), stray):
+        mesh = ccd.CollisionMesh.from_arrays([body, body, (BLADE - [0, 0, 3], [[0, 1, 2]])], rigid=[0, 1], static=[2])
+        x, end = mesh.vertices, mesh.vertices.copy()
+        end[mesh.unused_vertices] = 0.0  # and stand in no frame
+        poses = np.array([[[0.0, 0, 5, 0, 0, 0, 1], AT_REST], [[0.0, 0, 0, 0, 0, 1, 1], about_z(0.2)]])
+        motion, pipeline = ccd.RigidMotion(*poses), ccd.CollisionPipeline(mesh, device="cpu")
+        joint = ccd.Joint(name="a", parent="world", child="u", kind="prismatic", axis=[0, 0, -1], origin=poses[0, 0])
+        arm = ccd.JointMotion([joint], [0.0], [9.0], links=["u", "world"])
+        many = ccd.RigidMotion(*(np.repeat(each[None], 3, axis=0) for each in poses))
+        found = [pipeline.mesh_ccd(x, end, motion=each).world_toi.tolist() for each in (motion, motion, many, arm)]
+        found += [pipeline.line_search(x, end, motion=motion, per="body").fraction]
+        tois.append([*found, pipeline.launch(x, end, motion=motion).toi.numpy().tolist()])
+    assert tois[0] == tois[1] and 0.5 < tois[0][0][0] < 0.7 and tois[0][3][0] < 0.4
+
+
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
 def test_arc_meets_what_no_box_of_its_chord_does(broad_phase):
     """A point at the end of a long arm, and a small face at the middle of its arc, a twentieth beyond the chord."""

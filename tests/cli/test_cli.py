@@ -87,6 +87,25 @@ def test_no_collision_is_a_finished_run(scene, capfd):
     assert "scene toi  none" in capfd.readouterr().out
 
 
+def test_vertices_in_no_face_take_no_part_and_the_report_says_how_many(scene, capfd):
+    """Below the floor at the end, far away, and no number: neither the toi nor a length of the report is of them."""
+    reports = []
+    for strays in ([], [[0.0, 0, 9], [1e9, 0, 0], [np.nan] * 3]):
+        for path in (scene / "start.ply", scene / "end.ply"):
+            mesh = read_static(path)
+            write_mesh(path, np.vstack([mesh.vertices_t0, *np.reshape(strays, (-1, 1, 3))]), mesh.faces)
+            strays = [[0.0, 0, -9], *strays[1:]] if strays else strays
+        assert _run(scene, "--static", scene / "floor.ply", "--picture", scene / "step.png") == 0
+        captured = capfd.readouterr()
+        reports.append(captured.out.splitlines())
+        assert captured.err == ""
+    wanted = ("scene toi", "extents at the start", "largest displacement", "length scale")
+    lengths = [[line for line in report if line.strip().startswith(wanted)] for report in reports]
+    assert lengths[0] == lengths[1] and len(lengths[0]) == 4
+    assert "  (3 vertices of start.ply in no face take no part)" in reports[1]
+    assert not any("no part" in line for line in reports[0])
+
+
 def test_quiet_prints_nothing(scene, capfd):
     assert _run(scene, "--static", scene / "floor.ply", "--quiet") == 0
     assert capfd.readouterr() == ("", "")

@@ -144,6 +144,33 @@ def cables_particles_and_rings():
         check((mesh, vertices, end), interleaved, ["mesh_ccd"])
 
 
+def vertices_that_take_no_part():
+    """Of a list of nodes that two bodies share, and between those of a soup, at no number and far away."""
+    rng = np.random.default_rng(5)
+    nodes, faces = scenes.soup(rng, 40, 0.25)
+    bodies = [(nodes, faces[:20]), (nodes, faces[20:]), scenes.cables_and_particles(rng, 12, 0.2)]
+    calls = ["mesh_ccd", "collision_free_step", "find_proximity", "displacement_bounds", *SEARCHES]
+    for far, options in ((np.nan, {"radius": 0.01}), (1e200, {"static": [1], "self_collision": False})):
+        x = ccd.CollisionMesh.from_arrays(bodies).vertices.copy()
+        end = x + 0.2 * rng.standard_normal(x.shape) * [[v >= len(nodes)] for v in range(len(x))]
+        end[: len(nodes)] -= [0.0, 0.1, 0.2]
+        end[len(nodes) : 2 * len(nodes)] = x[len(nodes) : 2 * len(nodes)]
+        unused = ccd.CollisionMesh.from_arrays(bodies).unused_vertices
+        x[unused], end[unused] = far, 2.0 * far
+        sizes = np.cumsum([len(nodes), len(nodes)])
+        parts = [(of, *body[1:]) for of, body in zip(np.split(x, sizes), bodies, strict=True)]
+        mesh = ccd.CollisionMesh.from_arrays(parts, **options)
+        assert len(unused) == len(mesh.unused_vertices) > len(nodes)
+        pipeline = check((mesh, x, end), interleaved, calls)
+        assert (
+            "take no part" in repr(pipeline.mesh)
+            and not np.isin(pipeline._planned.part.vertex_ids, 2 * unused + 5).any()
+        )
+    turned = ccd.RigidMotion([[0.0, 0, 0, 0, 0, 0, 1]] * 2, [[0.1, 0, 0, 0.1, 0.2, 0, 1], [0, 0, 0, 0, 0, 0, 1]])
+    mesh = ccd.CollisionMesh.from_arrays(parts, rigid=[0, 1])
+    check((mesh, x, x), interleaved, ["mesh_ccd", *SEARCHES], motion=turned)
+
+
 def starts(rng):
     """Meshes, and positions at which much of them touches or passes through each other."""
     mesh, start, end = scenes.sheet_over_ball()
@@ -612,6 +639,7 @@ CASES = [
     one_triangle_falls_on_another,
     nothing_at_all,
     cables_particles_and_rings,
+    vertices_that_take_no_part,
     starts_that_are_not_sound,
     starts_of_a_loop,
     options,

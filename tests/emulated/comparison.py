@@ -42,7 +42,10 @@ _PLAN = {
     "batches": ("crowd", "excluded pairs", "in the plane"),
     "line_searches": _SOME,
     "launched_line_searches": (*_SOME, "half-spaces", "kinematic bodies", "little work"),
-    "at_one_time": ("worlds in one place", "excluded pairs", "spatial hash", "half-spaces", "kinematic bodies"),
+    "at_one_time": (
+        *("worlds in one place", "excluded pairs", "spatial hash", "half-spaces", "kinematic bodies"),
+        "vertices of no face",
+    ),
     "replays": ("sheet over a static ball", "worlds", "spatial hash"),
     "with_radii": ("radii",),
     "gradients": ("every kind, one body static", "in the plane, one body static", "radii"),

@@ -24,7 +24,7 @@ def _every_kind(half_spaces: tuple[ccd.HalfSpace, ...] = (), **arguments: Any) -
     rng = np.random.default_rng(22)
     vertices, faces, edges = scenes.cables_and_particles(rng, 14, 0.1)
     bodies = [(vertices + 0.05 * k, faces, edges) for k in range(3)]
-    mesh = ccd.CollisionMesh.from_arrays([*bodies, *half_spaces], codimensional_points=True, **arguments)
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, *half_spaces], **{"codimensional_points": True, **arguments})
     start = mesh.vertices
     moves = 0.15 * rng.standard_normal(start.shape) * ~mesh.static[mesh.vertex_body][:, None]
     return mesh, start, start + moves
@@ -35,6 +35,14 @@ def _thick(**arguments: Any) -> Made:
     vertices = np.arange(3 * len(scenes.cables_and_particles(np.random.default_rng(22), 14, 0.1)[0]))
     radius = 0.03 * np.random.default_rng(28).random(len(vertices)) * (vertices % 3)
     return _every_kind(static=[1], radius=radius, **arguments)
+
+
+def _with_vertices_of_no_face() -> Made:
+    """The same without particles, whose places are no numbers, beside a static body that has some."""
+    mesh, start, end = _every_kind(static=[1], codimensional_points=False)
+    start, end = start.copy(), end.copy()
+    start[mesh.unused_vertices] = end[mesh.unused_vertices] = np.nan
+    return mesh, start, end
 
 
 def _between_walls() -> Made:
@@ -184,6 +192,7 @@ STEPS = {
     "trees of four levels": StepCase(lambda: scenes.crowd(np.random.default_rng(29), 1500, 0.02, 0.02), {}),
     "bodies that may not meet": StepCase(_in_one_place, {}),
     "needles side by side": StepCase(_squeezed_tube, {}),
+    "vertices of no face": StepCase(_with_vertices_of_no_face, {}),
 }
 # Meshes with radii, for which the Euclidean kernels are compiled: by the calls that need each of these, and no others.
 THICK = {

@@ -43,7 +43,9 @@ def test_first_step_of_a_mesh_loses_no_hard_pair_where_several_threads_find_one_
     toi = ccd.mesh_ccd(mesh, start, end, **options).toi
     for _ in range(4):
         new = ccd.CollisionMesh.from_arrays(
-            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], vertex_world=mesh.vertex_world
+            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])],
+            vertex_world=mesh.vertex_world,
+            codimensional_points=True,
         )
         assert ccd.collision_free_step(new, start, end, num_threads=4, **options) == toi
 
@@ -63,7 +65,8 @@ def test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work(kind):
     body = (hard.vertices, hard.faces, hard.edges[hard.codimensional_edges])
     faces = [np.array([[0.0, 0, z], [1, 0, z], [0, 1, z]]) for z in (0.0, bound)]
     worlds = np.append(hard.vertex_world, np.full(6, len(chosen)))
-    mesh = ccd.CollisionMesh.from_arrays([body, *((face, FACE) for face in faces)], vertex_world=worlds)
+    bodies = [body, *((face, FACE) for face in faces)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=worlds, codimensional_points=True)
     positions = mesh.vertices, np.concatenate([ends[1], faces[0] + [0, 0, 1.0], faces[1]])
     enough = int(exact.iterations[first]) + 1
     assert ccd.collision_free_step(mesh, *positions, max_work=enough, **OPTIONS) == exact.toi[first]

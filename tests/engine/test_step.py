@@ -154,7 +154,7 @@ def test_hard_pairs_in_one_mesh_are_all_found(family, kind):
     if kind == "edge-edge":
         faces = np.concatenate([faces, first[:, None] + np.array([2, 3, 3])])
     start, end = points_t0.reshape(-1, 3), points_t1.reshape(-1, 3)
-    mesh = single(start, faces)
+    mesh = ccd.CollisionMesh.from_arrays([(start, faces)], codimensional_points=kind == "vertex-face")
     length_scale = 1e-300  # the tolerance is out of the way
     result = ccd.mesh_ccd(mesh, start, end, length_scale=length_scale)
     step = ccd.collision_free_step(mesh, start, end, length_scale=length_scale)

@@ -231,7 +231,7 @@ _OFF = OFF.decode()
         ("a.obj", _TRIANGLE + "v 1 2 nonsense\nf 1 2 3\n", "line 4 holds 'nonsense'; expected a number"),
         ("a.obj", _TRIANGLE + "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
         ("a.obj", _TRIANGLE + "v 1/2 0 0\nf 1 2 3\n", "line 4 holds '1/2'; expected a number"),
-        ("a.obj", _TRIANGLE + "v 1 2 nan\nf 1 2 3\n", r"vertex 3 is \[1.0, 2.0, nan\]"),
+        ("a.obj", _TRIANGLE + "v 1 2 nan\nf 1 2 4\n", r"vertex 3 is \[1.0, 2.0, nan\]"),
         ("a.stl", _STL.replace("endsolid\n", ""), "ends without 'endsolid'"),
         ("a.stl", _STL.replace("vertex 1 0 0\n", ""), "line 6 begins with 'endloop'; expected vertex"),
         ("a.stl", _STL.replace("vertex 1 0 0\n", "vertex 1 0 0\nvertex 2 0 0\n"), "line 7 begins with 'vertex'"),

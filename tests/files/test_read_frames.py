@@ -37,6 +37,19 @@ def test_frames_hold_every_bit_of_the_file_and_go_to_every_function(files):
     assert repr(frames).startswith("Frames(CollisionMesh(3 bodies (start.ply, box.ply, box.ply (2)), 58 vertices")
 
 
+def test_vertices_of_a_file_that_are_in_no_face_meet_nothing(tmp_path):
+    """One that would fly through the table, and one that is no number."""
+    for name, z, stray in (("a", 5.0, "0 0 1"), ("b", 3.0, "0 0 -1")):
+        text = f"v 50 0 {z}\nv 51 0 {z}\nv nan 0 0\nv 50 1 {z}\nv {stray}\nf 1 2 4\n"
+        (tmp_path / f"{name}.obj").write_text(text)
+    (tmp_path / "table.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 0 1 0\nv 0 0 99\nf 1 2 3\n")
+    frames = ccd.read_frames(tmp_path / "a.obj", tmp_path / "b.obj", static=[tmp_path / "table.obj"])
+    assert "3 vertices take no part" in repr(frames)
+    assert ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).toi == np.inf
+    sequence = ccd.read_sequence([tmp_path / "a.obj", tmp_path / "b.obj"])
+    assert sequence.mesh.unused_vertices.tolist() == [2, 4] and np.isnan(sequence[1][2, 0])
+
+
 def test_bodies_of_frames_may_be_kinematic(files):
     folder, *_ = files
     paths = folder / "start.ply", folder / "end.ply"

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 from kept import kept
+from oracles import taking_part
 
 import ccd_warp as ccd
 
@@ -68,7 +69,7 @@ def _all_intersections(mesh, x):
         sides = itertools.combinations(f, 2)  # a face may repeat a vertex, and then a side is that vertex
         return meet(e, f) and not any(meet((v,), f) for v in e) and not any(meet(e, side) for side in sides)
 
-    vertices = [(v,) for v in range(mesh.num_vertices)]
+    vertices, takes_part = [(v,) for v in range(mesh.num_vertices)], {*taking_part(mesh)}
     is_point = np.isin(np.arange(mesh.num_vertices), mesh.codimensional_points)
     is_cable = np.isin(np.arange(len(edges)), mesh.codimensional_edges)
     in_plane = mesh.dimension == 2
@@ -79,7 +80,7 @@ def _all_intersections(mesh, x):
             if chosen(i, j) and may_meet(a, b) and test(a, b):
                 found.append((int(kind), i, j))
 
-    search(kinds.VERTEX_FACE, vertices, faces, meet)
+    search(kinds.VERTEX_FACE, vertices, faces, meet, lambda i, j: i in takes_part)
     if in_plane:
         search(
             kinds.EDGE_EDGE,
@@ -90,7 +91,13 @@ def _all_intersections(mesh, x):
         )
     else:
         search(kinds.EDGE_EDGE, edges, edges, meet, lambda i, j: i < j)
-    search(kinds.POINT_SEGMENT, vertices, edges, meet, lambda i, j: in_plane or (is_point[i] and is_cable[j]))
+    search(
+        kinds.POINT_SEGMENT,
+        vertices,
+        edges,
+        meet,
+        lambda i, j: i in takes_part and (in_plane or (is_point[i] and is_cable[j])),
+    )
     search(kinds.POINT_POINT, vertices, vertices, meet, lambda i, j: i < j and is_point[i] and is_point[j])
     search(kinds.EDGE_FACE, edges, faces, passes)
     return sorted(found)

@@ -29,10 +29,17 @@ def boxes_of(primitives, frames, inflation):
     return lower, upper
 
 
+def taking_part(mesh):
+    """Vertices of faces and edges, codimensional points, and those of bodies that have neither faces nor edges."""
+    used = {*mesh.faces.ravel().tolist(), *mesh.edges.ravel().tolist(), *mesh.codimensional_points.tolist()}
+    surfaces = {*mesh.face_body.tolist(), *mesh.edge_body.tolist()}
+    return [v for v, body in enumerate(mesh.vertex_body.tolist()) if v in used or body not in surfaces]
+
+
 def brute_force(mesh, start, end, inflation=0.0):
     """All candidates of each kind, as sorted lists of tuples."""
     prescribed = mesh.static | mesh.kinematic
-    vertices = np.arange(mesh.num_vertices)
+    vertices, takes_part = np.arange(mesh.num_vertices), {*taking_part(mesh)}
     ids = {"v": vertices, "e": np.arange(mesh.num_edges), "f": np.arange(mesh.num_faces)}
     ids |= {"p": mesh.codimensional_points, "s": mesh.codimensional_edges}
     kinds = {"v": vertices[:, None], "e": mesh.edges, "f": mesh.faces}
@@ -50,7 +57,7 @@ def brute_force(mesh, start, end, inflation=0.0):
             overlap = ((lower_i[i] <= upper_j) & (lower_j <= upper_i[i])).all(axis=1)
             overlap &= ~(kinds[second][:, :, None] == kinds[first][i]).any(axis=(1, 2))
             overlap &= ~(prescribed[body[first][i]] & prescribed[body[second]])
-            overlap &= not (first == "v" and i in mesh.planes.vertices)
+            overlap &= not (first == "v" and (i in mesh.planes.vertices or i not in takes_part))
             overlap &= mesh.self_collision[body[second]] | (body[first][i] != body[second])
             pairs += [
                 (int(ids[first][i]), int(ids[second][j])) for j in np.flatnonzero(overlap) if first != second or j > i
@@ -73,7 +80,7 @@ def near_planes(mesh, frames, inflation):
     """Free vertices whose boxes overlap half-spaces in a step, both enlarged, with the planes."""
     found = []
     is_free = ~(mesh.static | mesh.kinematic)[mesh.vertex_body]
-    for vertex in np.flatnonzero(is_free).tolist():
+    for vertex in filter(is_free.__getitem__, taking_part(mesh)):
         for plane, normal in enumerate(mesh.planes.normals.tolist()):
             point = mesh.planes.vertices[plane]
             if point >= 0 and mesh.vertex_world[point] != mesh.vertex_world[vertex]:

@@ -105,7 +105,7 @@ def pairs_in_worlds(kind, start, end, radius=None):
     points = start.reshape(-1, dimension)
     mesh = ccd.CollisionMesh.from_arrays(
         [(points, edges) if dimension == 2 else (points, faces, edges)],
-        codimensional_points=kind.startswith("point"),
+        codimensional_points=kind != "edge-edge",
         vertex_world=np.repeat(np.arange(count), corners),
         radius=radius,
     )

@@ -153,7 +153,8 @@ def test_without_the_cells_a_node_inside_would_hit_its_own_surface(bar):
     assert ccd.mesh_ccd(mesh, nodes, end).toi == np.inf
     end[mesh.inner_vertices[0]] = [0.5, 0.25, 0.0]  # on a face
     assert len(ccd.find_intersections(mesh, end)) == 0
-    assert ccd.mesh_ccd(ccd.CollisionMesh.from_arrays([(nodes, mesh.faces)]), nodes, end).toi < 0.4
+    points = ccd.CollisionMesh.from_arrays([(nodes, mesh.faces)], codimensional_points=True)
+    assert ccd.mesh_ccd(points, nodes, end).toi < 0.4
 
 
 def test_nodes_inside_fall_through_a_half_space_and_copies_have_their_own(bar):

@@ -160,6 +160,42 @@ def test_unused_vertices_are_codimensional_points_only_where_asked():
     assert CollisionMesh.from_trimesh([unused], codimensional_points=True).codimensional_points.tolist() == [3]
 
 
+@pytest.mark.parametrize("far", [0.0, np.nan, np.inf, 1e300])
+def test_a_vertex_that_nothing_uses_takes_no_part_wherever_it_is(far):
+    """In map coordinates: it makes no length scale, and is no number if it likes."""
+    place = np.array([5.4e6, 4e5, 0])
+    body = (np.vstack([[[far] * 3], np.eye(3) + place, [[far] * 3]]), [[1, 2, 3]])
+    dust = (np.eye(2, 3) + place, np.zeros((0, 3), int))
+    mesh = CollisionMesh.from_arrays([body, dust, body], codimensional_points=[False, False, False])
+    assert mesh.unused_vertices.tolist() == [0, 4, 7, 11] and mesh.unused_vertices.dtype == np.int32
+    assert mesh.length_scale == 1.0 and repr(mesh).endswith("2 faces, 4 vertices take no part)")
+    assert mesh.replicate(2).unused_vertices.tolist() == [0, 4, 7, 11, 12, 16, 19, 23]
+    assert not len(CollisionMesh.from_arrays([dust]).unused_vertices)
+    end = mesh.vertices + 1.0
+    assert np.array_equal(mesh.frames(mesh.vertices, end)[1], end, equal_nan=True)
+    still = CollisionMesh.from_arrays([body, dust], static=[0])
+    still.frames(still.vertices, np.where(np.arange(7)[:, None] % 4, still.vertices, still.vertices + 1.0))
+    still.frames(still.vertices, still.vertices[5:])
+    if not np.isfinite(far):
+        with pytest.raises(ValueError, match=r"vertices of body 0 holds (nan|inf) in row 0; expected finite values"):
+            CollisionMesh.from_arrays([body], codimensional_points=True)
+        with pytest.raises(ValueError, match=r"vertices of body 0 holds (nan|inf) in row 4; expected finite values"):
+            CollisionMesh.from_arrays([(body[0], [[1, 2, 4]])])
+        with pytest.raises(ValueError, match=r"vertices of body 0 holds (nan|inf) in row 0; expected finite values"):
+            CollisionMesh.from_volume(body[0], [[0, 1, 2, 3]])
+        with pytest.raises(ValueError, match=r"vertices_t0 holds .* in row 5"):
+            mesh.frame(np.where(np.arange(12)[:, None] == 5, far, mesh.vertices))
+
+
+def test_cells_are_turned_outward_whatever_lies_in_no_cell():
+    """A tetrahedron either way round, and a node so far away that its volume would be lost beside it."""
+    nodes = np.vstack([np.eye(4, 3), [[1e300] * 3], [[np.nan] * 3]])
+    for corners in ([1, 0, 2, 3], [0, 1, 2, 3]):
+        mesh = CollisionMesh.from_volume(nodes, [corners])
+        a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+        assert np.einsum("ij,ij->", a, np.cross(b, c)) > 0 and mesh.unused_vertices.tolist() == [4, 5]
+
+
 def test_from_trimesh_takes_paths_and_point_clouds():
     path = trimesh.load_path([[0, 0, 0], [1, 0, 0], [1, 1, 0]])
     cloud = trimesh.PointCloud(np.eye(2, 3))
@@ -183,7 +219,7 @@ def test_mesh_is_frozen():
     with pytest.raises(AttributeError):
         del mesh.faces
     arrays = [value for field in fields(mesh) if isinstance(value := getattr(mesh, field.name), np.ndarray)]
-    assert len(arrays) == 16
+    assert len(arrays) == 17
     for array in arrays:
         with pytest.raises(ValueError):
             array[...] = 0

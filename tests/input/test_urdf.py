@@ -163,6 +163,17 @@ def test_packages_are_folders(file, tmp_path):
     assert len(robot.bodies[2][0]) == 8
 
 
+@needs_parser
+def test_vertices_of_a_mesh_that_are_in_no_face_are_left_out(file):
+    """Whatever they are; the others are merged as they would be without."""
+    hull = "v 1 0 0\nv nan 0 0\nv 0 1 0\nv 0 0 1\nv 1 0 0\nv 9 9 9\nv 0 1 1\nf 1 3 4\nf 5 3 7\n"
+    (file.parent / "meshes" / "hand.obj").write_text(hull)
+    file.write_text(GRIPPER.replace("hand.stl", "hand.obj"))
+    vertices, faces = ccd.read_urdf(file).bodies[2]
+    corners = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]) * [0.1, 0.1, 0.2]
+    assert np.array_equal(vertices[faces], corners[[[0, 1, 2], [0, 1, 3]]]) and len(vertices) == 4
+
+
 def test_without_the_extra_the_error_says_which():
     code = "import sys; sys.modules['yourdfpy'] = None; import ccd_warp; ccd_warp.read_urdf('a.urdf')"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -97,7 +97,7 @@ class MeshWithEdgePoints:
         mesh = self.original
         num_neighbours = np.bincount(mesh.edges.ravel(), minlength=mesh.num_vertices)
         is_tested = self.covers_less | (num_neighbours <= _MOST_NEIGHBOURS)
-        is_tested[mesh.inner_vertices] = False
+        is_tested[mesh.unused_vertices] = False
         return np.flatnonzero(is_tested).astype(np.int32) if mesh.num_faces else np.zeros(0, dtype=np.int32)
 
     @lazy_property
@@ -246,6 +246,7 @@ class EdgePointTopology(Topology):
             "codimensional_point": mesh.codimensional_points,
             "codimensional_edge": mesh.codimensional_edges,
             "edge_without_face": mesh.tested_edges,
+            "vertex": mesh._surface_vertices,
         }.get(kind, np.arange(len(corners), dtype=np.int32))
         body = mesh.vertex_body[corners[chosen, 0]] if len(chosen) else np.zeros(0, dtype=np.int32)
         ids = chosen[self.bodies_of(role)[body]].astype(np.int32)

@@ -135,7 +135,9 @@ class DisplacementStep(StepAtOneTime):
         if plan.has_planes:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = plan.meet_planes(Stages.bound_by_half_spaces)
-        return self._least_of_vertices(plan, batches, DISPLACEMENT)
+        bounds = self._least_of_vertices(plan, batches, DISPLACEMENT)
+        bounds[self.mesh.unused_vertices] = np.inf
+        return bounds
 
 
 class HoldStep(StepAtOneTime):

@@ -177,6 +177,7 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     def _new_arrays(self, capacity: int) -> DeviceDisplacements:
         self._is_alone = self._mesh._moves_alone
         _ = self.topology.body_static  # computed now, not during a capture
+        self._unused = self.topology.array(self._mesh.unused_vertices)
         result = self.result
         return DeviceDisplacements(
             bounds=result.vertex_toi,
@@ -194,6 +195,8 @@ class DeviceDisplacementStep(DeviceAtOneTime):
         super()._record_input(recording, form, stages, is_first)
         inputs = [Slot("largest"), self.topology.body_static]
         recording.launch(kernels.reset_bounds, self._mesh.num_vertices, inputs=inputs, outputs=[stages.step.minima])
+        if len(self._unused):
+            recording.launch(kernels.unbind, len(self._unused), inputs=[self._unused], outputs=[stages.step.minima])
 
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:

@@ -59,7 +59,7 @@ class DeviceHold:
         self.is_near: wp.array = wp.empty(1, dtype=wp.int32, device=device)
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
-        distance = hold_distance(mesh, options, mesh.radius)
+        distance = hold_distance(mesh, options, mesh._largest_radius)
         norm = norm_of(mesh, options, may_change=True, is_held=True, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius

@@ -234,7 +234,7 @@ class DeviceInput:
             read.read_moving,
             len(topology.moving_vertices),
             inputs=[
-                topology.moving_vertices,
+                topology.checked_vertices,
                 Slot("vertices_t0"),
                 Slot("vertices_t1"),
                 *by_vertex,
@@ -250,7 +250,7 @@ class DeviceInput:
         """Record the launches that read the radii, which may have changed, and mark static boxes that then do."""
         topology = self._topology
         for vertices, is_changed in (
-            (topology.moving_vertices, self._is_thicker),
+            (topology.boxed_vertices, self._is_thicker),
             (topology.static_vertices, self.is_moved),
         ):
             if len(vertices):

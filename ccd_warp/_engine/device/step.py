@@ -382,7 +382,7 @@ class DeviceStep(Plan):
     def _record_search(self, recording: Recording, stages: Stages, active: Any) -> None:
         """Record the boxes of the bodies that are active, and the search."""
         if self.moving_trees:
-            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, active)
+            stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, active)
         stages.fill_boxes(recording, self.moving_trees)
         stages.fill_slender(recording, self.slender_trees, active)
         stages.find_pairs(recording, self.tree_pairs, is_any_unlisted=self._is_any_unlisted)

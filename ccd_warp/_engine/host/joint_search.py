@@ -150,7 +150,7 @@ class JointSearch:
         self._sharp = _SHARP * (mesh.length_scale if scale is None else scale)
         self._world_of_body = np.zeros(mesh.num_bodies, dtype=np.intp)
         filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-        self._world_of_body[filled] = mesh.vertex_world[mesh.body_vertex_range[filled]]
+        self._world_of_body[filled] = mesh.vertex_world[mesh._stand_ins[mesh.body_vertex_range[filled]]]
         num_worlds = mesh.num_worlds
         self._world_of_link = np.repeat(np.arange(num_worlds), links.is_used.sum(axis=1))
         of_filled = np.isin(np.flatnonzero(mesh.rigid), filled)

@@ -30,7 +30,7 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
     """The world that all worlds of a mesh, and their vertices at these positions, are copies of; None where none is.
 
     None also where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body.
-    A vertex of no primitive, which meets faces and half-spaces as others do, is in no part.
+    A particle that is no codimensional point meets faces and half-spaces as others do, and is in no part.
     """
     count, moves = mesh.num_worlds, ~mesh.static
     if (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh):
@@ -89,7 +89,7 @@ def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> Collisio
 def _has_lone_vertices(mesh: CollisionMesh) -> bool:
     """Whether a vertex that may collide is of no primitive."""
     is_used = np.zeros(mesh.num_vertices, dtype=bool)
-    is_used[mesh.inner_vertices] = True
+    is_used[mesh.unused_vertices] = True
     is_used[mesh.faces] = is_used[mesh.edges] = True
     is_used[mesh.codimensional_points] = True
     return not is_used.all()

@@ -253,7 +253,7 @@ class HostPlan(Plan):
         self.bind(t_end=t_end)
 
         def record(stages: Stages, recording: Recording) -> None:
-            stages.fill_vertex_aabbs(recording, self.topology.moving_vertices, self._active)
+            stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, self._active)
             if with_trees:
                 stages.fill_boxes(recording, self.moving_trees)
 

@@ -4,7 +4,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.lengths import sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of
@@ -20,8 +19,8 @@ _OF_DISTANCE = 2.0**-20
 _OF_SIZE = {"float64": 2.0**-40, "float32": 2.0**-16}
 
 
-def hold_distance(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
-    """The distance up to which pairs are held, radii besides."""
+def hold_distance(mesh: Any, options: "Options", radius: float) -> float:
+    """The distance up to which pairs are held, radii besides, of which this is the largest."""
     return sum_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
 
 
@@ -30,11 +29,10 @@ def corners_by_kind(topology: Any) -> list[wp.array]:
     return [topology.corners[name] for name in ("vertex", "edge", "face")]
 
 
-def _slack(mesh: Any, options: "Options", radius: NDArray[np.float64] | None) -> float:
+def _slack(mesh: Any, options: "Options", radius: float) -> float:
     distance = options.separation(length_scale_of(mesh, options))
-    thickest = 0.0 if radius is None or len(radius) == 0 else 2.0 * float(radius.max())
     with np.errstate(over="ignore"):
-        slack = _OF_DISTANCE * (distance + thickest) + _OF_SIZE[options.precision] * mesh.length_scale
+        slack = _OF_DISTANCE * (distance + 2.0 * radius) + _OF_SIZE[options.precision] * mesh.length_scale
     return min(slack, float(np.finfo(np.float64).max))
 
 

@@ -121,9 +121,16 @@ class Topology:
         self.world_places = self.place_worlds()
         self.worlds = self._make_worlds()
         self.radius = self.array(np.zeros(0) if mesh.radius is None else mesh.radius, wp.float64)
-        vertex_static = mesh.static[mesh.vertex_body]
-        self.moving_vertices = self.array(np.flatnonzero(~vertex_static).astype(np.int32))
-        self.static_vertices = self.array(np.flatnonzero(vertex_static).astype(np.int32))
+        vertex_static, takes_part = mesh.static[mesh.vertex_body], np.ones(mesh.num_vertices, dtype=bool)
+        takes_part[mesh.unused_vertices] = False
+        moving = np.flatnonzero(~vertex_static).astype(np.int32)
+        self.moving_vertices = self.array(moving)
+        # those that take part, which have boxes; all of them, in which -1 - v stands for a vertex v that takes none
+        self.boxed_vertices = self.checked_vertices = self.moving_vertices
+        if len(mesh.unused_vertices):
+            self.boxed_vertices = self.array(moving[takes_part[moving]])
+            self.checked_vertices = self.array(np.where(takes_part[moving], moving, ~moving))
+        self.static_vertices = self.array(np.flatnonzero(vertex_static & takes_part).astype(np.int32))
         self.planes: Any = None  # as the struct of the kernels, once `planes.planes_of` has made it
         self._sets: dict[tuple[str, Role], PrimitiveSet] = {}
         self.orders: dict[str, tuple[wp.array, wp.array, wp.array | None]] = {}  # of `rest_order`, by name of a set
@@ -150,7 +157,10 @@ class Topology:
     def place_worlds(self) -> WorldPlaces:
         """Where worlds are, and how large."""
         mesh = self.mesh
-        return place_worlds(mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, mesh.static[mesh.vertex_body])
+        is_static = mesh.static[mesh.vertex_body]
+        return place_worlds(
+            mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, is_static, mesh.unused_vertices
+        )
 
     def _make_worlds(self) -> Any:
         """The places of worlds as the struct of the kernels, without arrays for a single world."""
@@ -199,9 +209,9 @@ class Topology:
 
     @lazy_property
     def plane_vertices(self) -> wp.array:
-        """The vertices that meet the planes of half-spaces: all of free bodies, or of a part some of them."""
+        """The vertices that meet the planes of half-spaces: those of free bodies, or of a part some of them."""
         mesh = self.mesh
-        if not mesh.kinematic.any() and not len(mesh.inner_vertices):
+        if not mesh.kinematic.any() and not len(mesh.unused_vertices):
             return self.moving_vertices
         return self.array(mesh._free_surface_vertices)
 
@@ -391,7 +401,7 @@ class Topology:
         among = {
             "codimensional_point": mesh.codimensional_points,
             "codimensional_edge": mesh.codimensional_edges,
-            "vertex": mesh._surface_vertices if len(mesh.inner_vertices) else None,
+            "vertex": mesh._surface_vertices if len(mesh.unused_vertices) else None,
         }.get(kind)
         num_corners = {"vertex": 1, "edge": 2, "face": 3}[array]
         name = f"{role} {kind}"
@@ -477,6 +487,7 @@ class Topology:
     def num_bytes(self) -> int:
         """Bytes on the device that belong to the mesh, not to a step."""
         arrays = [self.vertex_body, self.vertex_world, self.moving_vertices, self.static_vertices]
+        arrays += [self.boxed_vertices, self.checked_vertices]
         arrays += [self.worlds.cell, self.worlds.origin, self.worlds.anchor]
         arrays += [self.radius, self.box_radius]
         arrays += [self.plane_vertices] if len(self.mesh.planes) else []

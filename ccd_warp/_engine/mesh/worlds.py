@@ -63,7 +63,11 @@ def plain_places(num_worlds: int) -> WorldPlaces:
 
 
 def place_worlds(
-    vertices: NDArray[np.float64], world: NDArray[np.int32], num_worlds: int, is_static: NDArray[np.bool_]
+    vertices: NDArray[np.float64],
+    world: NDArray[np.int32],
+    num_worlds: int,
+    is_static: NDArray[np.bool_],
+    unused: NDArray[np.int32],
 ) -> WorldPlaces:
     """Origins and units of worlds, from positions of their vertices; a poor choice costs time only.
 
@@ -72,10 +76,14 @@ def place_worlds(
         world: The world of each vertex.
         num_worlds: Number of worlds.
         is_static: Whether each vertex is one of a static body.
+        unused: Vertices that take no part.
     """
     if num_worlds < 2 or len(world) == 0:
         return plain_places(num_worlds)
+    takes_part = np.ones(len(world), dtype=bool)
+    takes_part[unused] = False
     order = np.argsort(world, kind="stable")
+    order = order[takes_part[order]]
     static = order[is_static[order]]
     anchor, num_static = _some_of_each(static, world, num_worlds, _ANCHORS)
     chosen, _ = _some_of_each(order, world, num_worlds, _SAMPLES)
