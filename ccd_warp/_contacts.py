@@ -93,9 +93,10 @@ class Contacts(Placed, ClosePairs):
     def points(self) -> NDArray[np.float64]:
         """Position of each contact at its toi, a length, float64, shape [m, 3], or [m, 2] in the plane.
 
-        It is halfway between the closest points. These have the parameters (u, v), and are v and
-        f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); p and q; or v
-        and the point of the plane below it. Their distance is the gap.
+        It is where both surfaces touch: without radii halfway between the closest points, which have the parameters
+        (u, v), and are v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and
+        a + u (b − a); p and q; or v and the point of the plane below it. With radii a closest point of a surface is the
+        radius of its primitive from that of the primitive, along ``normal``, and the position is halfway between these.
         """
         return self._placed("points", self._known().points_of(self))
 
@@ -121,6 +122,24 @@ class Contacts(Placed, ClosePairs):
         """
         gradient: ToiGradient = self._known().toi_gradient_of(self)
         return gradient
+
+    def unique(self) -> "Contacts":
+        """One contact for each two features that touch, in the order of the list: what a response adds up over.
+
+        A vertex that lands on an edge touches it with each face at the edge, and with each of its own edges: pairs that
+        say the same, some with normals that belong to no surface. They are one touch where their closest points span
+        the same vertices, to rounding. Of its contacts the one is kept whose normal separates the surfaces around it;
+        of several such the one that approaches most, and of equal ones a vertex and a face before two edges. What
+        touches at a distance (a separation, radii) only after something next to it that is nearer is left out, such as
+        a ball and the edge beside the face that it has met.
+
+        Where positions are not kept, of the worlds of a batch or of a line search, the surfaces around a contact are not
+        known: then two edges come last.
+
+        Raises:
+            ValueError: If the contacts do not know their mesh, or their relative velocities.
+        """
+        return self._chosen(self._known().distinct_of(self))
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.
@@ -289,9 +308,17 @@ class Outcome:
 
     @property
     def first(self) -> Contact | None:
-        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
+        """The earliest contact in the list; of those at the same toi the one that approaches most along its normal.
+
+        Tois are the same to rounding: up to twice the gaps of two contacts divided by their relative velocities, and a
+        thousandth of the step at most. Of each two features that touch then one contact counts, that of
+        :meth:`Contacts.unique`. None if the list is empty.
+        """
         contacts = self.contacts
-        return contacts[int(np.argmin(contacts.toi))] if len(contacts) else None
+        if len(contacts) == 0:
+            return None
+        place = contacts._place
+        return contacts[int(np.argmin(contacts.toi)) if place is None else place.first_of(contacts)]
 
     def _outcome(self) -> str:
         """In a line: the toi, in how many worlds, how many contacts, and the first."""

@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
 
 # Fields of a table that have no row for each pair.
-_OF_MESH = ("mesh", "positions")
+_OF_MESH = ("mesh", "positions", "radius")
+_NO_VERTEX = np.iinfo(np.int32).max
 
 
 def pair_corners(
@@ -91,6 +92,55 @@ def pair_vertices(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32
 def pair_bodies(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32]:
     """Bodies of the first and the second primitive of each of them, shape [m, 2]."""
     return bodies_of(mesh, PairKind, pairs.kind, pairs.primitives, pair_vertices(mesh, pairs))
+
+
+def largest_around(mesh: "CollisionMesh", radius: NDArray[np.float64]) -> NDArray[np.float64]:
+    """For each vertex the largest radius of the primitives with it, that is of it and of those that share an edge."""
+    largest = radius.copy()
+    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
+        np.maximum.at(largest, a, radius[b])
+    return largest
+
+
+def radii_of_pairs(
+    kind: NDArray[np.int32],
+    vertices: NDArray[np.int32],
+    radius: NDArray[np.float64],
+    around: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Radii of both primitives of each pair with these vertices, shape [m, 2].
+
+    A primitive has the largest of its vertices; a plane has none, and meets the largest ``around`` its vertex.
+    """
+    of_vertices, is_first = radius[vertices], first_columns(kind)
+    radii = np.stack([np.where(side, of_vertices, 0.0).max(axis=1) for side in (is_first, ~is_first)], axis=1)
+    of_planes = kind == int(PairKind.VERTEX_PLANE)
+    radii[of_planes] = np.stack([around[vertices[of_planes, 0]], np.zeros(of_planes.sum())], axis=1)
+    return radii
+
+
+def first_columns(kind: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which of the four vertices of each pair belong to the first primitive, shape [m, 4]."""
+    is_first: NDArray[np.bool_] = np.arange(4) < np.where(kind == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
+    return is_first
+
+
+def features_of(
+    kind: NDArray[np.int32], vertices: NDArray[np.integer[Any]], spans: NDArray[np.bool_]
+) -> list[NDArray[np.int64]]:
+    """Numbers of the vertices or edges that one or two of the vertices of each primitive span, of both sides."""
+    is_first = first_columns(kind)
+    features = []
+    for side in (is_first & spans, ~is_first & spans):
+        low = np.where(side, vertices, _NO_VERTEX).min(axis=1)
+        features.append(feature_number(low, np.where(side, vertices, -1).max(axis=1)))
+    return features
+
+
+def feature_number(low: NDArray[np.integer[Any]], high: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    """One number for each edge from a vertex to a higher one, or vertex, where both are the same."""
+    number: NDArray[np.int64] = high.astype(np.int64) << 32 | low.astype(np.int64)
+    return number
 
 
 @dataclass(frozen=True, repr=False, eq=False)

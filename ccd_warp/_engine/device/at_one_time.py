@@ -136,7 +136,7 @@ class DeviceProximityStep(DeviceAtOneTime):
         self._count = self._full(1, 0, wp.int32)
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
         listed = {"count": self._count, "kind": arrays["kind"], "primitives": arrays["primitives"]}
-        self.contact_arrays = ContactArrays(self.topology, self.execution, listed, "proximities")
+        self.contact_arrays = ContactArrays(self.topology, self.execution, listed, name="proximities")
         result = self.result
         return DeviceProximities(
             count=self._count,
@@ -155,6 +155,11 @@ class DeviceProximityStep(DeviceAtOneTime):
         assert last is not None
         positions: NDArray[np.float64] = last[0].numpy().reshape(-1, 3)[:, : self._mesh.dimension].copy()
         return positions
+
+    def radius(self) -> NDArray[np.float64] | None:
+        """What the array of radii holds now; None where there are none."""
+        radii = self._radii_of_last()
+        return None if radii is None else radii[0]
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
         self._stages.reset(recording, self._count, self._flag.array, kept_flags, keeps_toi=keeps_toi)

@@ -465,6 +465,13 @@ class Step:
         radius = self.mesh.radius if self.mesh.is_thick else None
         return Touch.of(self.options, self.length_scale, is_euclidean=is_ball(self.plan.norm), radius=radius)
 
+    def _radii(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Radii of the vertices, and of the primitives around those that may meet a plane; None where there are none."""
+        radius = self.mesh.radius if self.mesh.is_thick else None
+        if radius is None:
+            return None
+        return radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
+
     def contacts(self) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result."""
         store = self.workspace.contacts
@@ -482,7 +489,7 @@ class Step:
             if len(self.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather()
-            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths, self._touch())
+            contacts = located(gathered.contacts, self.mesh, *self.given, self.paths, self._touch(), self._radii())
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)
         self.finish_timings()

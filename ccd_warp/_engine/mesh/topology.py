@@ -13,6 +13,7 @@ from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
+from ccd_warp._pairs import largest_around
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind, primitives_of
@@ -178,7 +179,8 @@ class Topology:
         Boxes of vertices that grow by it hold, united, the thick primitive. Vertices of a primitive are joined by an
         edge, so these are the radii of a vertex and of its neighbours.
         """
-        return self.array(largest_around(self.mesh), wp.float64)
+        radius = self.mesh.radius
+        return self.array(np.zeros(0) if radius is None else largest_around(self.mesh, radius), wp.float64)
 
     @lazy_property
     def neighbours(self) -> tuple[wp.array, wp.array]:
@@ -422,16 +424,6 @@ def uneven_samples(count: int, num: int) -> NDArray[np.intp]:
     numbers = np.arange(num)
     places: NDArray[np.intp] = ((numbers + numbers * _GOLDEN % 1.0) * (count / num)).astype(np.intp)
     return places
-
-
-def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
-    """The largest radius of a vertex and of those that share an edge with it; empty where no radius was given."""
-    if mesh.radius is None:
-        return np.zeros(0)
-    largest = mesh.radius.copy()
-    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-        np.maximum.at(largest, a, mesh.radius[b])
-    return largest
 
 
 def sorted_keys(
