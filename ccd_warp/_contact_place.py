@@ -13,7 +13,7 @@ from ccd_warp._distinct import distinct, first_of
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths
-from ccd_warp._pairs import largest_around, pair_corners, pair_vertices, radii_of_pairs
+from ccd_warp._pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._status import PairKind
 from ccd_warp._toi_gradient import ToiGradient
 
@@ -160,13 +160,13 @@ class ContactPlace:
 
     def distinct_of(self, contacts: Contacts) -> NDArray[np.intp]:
         """The rows of those that ``Contacts.unique`` keeps."""
-        return distinct(contacts, self.frames)
+        return distinct(contacts, None if self.frames is None else self.frames.at)
 
     def first_of(self, contacts: Contacts) -> int:
         """The index of the first contact, as `Outcome.first` has it; without velocities of the earliest in the list."""
         if self.relative_velocity is None and self.frames is None:
             return int(np.argmin(contacts.toi))
-        return first_of(contacts, self.frames)
+        return first_of(contacts, None if self.frames is None else self.frames.at)
 
     def toi_gradient_of(self, contacts: Contacts) -> ToiGradient:
         """How their tois change.
@@ -241,7 +241,7 @@ def points_at_toi(
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
-    radii = None if mesh.radius is None else (mesh.radius, largest_around(mesh, mesh.radius))
+    radii = None if mesh.radius is None else (mesh.radius, mesh._largest_around(mesh.radius))
     return _points(MovingVertices(mesh, start, end, paths), contacts, radii)
 
 

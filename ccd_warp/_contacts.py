@@ -34,8 +34,9 @@ class Contacts(Placed, ClosePairs):
             wherever a gap of more than rounding is left (32 roundings of the largest distance between the two in the
             step): with a distance or separation nearly always, and also of a pair that starts within it. Of a pair that
             touches without a gap it is the normal of the face or of both edges, from the second primitive towards the
-            side from which the first comes; a point has no sides, and there it opposes the relative velocity (its
-            component across the segment, if there is one). Zero where nothing moves and no side defines a direction.
+            side from which the first comes; a point, and two edges in one line, have no sides, and there it opposes the
+            relative velocity (its component across the segment, if there is one). Zero only where nothing moves, and
+            neither a face nor two edges that cross define a direction.
             Of a vertex and a plane it is the normal of the plane. float64, shape [m, 3], of a mesh in the plane [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
@@ -133,8 +134,8 @@ class Contacts(Placed, ClosePairs):
         touches at a distance (a separation, radii) only after something next to it that is nearer is left out, such as
         a ball and the edge beside the face that it has met.
 
-        Where positions are not kept, of the worlds of a batch or of a line search, the surfaces around a contact are not
-        known: then two edges come last.
+        Of many worlds in batches, and of a line search, positions are not kept. The surfaces around a contact are not
+        known then, and two edges come last.
 
         Raises:
             ValueError: If the contacts do not know their mesh, or their relative velocities.
@@ -161,6 +162,9 @@ class Contacts(Placed, ClosePairs):
     def _known_mesh(self) -> "CollisionMesh":
         mesh: CollisionMesh = self._known().mesh
         return mesh
+
+    def _mesh_or_none(self) -> "CollisionMesh | None":
+        return None if self._place is None else self._known_mesh()
 
     def _fields(self) -> dict[str, Any]:
         return vars(self)

@@ -9,26 +9,23 @@ distance d of the closest points another place is as near within g if it is up t
 closest point by no more than that is none of those that span its feature.
 
 **Which contact is kept.** Pairs of one group have normals of their own: two edges that meet at their ends have their
-cross product, which may point anywhere. A normal is right where its plane separates what is around the two features.
-That is tested against the vertices of all contacts around them. Of those that are right the earliest is kept, of those at
-one toi the one that approaches most, and of equal ones a vertex and a face before two edges.
+cross product, which may point anywhere. A normal is right where its plane separates what is around the two features,
+which is tested against the vertices of all contacts around them. Of those that are right the earliest is kept, of those
+at one toi the one that approaches most, and of equal ones a vertex and a face before two edges.
 
 **What is at a distance** has the direction of the gap as its normal in all pairs of a group. If it separates nothing,
 something beside the features is nearer, which touches in a pair of its own: the contact is that of a ball that has
 already met the face beside an edge, and is left out.
 """
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._pairs import feature_number, features_of, first_columns
 from ccd_warp._status import CCDStatus, PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._contact_place import MovingVertices
-    from ccd_warp._contacts import Contacts
 
 # Roundings of the coordinates that count as no distance, and the sine of an angle that counts as none.
 _ROUNDINGS, _ANGLE = 2.0**-48, 1e-6
@@ -40,36 +37,39 @@ _MOST_ROWS = 1 << 20  # of vertices around contacts that are looked at together
 # Columns of the vertices of each two features that are vertices or edges: of a vertex and a face, and of two edges.
 _OF_FACE = np.array([[(0, 0), b] for b in [(1, 1), (2, 2), (3, 3), (1, 2), (2, 3), (1, 3)]])
 _OF_EDGES = np.array([[a, b] for a in [(0, 0), (1, 1), (0, 1)] for b in [(2, 2), (3, 3), (2, 3)]])
+Contacts = Any  # of `ccd_warp._contacts`, whose place imports this module
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
+# Positions of vertices at a time of each, shape [n, 1]: `MovingVertices.at`.
+At = Callable[[NDArray[np.integer[Any]], Array], Array]
 
 
-def slack_of(contacts: "Contacts") -> Array:
+def slack_of(contacts: Contacts) -> Array:
     """By how much rounding may shift the toi of each contact: what its gap takes at its relative velocity."""
     speed = np.linalg.norm(contacts.relative_velocity, axis=1)
     slack = np.divide(2.0 * _gap_of(contacts), speed, out=np.zeros(len(speed)), where=speed > 0.0)
     return np.minimum(slack, 0.5 * MOST_APART)
 
 
-def _gap_of(contacts: "Contacts") -> Array:
+def _gap_of(contacts: Contacts) -> Array:
     """What rounding leaves open of each gap: none at a limit, where it is not rounding."""
     return np.where(contacts.status >= int(CCDStatus.ITERATION_LIMIT), 0.0, np.maximum(contacts.gap, 0.0))
 
 
-def distinct(contacts: "Contacts", frames: "MovingVertices | None") -> Indices:
+def distinct(contacts: Contacts, position_at: At | None) -> Indices:
     """The rows of the contacts to keep, ascending."""
-    kept, _ = _kept(contacts, frames)
+    kept, _ = _kept(contacts, position_at)
     return np.flatnonzero(kept == np.arange(len(kept)))
 
 
-def _kept(contacts: "Contacts", frames: "MovingVertices | None") -> tuple[Indices, Indices]:
+def _kept(contacts: Contacts, position_at: At | None) -> tuple[Indices, Indices]:
     """The row that is kept for each contact, -1 for none, and its group, -1 for what is in no other pair.
 
     Without positions normals of two edges count as doubtful.
     """
-    groups = _Groups(contacts, frames)
+    groups = _Groups(contacts, position_at)
     rows, kind = groups.rows, contacts.kind[groups.rows]
-    is_wrong = kind == int(PairKind.EDGE_EDGE) if frames is None else groups.violations(frames)[rows] > 0.0
+    is_wrong = kind == int(PairKind.EDGE_EDGE) if position_at is None else groups.violations(position_at)[rows] > 0.0
     approach, speed = approach_of(contacts)
     most = np.full(groups.count, -np.inf)
     np.maximum.at(most, groups.group, np.where(is_wrong, -np.inf, approach[rows]))
@@ -85,13 +85,13 @@ def _kept(contacts: "Contacts", frames: "MovingVertices | None") -> tuple[Indice
     return kept, group
 
 
-def approach_of(contacts: "Contacts") -> tuple[Array, Array]:
+def approach_of(contacts: Contacts) -> tuple[Array, Array]:
     """How fast each contact approaches along its normal, and its relative speed, in lengths a step."""
     velocity = contacts.relative_velocity
     return -(contacts.normal * velocity).sum(axis=1), np.linalg.norm(velocity, axis=1)
 
 
-def first_of(contacts: "Contacts", frames: "MovingVertices | None") -> int:
+def first_of(contacts: Contacts, position_at: At | None) -> int:
     """Index of the earliest contact; of the distinct ones at its toi, to rounding, of that which approaches most.
 
     What is around a contact decides whether it is one of them, so that few of many are looked at.
@@ -111,12 +111,12 @@ def first_of(contacts: "Contacts", frames: "MovingVertices | None") -> int:
         is_near = np.isin(vertices, vertices[best])
         near = np.flatnonzero((is_near & is_first).any(axis=1) & (is_near & ~is_first).any(axis=1))
         at = int(np.searchsorted(near, best))
-        kept, group = _kept(same[near], frames)
+        kept, group = _kept(same[near], position_at)
         if kept[at] >= 0 and approach[near[kept[at]]] >= approach[best] - _SAME_SPEED * speed[best]:
             return int(rows[near[kept[at]]])
         others = near[group == group[at]]
         approach[others[others != near[kept[at]]] if kept[at] >= 0 else others] = -np.inf
-    distinct_rows = rows[distinct(same, frames)]
+    distinct_rows = rows[distinct(same, position_at)]
     return int(distinct_rows[_most(*approach_of(contacts[distinct_rows]))])
 
 
@@ -135,7 +135,7 @@ class _Groups:
         is_apart: Whether the closest points of each contact of the list are apart, beyond rounding.
     """
 
-    def __init__(self, contacts: "Contacts", frames: "MovingVertices | None") -> None:
+    def __init__(self, contacts: Contacts, position_at: At | None) -> None:
         self._contacts = contacts
         self._vertices = contacts.vertices.astype(np.int64)
         self._world, weights = contacts.world.astype(np.int64), contacts.weights
@@ -143,8 +143,8 @@ class _Groups:
         spans = size > 1e-9
         self._reach = np.zeros(len(contacts))
         self.is_apart = np.zeros(len(contacts), dtype=bool)
-        if frames is not None:
-            x = _at(frames, self._vertices, contacts.toi)
+        if position_at is not None:
+            x = _positions(position_at, self._vertices, contacts.toi)
             self._points = np.stack([(size * side)[..., None] * x for side in (self._is_first, ~self._is_first)])
             self._points = self._points.sum(axis=2)
             self._apart = np.linalg.norm(self._points[0] - self._points[1], axis=1)
@@ -170,8 +170,9 @@ class _Groups:
         self.count = len(self._keys)
 
     def _key(self, rows: Indices, a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-        """One number for the world of rows and two features, of which either is the first; -1 where no group has one."""
-        places = [_place_in(table, x) for table, x in zip(self._tables, (np.minimum(a, b), np.maximum(a, b)), strict=True)]
+        """One number for the world of rows and two features, in either order; -1 where no group has one of them."""
+        pairs = zip(self._tables, (np.minimum(a, b), np.maximum(a, b)), strict=True)
+        places = [_place_in(table, features) for table, features in pairs]
         key = (self._world[rows] * len(self._tables[0]) + places[0]) * len(self._tables[1]) + places[1]
         return np.where(np.minimum(*places) < 0, -1, key)
 
@@ -202,7 +203,7 @@ class _Groups:
         code, since = code[is_new], since[is_new]
         return code // width, code % width, since
 
-    def violations(self, frames: "MovingVertices") -> Array:
+    def violations(self, position_at: At) -> Array:
         """By how much what is around the features of each contact passes the plane of its normal, 0 for rounding."""
         contacts, violation = self._contacts, np.zeros(len(self._contacts))
         is_open = (np.bincount(self.group, minlength=self.count) > 1)[self.group] | self.is_apart[self.rows]
@@ -222,7 +223,7 @@ class _Groups:
             known = since[at] <= until[k]
             k, at = k[known], at[known]
             is_of_first = (of_side[at] % 2 == 1) ^ self._is_turned[k]
-            along = _at(frames, vertex[at][:, None], contacts.toi[k])[:, 0]
+            along = _positions(position_at, vertex[at][:, None], contacts.toi[k])[:, 0]
             along -= np.where(is_of_first[:, None], self._points[0][k], self._points[1][k])
             beyond = (along * contacts.normal[k]).sum(axis=1) * np.where(is_of_first, -1.0, 1.0)
             beyond -= self._reach[k] + slope[k] * np.linalg.norm(along, axis=1)
@@ -230,9 +231,9 @@ class _Groups:
         return violation
 
 
-def _at(frames: "MovingVertices", vertices: NDArray[Any], toi: Array) -> Array:
+def _positions(position_at: At, vertices: NDArray[Any], toi: Array) -> Array:
     """Positions of vertices, shape [m, k], at the toi of each row."""
-    positions = frames.at(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None])
+    positions = position_at(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None])
     return positions.reshape(*vertices.shape, -1)
 
 

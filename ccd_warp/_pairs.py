@@ -94,14 +94,6 @@ def pair_bodies(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32]:
     return bodies_of(mesh, PairKind, pairs.kind, pairs.primitives, pair_vertices(mesh, pairs))
 
 
-def largest_around(mesh: "CollisionMesh", radius: NDArray[np.float64]) -> NDArray[np.float64]:
-    """For each vertex the largest radius of the primitives with it, that is of it and of those that share an edge."""
-    largest = radius.copy()
-    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-        np.maximum.at(largest, a, radius[b])
-    return largest
-
-
 def radii_of_pairs(
     kind: NDArray[np.int32],
     vertices: NDArray[np.int32],
@@ -184,6 +176,26 @@ class ClosePairs(PairTable):
     def _known_mesh(self) -> "CollisionMesh":
         """The mesh of the pairs."""
         raise NotImplementedError
+
+    def _mesh_or_none(self) -> "CollisionMesh | None":
+        """The mesh of the pairs; None where they were made of arrays alone."""
+        return self._known_mesh()
+
+    def _to_exclude(self, mesh: "CollisionMesh") -> dict[str, NDArray[np.int32]]:
+        """The pairs by the keys of ``exclude_pairs`` of a mesh.
+
+        Raises:
+            ValueError: If they are those of a mesh with other primitives.
+        """
+        own = self._mesh_or_none()
+        for name in ("edges", "faces"):
+            of_mesh = getattr(mesh, name)
+            if own is not None and own is not mesh and not np.array_equal(getattr(own, name), of_mesh):
+                raise ValueError(
+                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(own, name))} other {name}; expected contacts "
+                    f"or proximities of a mesh with the {len(of_mesh)} {name} of this one"
+                )
+        return {kind.name.lower(): self.primitives[self.kind == int(kind)] for kind in PairKind}
 
     def _kept(self) -> dict[str, Any]:
         """Where stays what has been computed of the pairs; threads that ask at once may compute the same twice."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._display import counted, html_table, kind_name, named_counts, pairs_of_bodies
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._pairs import ClosePairs, features_of, largest_around, radii_of_pairs
+from ccd_warp._pairs import ClosePairs, features_of, radii_of_pairs
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
@@ -75,8 +75,8 @@ class Proximities(ClosePairs):
         of_plane = self.kind == int(PairKind.VERTEX_PLANE)
         points[of_plane, 1] = points[of_plane, 0] - self.distance[of_plane, None] * self.direction[of_plane]
         if self.radius is not None:
-            radii = radii_of_pairs(self.kind, vertices, self.radius, largest_around(self.mesh, self.radius))
-            points += ([-1.0, 1.0] * radii)[..., None] * self.direction[:, None]
+            radii = radii_of_pairs(self.kind, vertices, self.radius, self.mesh._largest_around(self.radius))
+            points += (radii * np.array([-1.0, 1.0]))[..., None] * self.direction[:, None]
         return points
 
     def unique(self) -> "Proximities":

@@ -10,7 +10,7 @@ from ccd_warp._contact_place import MovingVertices
 from ccd_warp._contacts import Contacts
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._pairs import largest_around, radii_of_pairs
+from ccd_warp._pairs import radii_of_pairs
 from ccd_warp._toi_gradient import ToiGradient
 
 
@@ -85,5 +85,5 @@ class Touch:
         """The distance of each pair with these vertices; None where all have one."""
         if self.radius is None:
             return None
-        radii = radii_of_pairs(kind, vertices, self.radius, largest_around(mesh, self.radius))
+        radii = radii_of_pairs(kind, vertices, self.radius, mesh._largest_around(self.radius))
         return self.separation + (radii[:, 0] + radii[:, 1])

@@ -466,7 +466,7 @@ class Step:
         return Touch.of(self.options, self.length_scale, is_euclidean=is_ball(self.plan.norm), radius=radius)
 
     def _radii(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-        """Radii of the vertices, and of the primitives around those that may meet a plane; None where there are none."""
+        """Radii of vertices, and of the largest primitive around each where there are planes; None without."""
         radius = self.mesh.radius if self.mesh.is_thick else None
         if radius is None:
             return None

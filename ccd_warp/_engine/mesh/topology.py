@@ -13,7 +13,6 @@ from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, place_worlds, world_lattice
-from ccd_warp._pairs import largest_around
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind, primitives_of
@@ -180,7 +179,7 @@ class Topology:
         edge, so these are the radii of a vertex and of its neighbours.
         """
         radius = self.mesh.radius
-        return self.array(np.zeros(0) if radius is None else largest_around(self.mesh, radius), wp.float64)
+        return self.array(np.zeros(0) if radius is None else self.mesh._largest_around(radius), wp.float64)
 
     @lazy_property
     def neighbours(self) -> tuple[wp.array, wp.array]:
