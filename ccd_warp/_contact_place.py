@@ -158,9 +158,9 @@ class ContactPlace:
             self.relative_velocity = _relative_velocities(self.frames, contacts)
         return self.relative_velocity
 
-    def distinct_of(self, contacts: Contacts) -> NDArray[np.intp]:
-        """The rows of those that ``Contacts.unique`` keeps."""
-        return distinct(contacts, None if self.frames is None else self.frames.at)
+    def unique_of(self, contacts: Contacts) -> Contacts:
+        """One contact for each two features that touch."""
+        return contacts._chosen(distinct(contacts, None if self.frames is None else self.frames.at))
 
     def first_of(self, contacts: Contacts) -> int:
         """The index of the first contact, as `Outcome.first` has it; without velocities of the earliest in the list."""

@@ -140,7 +140,8 @@ class Contacts(Placed, ClosePairs):
         Raises:
             ValueError: If the contacts do not know their mesh, or their relative velocities.
         """
-        return self._chosen(self._known().distinct_of(self))
+        unique: Contacts = self._known().unique_of(self)
+        return unique
 
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.

@@ -56,6 +56,7 @@ def _gap_of(contacts: Contacts) -> Array:
     return np.where(contacts.status >= int(CCDStatus.ITERATION_LIMIT), 0.0, np.maximum(contacts.gap, 0.0))
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def distinct(contacts: Contacts, position_at: At | None) -> Indices:
     """The rows of the contacts to keep, ascending."""
     kept, _ = _kept(contacts, position_at)
@@ -69,8 +70,10 @@ def _kept(contacts: Contacts, position_at: At | None) -> tuple[Indices, Indices]
     """
     groups = _Groups(contacts, position_at)
     rows, kind = groups.rows, contacts.kind[groups.rows]
-    is_wrong = kind == int(PairKind.EDGE_EDGE) if position_at is None else groups.violations(position_at)[rows] > 0.0
     approach, speed = approach_of(contacts)
+    is_wrong = kind == int(PairKind.EDGE_EDGE)
+    if position_at is not None:
+        is_wrong = groups.violations(position_at)[rows] > 0.0
     most = np.full(groups.count, -np.inf)
     np.maximum.at(most, groups.group, np.where(is_wrong, -np.inf, approach[rows]))
     is_less = approach[rows] < most[groups.group] - _SAME_SPEED * speed[rows]
@@ -91,6 +94,7 @@ def approach_of(contacts: Contacts) -> tuple[Array, Array]:
     return -(contacts.normal * velocity).sum(axis=1), np.linalg.norm(velocity, axis=1)
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def first_of(contacts: Contacts, position_at: At | None) -> int:
     """Index of the earliest contact; of the distinct ones at its toi, to rounding, of that which approaches most.
 
@@ -116,8 +120,8 @@ def first_of(contacts: Contacts, position_at: At | None) -> int:
             return int(rows[near[kept[at]]])
         others = near[group == group[at]]
         approach[others[others != near[kept[at]]] if kept[at] >= 0 else others] = -np.inf
-    distinct_rows = rows[distinct(same, position_at)]
-    return int(distinct_rows[_most(*approach_of(contacts[distinct_rows]))])
+    rows = rows[distinct(same, position_at)]
+    return int(rows[_most(*approach_of(contacts[rows]))]) if len(rows) else earliest
 
 
 def _most(approach: Array, speed: Array) -> int:
@@ -204,12 +208,15 @@ class _Groups:
         return code // width, code % width, since
 
     def violations(self, position_at: At) -> Array:
-        """By how much what is around the features of each contact passes the plane of its normal, 0 for rounding."""
-        contacts, violation = self._contacts, np.zeros(len(self._contacts))
+        """By how much what is around the features of each contact passes the plane of its normal; 0 within rounding.
+
+        Of two that touch and part the normal may be the opposite of one that separates them, as it opposes the motion.
+        """
+        contacts, violation = self._contacts, np.zeros((2, len(self._contacts)))
         is_open = (np.bincount(self.group, minlength=self.count) > 1)[self.group] | self.is_apart[self.rows]
         rows, group = self.rows[is_open], self.group[is_open]
         if len(rows) == 0:
-            return violation
+            return violation[0]
         of_side, vertex, since = self._around()
         begin = np.searchsorted(of_side, 2 * group)
         count = np.searchsorted(of_side, 2 * group + 1, side="right") - begin
@@ -226,9 +233,10 @@ class _Groups:
             along = _positions(position_at, vertex[at][:, None], contacts.toi[k])[:, 0]
             along -= np.where(is_of_first[:, None], self._points[0][k], self._points[1][k])
             beyond = (along * contacts.normal[k]).sum(axis=1) * np.where(is_of_first, -1.0, 1.0)
-            beyond -= self._reach[k] + slope[k] * np.linalg.norm(along, axis=1)
-            np.maximum.at(violation, k, beyond)
-        return violation
+            allowed = self._reach[k] + slope[k] * np.linalg.norm(along, axis=1)
+            np.maximum.at(violation[0], k, beyond - allowed)
+            np.maximum.at(violation[1], k, -beyond - allowed)
+        return np.where(self.is_apart, violation[0], violation.min(axis=0))
 
 
 def _positions(position_at: At, vertices: NDArray[Any], toi: Array) -> Array:

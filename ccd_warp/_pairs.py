@@ -192,8 +192,8 @@ class ClosePairs(PairTable):
             of_mesh = getattr(mesh, name)
             if own is not None and own is not mesh and not np.array_equal(getattr(own, name), of_mesh):
                 raise ValueError(
-                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(own, name))} other {name}; expected contacts "
-                    f"or proximities of a mesh with the {len(of_mesh)} {name} of this one"
+                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(own, name))} other {name}; expected "
+                    f"contacts or proximities of a mesh with the {len(of_mesh)} {name} of this one"
                 )
         return {kind.name.lower(): self.primitives[self.kind == int(kind)] for kind in PairKind}
 
