@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contacts import Contacts
+from ccd_warp._distinct import distinct, first_of
 from ccd_warp._half_space import unit_normals
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_own_frames
-from ccd_warp._pairs import pair_corners
+from ccd_warp._pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._status import PairKind
 from ccd_warp._toi_gradient import ToiGradient
 
@@ -23,6 +24,8 @@ _VERTICES_A_CONTACT = 5
 _FEW_VERTICES = 1 << 12
 # Turn between two of the times that stand for an arc, in radians, and the most of these times.
 TURN, _MOST_TIMES = 0.1, 500
+# Radii of vertices, and of the largest primitive around each.
+Radii = tuple[NDArray[np.float64], NDArray[np.float64]]
 # What contacts have by their place.
 _PLACED = ("points", "relative_velocity", "world")
 
@@ -132,6 +135,7 @@ class ContactPlace:
         vertices: Vertices of the contacts, once they are computed.
         world: Their worlds, once they are computed.
         touch: What counts as touching in their step; None if it is not known.
+        radii: Radii of the vertices of the step; None where there are none.
     """
 
     mesh: CollisionMesh
@@ -141,6 +145,7 @@ class ContactPlace:
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
     touch: Touching | None = None
+    radii: Radii | None = None
 
     @property
     def has_points(self) -> bool:
@@ -156,7 +161,7 @@ class ContactPlace:
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
         """The points of the contacts to which this belongs; None if they are not known."""
         if self.points is None and self.frames is not None:
-            self.points = _points(self.frames, contacts)
+            self.points = _points(self.frames, contacts, self.radii)
         return self.points
 
     def relative_velocity_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
@@ -164,6 +169,16 @@ class ContactPlace:
         if self.relative_velocity is None and self.frames is not None:
             self.relative_velocity = _relative_velocities(self.frames, contacts)
         return self.relative_velocity
+
+    def unique_of(self, contacts: Contacts) -> Contacts:
+        """One contact for each two features that touch."""
+        return contacts._chosen(distinct(contacts, None if self.frames is None else self.frames.at))
+
+    def first_of(self, contacts: Contacts) -> int:
+        """The index of the first contact, as `Outcome.first` has it; without velocities of the earliest in the list."""
+        if self.relative_velocity is None and self.frames is None:
+            return int(np.argmin(contacts.toi))
+        return first_of(contacts, None if self.frames is None else self.frames.at)
 
     def toi_gradient_of(self, contacts: Contacts) -> ToiGradient:
         """How their tois change.
@@ -191,6 +206,7 @@ def located(
     end: NDArray[np.float64] | None = None,
     paths: MeshPaths | None = None,
     touch: Touching | None = None,
+    radii: Radii | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
 
@@ -198,9 +214,9 @@ def located(
     where there are few contacts theirs alone. Points and velocities are computed when they are asked for, and without
     positions stay unknown. Positions and normals have three columns, or of a mesh in the plane the positions two; of
     such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames;
-    ``touch`` is what counts as touching, without which there are no gradients.
+    ``touch`` is what counts as touching, without which there are no gradients; ``radii`` are those of vertices.
     """
-    place = ContactPlace(mesh, touch=touch)
+    place = ContactPlace(mesh, touch=touch, radii=radii)
     if mesh.dimension == 2:
         contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
         start, end = (None if x is None else x[:, :2] for x in (start, end))
@@ -232,7 +248,7 @@ def points_at_toi(
     contacts: Contacts,
     paths: MeshPaths | None = None,
 ) -> NDArray[np.float64]:
-    """Midpoints of the two closest points of each contact, shape [m, 3] or [m, 2].
+    """Where the surfaces of each contact touch, with the radii of the mesh, shape [m, 3] or [m, 2].
 
     The positions are those of all vertices at both ends of the step, shape [V, 3] or [V, 2]; of bodies on ``paths`` in
     their own frames.
@@ -240,11 +256,12 @@ def points_at_toi(
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
+    radii = None if mesh.radius is None else (mesh.radius, mesh._largest_around(mesh.radius))
+    return _points(MovingVertices(mesh, start, end, paths), contacts, radii)
 
-    return _points(MovingVertices(mesh, start, end, paths), contacts)
 
-
-def _points(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
+def _points(frames: MovingVertices, contacts: Contacts, radii: Radii | None) -> NDArray[np.float64]:
+    """Midpoints of the closest points of the two surfaces, each a radius from the closest point of its primitive."""
     points, world = np.empty((len(contacts), frames.start.shape[1])), frames.worlds_of(contacts)
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
@@ -259,6 +276,9 @@ def _points(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
                 points[chosen] = _at_planes(frames, contacts.primitives[chosen], toi, of_chosen)
             else:
                 points[chosen] = _midpoints(kind, corners, frames, toi, parameters, of_chosen)
+    if radii is not None and len(contacts):
+        first, second = radii_of_pairs(contacts.kind, pair_vertices(frames.mesh, contacts), *radii).T
+        points[:, : contacts.normal.shape[1]] += (0.5 * (second - first))[:, None] * contacts.normal
     return points
 
 

@@ -34,8 +34,9 @@ class Contacts(Placed, ClosePairs):
             wherever a gap of more than rounding is left (32 roundings of the largest distance between the two in the
             step): with a distance or separation nearly always, and also of a pair that starts within it. Of a pair that
             touches without a gap it is the normal of the face or of both edges, from the second primitive towards the
-            side from which the first comes; a point has no sides, and there it opposes the relative velocity (its
-            component across the segment, if there is one). Zero where nothing moves and no side defines a direction.
+            side from which the first comes; a point, and two edges in one line, have no sides, and there it opposes the
+            relative velocity (its component across the segment, if there is one). Zero only where nothing moves, and
+            neither a face nor two edges that cross define a direction.
             Of a vertex and a plane it is the normal of the plane. float64, shape [m, 3], of a mesh in the plane [m, 2].
         status: :class:`ccd_warp.CCDStatus` of each contact, int32, shape [m].
         gap: Upper bound of the gap (L∞) beyond the minimum separation at toi, a length, float64, shape [m]. With a
@@ -93,9 +94,10 @@ class Contacts(Placed, ClosePairs):
     def points(self) -> NDArray[np.float64]:
         """Position of each contact at its toi, a length, float64, shape [m, 3], or [m, 2] in the plane.
 
-        It is halfway between the closest points. These have the parameters (u, v), and are v and
-        f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); p and q; or v
-        and the point of the plane below it. Their distance is the gap.
+        It is where both surfaces touch: without radii halfway between the closest points, which have the parameters
+        (u, v), and are v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and
+        a + u (b − a); p and q; or v and the point of the plane below it. With radii a closest point of a surface is the
+        radius of its primitive from that of the primitive, along ``normal``, and the position is halfway between these.
         """
         return self._placed("points", self._known().points_of(self))
 
@@ -122,6 +124,25 @@ class Contacts(Placed, ClosePairs):
         gradient: ToiGradient = self._known().toi_gradient_of(self)
         return gradient
 
+    def unique(self) -> "Contacts":
+        """One contact for each two features that touch, in the order of the list: what a response adds up over.
+
+        A vertex that lands on an edge touches it with each face at the edge, and with each of its own edges: pairs that
+        say the same, some with normals that belong to no surface. They are one touch where their closest points span
+        the same vertices, to rounding. Of its contacts the one is kept whose normal separates the surfaces around it;
+        of several such the one that approaches most, and of equal ones a vertex and a face before two edges. What
+        touches at a distance (a separation, radii) only after something next to it that is nearer is left out, such as
+        a ball and the edge beside the face that it has met.
+
+        Of many worlds in batches, and of a line search, positions are not kept. The surfaces around a contact are not
+        known then, and two edges come last.
+
+        Raises:
+            ValueError: If the contacts do not know their mesh, or their relative velocities.
+        """
+        unique: Contacts = self._known().unique_of(self)
+        return unique
+
     def sorted_by_toi(self) -> "Contacts":
         """The contacts by ascending toi, those with one toi in their present order, in new arrays.
 
@@ -142,6 +163,9 @@ class Contacts(Placed, ClosePairs):
     def _known_mesh(self) -> "CollisionMesh":
         mesh: CollisionMesh = self._known().mesh
         return mesh
+
+    def _mesh_or_none(self) -> "CollisionMesh | None":
+        return None if self._place is None else self._known_mesh()
 
     def _fields(self) -> dict[str, Any]:
         return vars(self)
@@ -289,9 +313,17 @@ class Outcome:
 
     @property
     def first(self) -> Contact | None:
-        """The earliest contact in the list, the first where several have the same toi; None if the list is empty."""
+        """The earliest contact in the list; of those at the same toi the one that approaches most along its normal.
+
+        Tois are the same to rounding: up to twice the gaps of two contacts divided by their relative velocities, and a
+        thousandth of the step at most. Of each two features that touch then one contact counts, that of
+        :meth:`Contacts.unique`. None if the list is empty.
+        """
         contacts = self.contacts
-        return contacts[int(np.argmin(contacts.toi))] if len(contacts) else None
+        if len(contacts) == 0:
+            return None
+        place = contacts._place
+        return contacts[int(np.argmin(contacts.toi)) if place is None else place.first_of(contacts)]
 
     def _outcome(self) -> str:
         """In a line: the toi, in how many worlds, how many contacts, and the first."""

@@ -182,7 +182,7 @@ class DeviceProximities(DevicePairs):
         step = self._known()
         mesh, columns = step.topology.mesh, self._rows(Proximities)
         columns["direction"] = columns["direction"][:, : mesh.dimension]
-        return Proximities(**columns, mesh=mesh, positions=step.positions())
+        return Proximities(**columns, mesh=mesh, positions=step.positions(), radius=step.radius())
 
 
 @text_completed_by(LaunchResult)

@@ -19,7 +19,7 @@ from ccd_warp._input.body_arrays import joined_bodies
 from ccd_warp._input.body_options import BodyOptions
 from ccd_warp._input.cells import cells_by_type, with_surfaces
 from ccd_warp._input.edges import unique_edges
-from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
+from ccd_warp._input.excluded_pairs import ExcludedPairs, PairsFound, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.half_spaces import planes_of, points_of
 from ccd_warp._input.mesh_checks import (
     validated_body_pairs,
@@ -440,25 +440,27 @@ class CollisionMesh(ReadOnly):
         further = check_items("others", others, "a list of bodies")
         return cls.from_arrays([(vertices, cells_by_type(cells)), *further], **options)
 
-    def excluding(self, exclude_pairs: Mapping[str, Any]) -> CollisionMesh:
+    def excluding(self, exclude_pairs: Mapping[str, Any] | PairsFound) -> CollisionMesh:
         """A copy of the mesh that excludes further pairs, as given or as found in an earlier result.
 
         Args:
-            exclude_pairs: The pairs by what is paired, each an integer array of shape [k, 2]. ``"bodies"``: indices or
-                names; all pairs of their primitives are excluded, and a pair of a body with itself is the same as
-                ``self_collision=False`` for it. ``"vertices"``: all pairs of primitives with one of the vertices on
-                either side. ``"vertex_face"``, ``"edge_edge"``, ``"point_segment"``, ``"point_point"``,
-                ``"vertex_plane"``: the pair of primitives alone, with the indices of ``contacts.primitives`` and of
-                :class:`ccd_warp.Candidates`, which are those of ``vertices``, ``edges``, ``faces`` and ``planes``.
-                Where both are of one kind, their order means nothing. Pairs that are not tested anyway may be among
-                them, and so may duplicates. The first call on such a mesh compiles a search of its own.
+            exclude_pairs: Contacts or what is near, as :func:`ccd_warp.mesh_ccd` and :func:`ccd_warp.find_proximity`
+                give them for this mesh: their pairs of primitives. Or the pairs by what is paired, each an integer
+                array of shape [k, 2]. ``"bodies"``: indices or names; all pairs of their primitives are excluded, and a
+                pair of a body with itself is the same as ``self_collision=False`` for it. ``"vertices"``: all pairs of
+                primitives with one of the vertices on either side. ``"vertex_face"``, ``"edge_edge"``,
+                ``"point_segment"``, ``"point_point"``, ``"vertex_plane"``: the pair of primitives alone, with the
+                indices of ``contacts.primitives`` and of :class:`ccd_warp.Candidates`, which are those of ``vertices``,
+                ``edges``, ``faces`` and ``planes``. Where both are of one kind, their order means nothing. Pairs that
+                are not tested anyway may be among them, and so may duplicates. The first call on such a mesh compiles a
+                search of its own.
 
         Returns:
             A mesh with the same bodies and primitives, which excludes these pairs besides those of this mesh.
 
         Raises:
-            ValueError: If ``exclude_pairs`` is no mapping, has another key, or an index that is not one of such a part
-                of the mesh.
+            ValueError: If ``exclude_pairs`` is neither, belongs to another mesh, or has another key, or an index that
+                is not one of such a part of the mesh.
         """
         given = validated_excluded_pairs(exclude_pairs, self)
         bodies = given.get("bodies", np.zeros((0, 2), dtype=np.int32))
@@ -470,6 +472,13 @@ class CollisionMesh(ReadOnly):
         changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, given)}
         mesh.__setstate__(self.__getstate__() | changed)
         return mesh
+
+    def _largest_around(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
+        """For each vertex the largest radius of the primitives with it: of it and of those that share an edge."""
+        largest = radius.copy()
+        for a, b in (self.edges.T, self.edges.T[::-1]):
+            np.maximum.at(largest, a, radius[b])
+        return largest
 
     @classmethod
     def from_instances(

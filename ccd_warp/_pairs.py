@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
 
 # Fields of a table that have no row for each pair.
-_OF_MESH = ("mesh", "positions")
+_OF_MESH = ("mesh", "positions", "radius")
+_NO_VERTEX = np.iinfo(np.int32).max
 
 
 def pair_corners(
@@ -93,6 +94,47 @@ def pair_bodies(mesh: "CollisionMesh", pairs: "PairTable") -> NDArray[np.int32]:
     return bodies_of(mesh, PairKind, pairs.kind, pairs.primitives, pair_vertices(mesh, pairs))
 
 
+def radii_of_pairs(
+    kind: NDArray[np.int32],
+    vertices: NDArray[np.int32],
+    radius: NDArray[np.float64],
+    around: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Radii of both primitives of each pair with these vertices, shape [m, 2].
+
+    A primitive has the largest of its vertices; a plane has none, and meets the largest ``around`` its vertex.
+    """
+    of_vertices, is_first = radius[vertices], first_columns(kind)
+    radii = np.stack([np.where(side, of_vertices, 0.0).max(axis=1) for side in (is_first, ~is_first)], axis=1)
+    of_planes = kind == int(PairKind.VERTEX_PLANE)
+    radii[of_planes] = np.stack([around[vertices[of_planes, 0]], np.zeros(of_planes.sum())], axis=1)
+    return radii
+
+
+def first_columns(kind: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Which of the four vertices of each pair belong to the first primitive, shape [m, 4]."""
+    is_first: NDArray[np.bool_] = np.arange(4) < np.where(kind == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
+    return is_first
+
+
+def features_of(
+    kind: NDArray[np.int32], vertices: NDArray[np.integer[Any]], spans: NDArray[np.bool_]
+) -> list[NDArray[np.int64]]:
+    """Numbers of the vertices or edges that one or two of the vertices of each primitive span, of both sides."""
+    is_first = first_columns(kind)
+    features = []
+    for side in (is_first & spans, ~is_first & spans):
+        low = np.where(side, vertices, _NO_VERTEX).min(axis=1)
+        features.append(feature_number(low, np.where(side, vertices, -1).max(axis=1)))
+    return features
+
+
+def feature_number(low: NDArray[np.integer[Any]], high: NDArray[np.integer[Any]]) -> NDArray[np.int64]:
+    """One number for each edge from a vertex to a higher one, or vertex, where both are the same."""
+    number: NDArray[np.int64] = high.astype(np.int64) << 32 | low.astype(np.int64)
+    return number
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class PairTable:
     """Pairs by their kinds and primitives; subclasses add columns, and may add the mesh and its positions."""
@@ -134,6 +176,26 @@ class ClosePairs(PairTable):
     def _known_mesh(self) -> "CollisionMesh":
         """The mesh of the pairs."""
         raise NotImplementedError
+
+    def _mesh_or_none(self) -> "CollisionMesh | None":
+        """The mesh of the pairs; None where they were made of arrays alone."""
+        return self._known_mesh()
+
+    def _to_exclude(self, mesh: "CollisionMesh") -> dict[str, NDArray[np.int32]]:
+        """The pairs by the keys of ``exclude_pairs`` of a mesh.
+
+        Raises:
+            ValueError: If they are those of a mesh with other primitives.
+        """
+        own = self._mesh_or_none()
+        for name in ("edges", "faces"):
+            of_mesh = getattr(mesh, name)
+            if own is not None and own is not mesh and not np.array_equal(getattr(own, name), of_mesh):
+                raise ValueError(
+                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(own, name))} other {name}; expected "
+                    f"contacts or proximities of a mesh with the {len(of_mesh)} {name} of this one"
+                )
+        return {kind.name.lower(): self.primitives[self.kind == int(kind)] for kind in PairKind}
 
     def _kept(self) -> dict[str, Any]:
         """Where stays what has been computed of the pairs; threads that ask at once may compute the same twice."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._display import counted, html_table, kind_name, named_counts, pairs_of_bodies
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._pairs import ClosePairs
+from ccd_warp._pairs import ClosePairs, features_of, radii_of_pairs
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
@@ -16,7 +16,6 @@ from ccd_warp._texts import text_completed_by
 # Bits of `features`, one for each column of `vertices`; what spans the inside of a face, or of both edges.
 _BITS = np.array([1, 2, 4, 8], dtype=np.int32)
 _ALL = 15
-_NONE = np.iinfo(np.int32).max
 
 
 @text_completed_by(ClosePairs)
@@ -42,6 +41,7 @@ class Proximities(ClosePairs):
             column on, int32, shape [m]. 15 is the inside of a face or of two edges.
         mesh: The mesh.
         positions: Positions of all vertices, float64, shape [V, 3], or [V, 2] in the plane.
+        radius: Radius of all vertices, float64, shape [V]; None where there are none.
     """
 
     parameters: NDArray[np.float64]
@@ -50,6 +50,7 @@ class Proximities(ClosePairs):
     features: NDArray[np.int32]
     mesh: CollisionMesh
     positions: NDArray[np.float64]
+    radius: NDArray[np.float64] | None = None
 
     def _known_mesh(self) -> CollisionMesh:
         return self.mesh
@@ -61,7 +62,11 @@ class Proximities(ClosePairs):
 
     @lazy_property
     def points(self) -> NDArray[np.float64]:
-        """The closest points of the first and the second primitive, a length, float64, shape [m, 2, 3] or [m, 2, 2]."""
+        """The closest points of both surfaces, of the first and the second, float64, shape [m, 2, 3] or [m, 2, 2].
+
+        Each is the radius of its primitive beside the closest point of the primitive, toward the other one. Positions
+        weighted with ``weights`` give the closest points of the primitives themselves.
+        """
         weights, x = self.weights[..., None], self.positions
         vertices = self.vertices
         of_first = np.maximum(weights[:, 1], 0.0)
@@ -74,6 +79,9 @@ class Proximities(ClosePairs):
             points[:, 1] -= weights[:, column] * x[vertices[:, column]]
         of_plane = self.kind == int(PairKind.VERTEX_PLANE)
         points[of_plane, 1] = points[of_plane, 0] - self.distance[of_plane, None] * self.direction[of_plane]
+        if self.radius is not None:
+            radii = radii_of_pairs(self.kind, vertices, self.radius, self.mesh._largest_around(self.radius))
+            points += (radii * np.array([-1.0, 1.0]))[..., None] * self.direction[:, None]
         return points
 
     def unique(self) -> "Proximities":
@@ -83,22 +91,13 @@ class Proximities(ClosePairs):
         edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.
         """
         rows = np.flatnonzero((self.features != _ALL) & (self.kind != int(PairKind.VERTEX_PLANE)))
-        vertices, bits = self.vertices[rows], self.features[rows, None] & _BITS
-        is_first = _BITS <= np.where(self.kind[rows] == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
-        ends = []  # the lowest and the highest vertex that spans the feature of each side
-        for side in (is_first, ~is_first):
-            chosen = side & (bits != 0)
-            ends.append(np.where(chosen, vertices, _NONE).min(axis=1).astype(np.int64))
-            ends.append(np.where(chosen, vertices, -1).max(axis=1).astype(np.int64))
-        a, a_end, b, b_end = ends
-        # the side that is a single vertex comes first, and of two vertices the lower one
-        is_turned = (a != a_end) | ((b == b_end) & (b < a))
-        a, b, b_end = np.where(is_turned, b, a), np.where(is_turned, a, b), np.where(is_turned, a_end, b_end)
-        a = a << 32 | b
-        order = np.lexsort((b_end, a))  # stable: of equal ones the first pair comes first
-        a, b_end = a[order], b_end[order]
+        spans = (self.features[rows, None] & _BITS) != 0
+        first, second = features_of(self.kind[rows], self.vertices[rows], spans)
+        low, high = np.minimum(first, second), np.maximum(first, second)
+        order = np.lexsort((high, low))  # stable: of equal ones the first pair comes first
+        low, high = low[order], high[order]
         is_repeated = np.zeros(len(self), dtype=bool)
-        is_repeated[rows[order[1:]]] = (a[1:] == a[:-1]) & (b_end[1:] == b_end[:-1])
+        is_repeated[rows[order[1:]]] = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
         return self[~is_repeated]
 
     def __repr__(self) -> str:

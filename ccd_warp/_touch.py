@@ -10,7 +10,7 @@ from ccd_warp._contact_place import MovingVertices
 from ccd_warp._contacts import Contacts
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._status import PairKind
+from ccd_warp._pairs import radii_of_pairs
 from ccd_warp._toi_gradient import ToiGradient
 
 
@@ -85,13 +85,5 @@ class Touch:
         """The distance of each pair with these vertices; None where all have one."""
         if self.radius is None:
             return None
-        around = self.radius.copy()  # the largest of the primitives around each vertex: a plane meets them all
-        for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-            np.maximum.at(around, a, self.radius[b])
-        of_vertices = self.radius[vertices]
-        num_first = np.where(kind == int(PairKind.VERTEX_FACE), 1, 2)[:, None]
-        is_first = np.arange(4) < num_first
-        both = [np.where(of_side, of_vertices, 0.0).max(axis=1) for of_side in (is_first, ~is_first)]
-        of_planes = kind == int(PairKind.VERTEX_PLANE)
-        radii: NDArray[np.float64] = np.where(of_planes, around[vertices[:, 0]], both[0] + both[1])
-        return self.separation + radii
+        radii = radii_of_pairs(kind, vertices, self.radius, mesh._largest_around(self.radius))
+        return self.separation + (radii[:, 0] + radii[:, 1])

@@ -89,6 +89,7 @@ _WORDS = [
     (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
     (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|~?typing\.Any)", r"\1: Positions"),
     (r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(~?[\w.]+)\]\]", r"NDArray[\1]"),
+    (r"~?ccd_warp\._input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
     (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.JointMotion \| ~[\w.]+\.AffineMotion", "Motion"),
     (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),

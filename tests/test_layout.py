@@ -101,7 +101,7 @@ LAYERS = [
     ["_runtime", "_status", "_version", "_display", "_quiet", "_texts", "_read_only", "_rotations"]
     + ["_placed", "_toi_gradient"],
     ["_input", "_half_space"],
-    ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_pairs"]
+    ["_mesh", "_replicate", "_results", "_contacts", "_contact_place", "_distinct", "_pairs"]
     + [
         "_intersections",
         "_proximities",

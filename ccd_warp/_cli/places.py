@@ -26,7 +26,7 @@ class ContactTable:
 
     Attributes:
         mesh: The bodies.
-        contacts: Its contacts, by ascending toi.
+        contacts: Its contacts, by ascending toi; where they are the earliest, the first is that of the result.
     """
 
     mesh: CollisionMesh
@@ -34,8 +34,12 @@ class ContactTable:
 
     @classmethod
     def of(cls, mesh: CollisionMesh, contacts: "Contacts", most: int | None = None) -> "ContactTable":
-        """The table of contacts in any order, or of the earliest ones."""
-        return cls(mesh, contacts[np.argsort(contacts.toi, kind="stable")[:most]])
+        """The table of contacts in any order, or of the earliest ones, of which the first is that of the result."""
+        order = np.argsort(contacts.toi, kind="stable")
+        if most is not None and len(order):
+            first = contacts._known().first_of(contacts)
+            order = np.append(first, order[order != first])[:most]
+        return cls(mesh, contacts[order])
 
     def __len__(self) -> int:
         return len(self.contacts)

@@ -12,11 +12,12 @@ from ccd_warp import CollisionPipeline
 from ccd_warp._cli.radii import radii_of
 from ccd_warp._display import counted
 from ccd_warp._files.frames import Body
+from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._status import CCDStatus
 
 if TYPE_CHECKING:
     from ccd_warp._intersections import Intersections
@@ -92,22 +93,23 @@ class StartContacts:
     """What is in contact in the first frame, which ``--ignore-start-contacts`` leaves out of every step.
 
     Attributes:
-        pairs: Pairs of primitives that touch, by kind, as ``CollisionMesh.excluding`` takes them.
+        pairs: Pairs of primitives that touch, or nearly so, by kind, as ``CollisionMesh.excluding`` takes them.
         crossing: Edges and the faces through which they pass, shape [k, 2].
     """
 
-    pairs: dict[str, np.ndarray]
+    pairs: ExcludedPairs
     crossing: np.ndarray
 
     @classmethod
     def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options) -> "StartContacts":
-        """Of positions, by the step in which nothing moves: what comes within the separation, and what crosses."""
+        """Of positions: what touches where nothing moves, what is nearer than the tolerance, and what crosses."""
+        rounding = options.tolerance * (mesh.length_scale if options.length_scale is None else options.length_scale)
         with CollisionPipeline.borrowed(mesh, options) as pipeline:
             contacts = pipeline.mesh_ccd(vertices, vertices).contacts
+            near = pipeline.find_proximity(vertices, options.minimum_distance + rounding)
             start = pipeline.find_intersections(vertices)
         touching = contacts[contacts.status == int(CCDStatus.INITIAL_CONTACT)]
-        kinds = {kind.name.lower(): touching.kind == int(kind) for kind in PairKind}
-        pairs = {name: touching.primitives[of_kind] for name, of_kind in kinds.items() if of_kind.any()}
+        pairs = joined_pairs(*(validated_excluded_pairs(found, mesh) for found in (touching, near)))
         return cls(pairs, start.primitives[start.is_crossing])
 
     def others(self, start: "Intersections") -> "Intersections":

@@ -1,7 +1,7 @@
 """The pairs that ``exclude_pairs`` of a mesh leaves out: their validation, and the mapping that keeps them."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,13 @@ KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "poin
 # Keys whose two columns are of one kind, so that the order within a pair means nothing.
 _SYMMETRIC = ("bodies", "vertices", "edge_edge", "point_point")
 _MOST_PAIRS = 1 << 27
+
+
+class PairsFound(Protocol):
+    """Contacts or proximities, which know their pairs by these keys."""
+
+    def _to_exclude(self, mesh: Any) -> Mapping[str, NDArray[np.int32]]:
+        """The pairs of primitives, or a ValueError if they are of another mesh than this one."""
 
 
 class ExcludedPairs(Mapping[str, NDArray[np.int32]]):
@@ -68,11 +75,16 @@ def validated_excluded_pairs(values: Any, mesh: Any) -> ExcludedPairs:
     """Pairs of bodies, vertices or primitives of a mesh, by what is paired.
 
     Raises:
-        ValueError: If it is no mapping, a key is not one of ``KEYS``, or its pairs are not pairs of such parts of the
-            mesh.
+        ValueError: If it is neither a mapping nor contacts or proximities of this mesh, a key is not one of ``KEYS``,
+            or its pairs are not pairs of such parts of the mesh.
     """
+    if hasattr(values, "_to_exclude"):
+        values = values._to_exclude(mesh)
     if not isinstance(values, Mapping):
-        expected = "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs"
+        expected = (
+            "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs, or contacts or proximities "
+            "(of a launch what to_host() gives)"
+        )
         raise ValueError(f"exclude_pairs is {shown(values)}; expected {expected}")
     found = {}
     for key, pairs in values.items():

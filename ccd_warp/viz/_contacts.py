@@ -21,10 +21,7 @@ def contact_points(
     *,
     motion: RigidMotion | None = None,
 ) -> NDArray[np.float64]:
-    """Position of each contact at its toi: the midpoint of the two points with the parameters (u, v).
-
-    These are v and f0 + u (f1 − f0) + v (f2 − f0); ea0 + u (ea1 − ea0) and eb0 + v (eb1 − eb0); p and a + u (b − a); or
-    p and q. Their distance is the gap, which the tolerance and the minimum separation bound.
+    """Position of each contact at its toi, as ``contacts.points`` has it: where the surfaces touch, with radii.
 
     Args:
         mesh: The mesh of the step.

@@ -192,7 +192,7 @@ def make_scene(
         start, end = moving.all_at(0.0), moving.all_at(1.0)
         between = np.concatenate([outermost(moving.all_at(t)) for t in moving.times])
     centre, unit = middle_of(np.concatenate([start, between]), np.concatenate([end, between]))
-    first = int(np.argmin(contacts.toi)) if len(contacts) else -1
+    first = -1 if result.first is None else result.first.index
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
     sizes = contact_sizes(mesh, start, contacts, first)
     return StepScene(

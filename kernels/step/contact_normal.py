@@ -14,7 +14,8 @@ as none. Measured, against rational arithmetic, the sine of the angle to the dir
 The gap is orthogonal to every side within which a closest point lies. Removing the rest of it along these sides, or
 taking their cross product, makes the direction as accurate as the sides are, however small the gap is beside them.
 
-Without a gap the normal is that of the sides, against the relative velocity.
+Without a gap the normal is that of the sides, against the relative velocity; where they give none it is against the
+velocity itself.
 """
 
 import warp as wp
@@ -143,20 +144,28 @@ def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, 
 
 
 @wp.func
+def against(velocity: vec3d, side: vec3d) -> vec3d:
+    """A vector against the part of a velocity across a side; against all of it where it has none; 0 where it is 0."""
+    n = across(velocity, side)
+    if wp.dot(n, n) == _ZERO:
+        n = to_unit_size(velocity)
+    return -n
+
+
+@wp.func
 def contact_normal(q: vec3d, r: vec3d, velocity: vec3d) -> vec3d:
     """Unit normal of two sides, directed against the relative velocity of the first primitive; 0 if there is none.
 
-    Parallel or vanishing sides do not determine a normal: then the part of the velocity across the longer side is used.
+    Parallel or vanishing sides do not determine a normal: then the part of the velocity across the longer side is used,
+    or the velocity itself, where it is along that side.
     """
     a = to_unit_size(q)
     b = to_unit_size(r)
     w = to_unit_size(velocity)
     n = wp.cross(a, b)
     if wp.length(n) <= _PARALLEL * wp.length(a) * wp.length(b):
-        along = wp.where(wp.max(wp.abs(r)) > wp.max(wp.abs(q)), b, a)
-        n = w
-        if wp.dot(along, along) > _ZERO:
-            n = w - (wp.dot(w, along) / wp.dot(along, along)) * along
+        longer = wp.where(wp.max(wp.abs(r)) > wp.max(wp.abs(q)), b, a)
+        n = against(w, longer)
     n = wp.normalize(n)
     if wp.dot(n, w) > _ZERO:
         n = -n
@@ -167,11 +176,14 @@ def contact_normal(q: vec3d, r: vec3d, velocity: vec3d) -> vec3d:
 def point_normal(side: vec3d, velocity: vec3d, gap: vec3d) -> vec3d:
     """Unit normal of a point at a segment, or at a point if the side is 0, directed against the relative velocity.
 
-    If the velocity has no part across the side, the normal is along what is left of the gap. It is 0 if both vanish.
+    If the velocity has no part across the side, the normal is along what is left of the gap, and without a gap against
+    the velocity itself. It is 0 if all of them vanish.
     """
     n = -across(velocity, side)
     if wp.dot(n, n) == _ZERO:
         n = across(gap, side)
+    if wp.dot(n, n) == _ZERO:
+        n = against(velocity, side)
     return wp.normalize(n)
 
 

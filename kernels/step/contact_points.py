@@ -1,7 +1,11 @@
-"""Where the contacts of a list on a device are in space: the midpoints of their closest points."""
+"""Where the contacts of a list on a device are in space: where the surfaces touch, with their radii.
+
+That is halfway between the closest points of the two surfaces, each of which is a radius from that of its primitive.
+"""
 
 import warp as wp
 
+from ..boxes.thickness import radius_of
 from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from ..parameters import dimension, real
 from . import in_space as positions
@@ -33,10 +37,12 @@ def fill_points(
     plane_point: wp.array[wp.vec3d],
     plane_vertex: wp.array[wp.int32],  # the vertex that is the point of one that moves, or -1; empty: none moves
     plane_unit: wp.array[wp.vec3d],  # their unit normals
+    radius: wp.array[wp.float64],  # of each vertex; empty where there are none
+    box_radius: wp.array[wp.float64],  # the largest of the primitives around each vertex, with which planes meet it
     # out
     points: wp.array[wp.vec3d],
 ):
-    """Midpoint of the closest points of each contact, in the operations, and their order, of the host."""
+    """Midpoint of the closest points of each contact's surfaces, in the operations, and their order, of the host."""
     n = begin + wp.tid()
     if n >= contacts.count[0]:
         return
@@ -77,3 +83,9 @@ def fill_points(
         h = _HALF * first - _HALF * p
         unit = plane_unit[k]
         points[n] = first - (h[0] * unit[0] + h[1] * unit[1] + h[2] * unit[2]) * unit
+    if radius.shape[0] > 0:
+        lean = -box_radius[v[0]]
+        if kind != VERTEX_PLANE:
+            of_first = radius_of(radius, wp.vec3i(v[0], v[0], v[num_first - 1]))
+            lean = radius_of(radius, wp.vec3i(v[num_first], v[2], v[3])) - of_first
+        points[n] += (_HALF * lean) * contacts.normal[n]

@@ -5,13 +5,17 @@ import pickle
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from scenes import (
     FACE,
     NO_FACES,
     TRIANGLE,
     cloth_and_ball_in_worlds,
+    crowd_in_plane,
+    crowd_of_all_kinds,
     named_cloth_and_ball,
+    sheet,
     with_static_at_rest,
 )
 
@@ -325,3 +329,197 @@ def test_worlds_of_different_sizes_have_no_axis():
     even = ccd.CollisionMesh.from_arrays([bodies[0]]).replicate(2)
     with pytest.raises(ValueError, match=r"vertices_t0 has shape \(3, 2, 3\); expected .*, or \(2, 3, 3\), with"):
         even.frame(np.zeros((3, 2, 3)))
+
+
+# --- what a response uses: touches, normals, the first, and points between surfaces ---
+
+
+def turned(rng):
+    """A rotation at random."""
+    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def box(lower, upper):
+    """A box between two corners: vertices and faces."""
+    mesh = trimesh.creation.box(bounds=[lower, upper])
+    return np.array(mesh.vertices), np.array(mesh.faces)
+
+
+def tip(x, y):
+    """A cone whose tip stands in (x, y, 0)."""
+    corners = np.array([[0, 0, 0], [0.3, 0.1, 0.5], [-0.2, 0.4, 0.6], [-0.1, -0.3, 0.4]])
+    return corners + [x, y, 0], [[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]]
+
+
+def ball(x, y):
+    """A ball, turned so that a single vertex is lowest, in (x, y, 0)."""
+    mesh = trimesh.creation.icosphere(2, 0.3)
+    vertices = np.array(mesh.vertices) @ turned(np.random.default_rng(3))
+    return vertices + [x, y, 0] - vertices[np.argmin(vertices[:, 2])], np.array(mesh.faces)
+
+
+def particle(x, y):
+    """A ball of radius 0.1 that touches the plane z = 0 from above."""
+    return np.array([[x, y, 0.1]]), NO_FACES
+
+
+BASE = box([0, 0, -1], [1, 1, 0])
+GRID = sheet(8, 2.0)  # its squares have sides of 0.25, and diagonals from (0.25, 0) to (0, 0.25)
+ROOF = (np.array([[-1, 0, 0], [1, 0, 0], [1, 1, -1], [-1, 1, -1], [-1, -1, -1], [1, -1, -1.0]]),)
+ROOF += ([[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 5, 1]],)
+# what stands on what, and in how many places
+LANDINGS = {
+    "a box on one of its size": (box([0, 0, 0], [1, 1, 1]), BASE, 5),  # the corners, and where two diagonals cross
+    "a small box inside a face": (box([0.1, 0.55, 0], [0.3, 0.8, 1]), BASE, 4),
+    "a box of the size of a square of a grid": (box([0, 0, 0], [0.25, 0.25, 1]), GRID, 4),  # diagonals in one line
+    "a box within squares of a grid": (box([0.05, 0.05, 0], [0.1, 0.1, 1]), GRID, 4),
+    "a box half over the rim": (box([0.5, 0.4, 0], [1.5, 0.8, 1]), BASE, 8),  # 2 corners, 6 crossings of edges
+    "a tip in a face": (tip(0.1, 0.05), GRID, 1),
+    "a tip on a diagonal": (tip(0.125, 0.125), GRID, 1),
+    "a tip on the side of a square": (tip(0.25, 0.125), GRID, 1),
+    "a tip on a corner of a square": (tip(0.25, 0.25), GRID, 1),
+    "a ball in a face": (ball(0.1, 0.05), GRID, 1),
+    "a ball on a diagonal": (ball(0.125, 0.125), GRID, 1),
+    "a ball on a corner of a square": (ball(0.25, 0.25), GRID, 1),
+    "a ridge across a ridge": ((np.array([[0.3, -2, 0], [0.3, 2, 0], [0.3, 0, 1]]), FACE), ROOF, 1),
+    "a particle beside a diagonal": (particle(0.12, 0.12), GRID, 1),
+    "a particle a rounding beside a diagonal": (particle(0.125 + 1e-12, 0.125), GRID, 1),
+    "a particle on a diagonal": (particle(0.125, 0.125), GRID, 1),
+    "a particle on a corner of a square": (particle(0.25, 0.25), GRID, 1),
+    "a particle beside a corner of a square": (particle(0.26, 0.27), GRID, 1),
+}
+
+
+@pytest.mark.parametrize("name", LANDINGS)
+def test_what_lands_touches_once_in_each_place_with_the_normal_of_the_ground(name, device):
+    (upper, upper_faces), (lower, lower_faces), count = LANDINGS[name]
+    rng = np.random.default_rng(len(name))
+    is_ball = len(upper_faces) == 0
+    for motion in ([0.0, 0.0, -1.0], [0.6, 0.3, -1.0]):
+        for scale, options in (
+            (1.0, {}),
+            (1e3, {}),
+            (1e-3, {"precision": "float32"}),
+            (1.0, {"minimum_distance": 0.02}),
+        ):
+            distance, frame, step = options.get("minimum_distance", 0.0), turned(rng), np.array(motion)
+            above = upper + [0, 0, distance] - 0.5 * step
+            bodies = [(scale * above @ frame.T, upper_faces), (scale * np.array(lower) @ frame.T, lower_faces)]
+            thick = {"codimensional_points": True, "radius": [0.1 * scale, 0.0]} if is_ball else {}
+            mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False, **thick)
+            end = mesh.vertices + scale * (frame @ step) * (mesh.vertex_body == 0)[:, None]
+            options = options | ({"minimum_distance": scale * distance} if distance else {})
+            result = ccd.mesh_ccd(mesh, mesh.vertices, end, device=device, **options)
+            unique, normals = result.contacts.unique(), result.contacts.normal
+            touches = unique[unique.toi <= 0.5 + 1e-5]
+            assert len(touches) == count and np.abs(result.toi - 0.5) < 1e-5
+            assert np.allclose(np.abs(touches.normal @ frame), [0, 0, 1], atol=2e-5)  # float32 stops 4e-7 early
+            up = touches.normal * np.where(mesh.vertex_body[touches.vertices[:, 0]] == 0, 1, -1)[:, None]
+            assert ((up @ frame)[:, 2] > 0).all()
+            if is_ball:  # nothing beside what it has met, later, either
+                between = [*upper[0][:2], 0.5 * distance]
+                assert len(unique) == 1 and np.allclose(result.first.point @ frame / scale, between, atol=1e-5)
+            assert np.allclose(np.linalg.norm(normals, axis=1), 1.0)
+            first = result.first
+            assert first.toi - result.toi < 1e-5 and first.normal @ first.relative_velocity < -0.99 * scale
+            assert first.index in np.flatnonzero(result.contacts.toi <= 0.5 + 1e-5)
+
+
+def test_unique_of_worlds_and_of_a_launch_is_that_of_one():
+    upper, lower, count = LANDINGS["a box on one of its size"]
+    mesh = ccd.CollisionMesh.from_arrays([upper, lower], static=[1], rigid=[0], self_collision=False)
+    start = mesh.vertices + [0, 0, 0.5] * (mesh.vertex_body == 0)[:, None]
+    end = start - [0, 0, 1.0] * (mesh.vertex_body == 0)[:, None]
+    expected = ccd.mesh_ccd(mesh, start, end).contacts.unique()
+    launched = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu").launch(start, end).to_host()
+    assert np.array_equal(launched.contacts.unique().primitives, expected.primitives)
+    assert launched.first.normal.tolist() == [0, 0, 1]
+    many = mesh.replicate(3)
+    contacts = ccd.mesh_ccd(many, np.tile(start, (3, 1)), np.tile(end, (3, 1))).contacts.unique()
+    poses = np.tile([0.0, 0, 0.5, 0, 0, 0, 1], (3, 1, 1))
+    motion = ccd.RigidMotion(poses, poses - [0, 0, 1, 0, 0, 0, 0])
+    of_motion = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion)  # which keeps no positions
+    for found in (contacts, of_motion.contacts.unique()):
+        assert np.bincount(found.world).tolist() == 3 * [count] and np.allclose(np.abs(found.normal), [0, 0, 1])
+    assert of_motion.first.normal.tolist() == [0, 0, 1]
+
+
+def test_corners_in_the_plane_touch_once():
+    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    sides = [[0, 1], [1, 2], [2, 3], [3, 0]]
+    for shift, count in (([0.0, 1.5], 2), ([0.3, 1.5], 2), ([1.0, 1.5], 1)):
+        mesh = ccd.CollisionMesh.from_arrays(
+            [(square + shift, sides), (square, sides)], static=[1], self_collision=False
+        )
+        end = mesh.vertices - [0, 1] * (mesh.vertex_body == 0)[:, None]
+        result = ccd.mesh_ccd(mesh, mesh.vertices, end)
+        touches = result.contacts.unique()
+        touches = touches[touches.toi < result.toi + 1e-12]
+        assert len(touches) == count and np.abs(touches.normal).tolist() == count * [[0, 1]]
+
+
+def test_contacts_without_positions_have_no_unique_ones(step):
+    with pytest.raises(ValueError, match="contacts were made of arrays alone"):
+        ccd.Contacts(**vars(step[3].contacts)).unique()
+
+
+def cable_over_ground(rng, radius):
+    """A cable with a thick and a thin end, and particles, that fall on a half-space."""
+    ground = ccd.HalfSpace([0.0, 0, -0.5], [0.1, 0.2, 1.0])
+    cable, dust = [[0.0, 0, 0], [1, 0.1, 0], [2, 0, 0.2]], rng.random((5, 3))
+    bodies = [(cable, NO_FACES, [[0, 1], [1, 2]]), (dust, NO_FACES), ground]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=radius[:8])
+    return mesh, mesh.vertices, mesh.vertices - [0, 0, 3]
+
+
+def surfaces_of(mesh, pairs):
+    """Radii of both primitives of each pair, from the lists of the mesh, shape [m, 2]."""
+    around = mesh.radius.copy()
+    for a, b in mesh.edges:
+        around[[a, b]] = np.maximum(around[[a, b]], mesh.radius[[a, b]].max())
+    corners = {"vertex": np.arange(mesh.num_vertices)[:, None], "edge": mesh.edges, "face": mesh.faces}
+    radii = []
+    for kind, (first, second) in zip(pairs.kind, pairs.primitives, strict=True):
+        names = ccd.PairKind(kind).name.lower().replace("point", "vertex").replace("segment", "edge").split("_")
+        if names[1] == "plane":
+            radii.append([around[first], 0.0])
+        else:
+            radii.append([mesh.radius[corners[name][k]].max() for name, k in zip(names, (first, second), strict=True)])
+    return np.array(radii)
+
+
+def closest_points(pairs, positions):
+    """The closest points of both primitives, from the positions of their four vertices, by the weights."""
+    first = np.arange(4) < np.where(pairs.kind == int(ccd.PairKind.VERTEX_FACE), 1, 2)[:, None]
+    sides = (pairs.weights * side for side in (first, ~first))
+    return [np.abs(w)[:, None] @ positions for w in sides]
+
+
+@pytest.mark.parametrize("make", [crowd_of_all_kinds, crowd_in_plane, cable_over_ground])
+@pytest.mark.parametrize("minimum_distance", [0.0, 0.01])
+def test_points_lie_halfway_between_both_surfaces(make, minimum_distance, device):
+    rng = np.random.default_rng(8)
+    radius = rng.uniform(0.0, 0.05, 400)
+    if make is cable_over_ground:
+        mesh, start, end = make(rng, radius)
+    else:
+        mesh, start, end = make(rng, radius=radius[: make(np.random.default_rng(8))[0].num_vertices])
+    options = {"minimum_distance": minimum_distance, "length_scale": 1.0, "device": device}
+    contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
+    frames = (wp.array(x, dtype=(wp.vec2d, wp.vec3d)[mesh.dimension - 2], device=device) for x in (start, end))
+    launched = ccd.CollisionPipeline(mesh, **options).launch(*frames)
+    assert np.array_equal(launched.to_host().contacts.points, contacts.points)
+    order = launched.contacts.order_by_toi().numpy()[: len(contacts)]
+    of_device = launched.contacts.points.numpy()[order, : mesh.dimension]
+    assert np.array_equal(of_device, contacts.sorted_by_toi().points)
+    assert np.array_equal(viz.contact_points(mesh, start, end, contacts), contacts.points)
+    later = contacts[contacts.toi > 0]  # between whose closest points is the distance
+    t = later.toi[:, None, None]
+    first, second = closest_points(later, (1 - t) * start[later.vertices] + t * end[later.vertices])
+    radii = surfaces_of(mesh, later)
+    assert len(later) > 5 and {*later.kind} >= ({4} if make is cable_over_ground else {2, 3})
+    reach = radii + 0.5 * minimum_distance
+    has_second = later.kind != int(ccd.PairKind.VERTEX_PLANE)  # a plane has no closest point that vertices give
+    assert np.allclose(first[:, 0] - reach[:, :1] * later.normal, later.points, atol=1e-12)
+    assert np.allclose((second[:, 0] + reach[:, 1:] * later.normal)[has_second], later.points[has_second], atol=1e-12)

@@ -36,7 +36,17 @@ def check(result, *positions):
     return expected
 
 
-@pytest.mark.parametrize("make", [named_cloth_and_ball, moving_step], ids=["static ball", "moving ball"])
+def thick_step():
+    """The same with radii."""
+    mesh, start, end = named_cloth_and_ball()
+    bodies = [(start[mesh.vertex_body == b], mesh.faces[mesh.face_body == b] - 169 * b) for b in (0, 1)]
+    radius = np.random.default_rng(1).uniform(0, 0.02, len(start))
+    return ccd.CollisionMesh.from_arrays(bodies, static=[1], names=mesh.names, radius=radius), start, end
+
+
+@pytest.mark.parametrize(
+    "make", [named_cloth_and_ball, moving_step, thick_step], ids=["static ball", "moving ball", "with radii"]
+)
 @pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f], ids=["float64", "float32"])
 def test_contacts_on_the_device_say_what_those_on_the_host_say(make, dtype, device):
     mesh, start, end = make()

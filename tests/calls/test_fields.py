@@ -46,7 +46,17 @@ PLAIN = {
         "num_pairs",
         "num_rounds",
     ),
-    *("hidden_gaps", "num_touching", "pairs_at_start", "point_point", "point_segment", "positions", "start", "status"),
+    *(
+        "hidden_gaps",
+        "num_touching",
+        "pairs_at_start",
+        "point_point",
+        "point_segment",
+        "positions",
+        "radius",
+        "start",
+        "status",
+    ),
     *(
         "timings",
         "toi",

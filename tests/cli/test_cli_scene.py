@@ -52,6 +52,10 @@ def test_contacts_of_the_first_frame_are_left_out_and_counted(sheets, capfd):
     (line,) = [line for line in out.splitlines() if line.startswith("left out")]
     assert "pairs that touch in the first frame (--ignore-start-contacts)" in line and result["left_out"] in line
     assert int(line.split(";")[1].split()[0]) == len(_result(sheets, "--t-max", "1e-9")["contacts"])
+    sheet = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]) + [1e-7, 0.0, 0.0]
+    write_mesh(sheets / "start.ply", sheet, SQUARE)  # a rounding of float32 beside the wall, and into it
+    write_mesh(sheets / "end.ply", sheet - [2e-6, 0.0, 2.0], SQUARE)
+    assert 0.499 < _result(sheets, "--ignore-start-contacts")["toi"] <= 0.5
 
 
 def test_edges_that_cross_in_the_first_frame_are_left_out_and_counted(sheets, capfd):

@@ -96,7 +96,8 @@ def exact_planes(mesh, x):
             if is_allowed(ccd.PairKind.VERTEX_PLANE, (v, k)):
                 f = plane_value(mesh, k, x[v], x)
                 exact = float(Decimal(f.numerator) / Decimal(f.denominator) / length)
-                radius = 0.0 if mesh.radius is None else mesh.radius[v]
+                around = [v, *mesh.edges[(mesh.edges == v).any(axis=1)].ravel()]  # a plane meets the thickest primitive
+                radius = 0.0 if mesh.radius is None else mesh.radius[around].max()
                 found[(int(ccd.PairKind.VERTEX_PLANE), v, k)] = exact, radius, np.linalg.norm(x[v] - point)
     return found
 
@@ -113,7 +114,8 @@ def check_proximities(mesh, x, distance, found):
     # 1e-15 of the size is what is promised; points add the roundings of positions and weights
     assert (np.abs(found.distance - [expected[row][0] for row in rows]) <= 1e-15 * sizes).all()
     gap = found.points[:, 0] - found.points[:, 1]
-    error = np.linalg.norm(gap - found.distance[:, None] * found.direction, axis=1)
+    between = found.distance - np.array([expected[row][1] for row in rows])  # the surfaces
+    error = np.linalg.norm(gap - between[:, None] * found.direction, axis=1)
     assert (error <= 4e-15 * (sizes + np.abs(x).max())).all()
     return len(rows)
 

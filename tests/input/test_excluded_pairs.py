@@ -195,6 +195,52 @@ def test_more_pairs_are_added_to_those_before():
     assert dict(first.excluding(both.exclude_pairs).exclude_pairs).keys() == dict(both.exclude_pairs).keys()
 
 
+def hanging_nodes(turn, n=5):
+    """A square, beside it a strip of n squares whose nodes hang on its side, and a step that bends both."""
+    corners = [[0, 0], [1, 0], [1, 1], [0, 1], *([1, k / n] for k in range(1, n))]
+    corners += [[1.2, k / n] for k in range(n + 1)]
+    faces, side = [[0, 1, 2], [0, 2, 3]], [1, *range(4, n + 3), 2]
+    for k in range(n):
+        faces += [[side[k], n + 3 + k, n + 4 + k], [side[k], n + 4 + k, side[k + 1]]]
+    start = np.pad(np.array(corners), ((0, 0), (0, 1))) @ turn.T
+    end = start + 0.05 * np.column_stack([np.sin(3 * start[:, 0]), 0 * start[:, 0], start[:, 1] ** 2])
+    for k in range(1, n):
+        end[3 + k] = end[1] + (end[2] - end[1]) * (k / n)  # what holds a node on the side
+    return ccd.CollisionMesh.from_arrays([(start, faces)]), start, end
+
+
+def test_nodes_that_hang_on_an_edge_do_not_stop_a_step_once_what_is_near_is_excluded():
+    rng = np.random.default_rng(6)
+    for scale in (1e-3, 1.0, 1e3):
+        turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+        mesh, start, end = hanging_nodes(turn)
+        start, end = scale * start, scale * end
+        near = ccd.find_proximity(mesh, start, 1e-9 * scale)
+        fewer = mesh.excluding(near)
+        assert ccd.mesh_ccd(mesh, start, end).toi == 0 and ccd.mesh_ccd(fewer, start, end).toi == np.inf
+        assert ccd.collision_free_step(fewer, start, end) == 1
+        kinds = {kind.name.lower(): near.primitives[near.kind == kind] for kind in ccd.PairKind}
+        assert fewer.exclude_pairs == mesh.excluding(kinds).exclude_pairs
+
+
+def test_contacts_of_all_kinds_are_excluded_as_they_are():
+    mesh, start, end = crowd_of_all_kinds(np.random.default_rng(71), count=5)
+    for contacts in (
+        ccd.mesh_ccd(mesh, start, end).contacts,
+        ccd.CollisionPipeline(mesh, device="cpu").launch(start, end).to_host().contacts,
+    ):
+        fewer = mesh.excluding(contacts)
+        assert len({*contacts.kind}) == 4 and ccd.mesh_ccd(fewer, start, end).toi == np.inf
+        assert rows(ccd.mesh_ccd(mesh.excluding(contacts[3:]), start, end).contacts) == rows(contacts[:3])
+    other = stacked(0.0, 0.5)[0]
+    with pytest.raises(ValueError, match=r"exclude_pairs is Contacts.* of a mesh with .* other edges; expected"):
+        other.excluding(contacts)
+    launched = ccd.CollisionPipeline(mesh, device="cpu").launch(start, end)
+    for value in (launched.contacts, ccd.find_intersections(mesh, start)):
+        with pytest.raises(ValueError, match=r"expected a mapping .* or contacts or proximities .*to_host\(\)"):
+            mesh.excluding(value)
+
+
 def test_a_copy_and_a_pickle_keep_the_pairs_and_cannot_be_written():
     rng = np.random.default_rng(70)
     mesh, start, end = crowd_of_all_kinds(rng, count=5)

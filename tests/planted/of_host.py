@@ -281,6 +281,13 @@ PLANTED = [
         "points[n] = first",
         ("calls/test_device_contacts.py::test_contacts_on_the_device_say_what_those_on_the_host_say",),
     ),
+    Fault(
+        "a contact beside an edge whose face has been met",
+        "ccd_warp/_distinct.py",
+        "np.where(is_wrong[first] & groups.is_apart[rows[first]], -1, rows[first])",
+        "rows[first]",
+        ("calls/test_contacts.py::test_what_lands_touches_once_in_each_place_with_the_normal_of_the_ground",),
+    ),
     # --- at one time ---
     Fault(
         "an edge beside one side of a face",

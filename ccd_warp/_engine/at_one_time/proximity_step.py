@@ -97,7 +97,7 @@ class ProximityStep(StepAtOneTime):
                 arrays["direction"] = arrays["direction"][:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
         self.finish(plan)
-        return Proximities(**arrays, mesh=self.mesh, positions=x)
+        return Proximities(**arrays, mesh=self.mesh, positions=x, radius=self.mesh.radius)
 
     @staticmethod
     def _list_near_planes(plan: HostPlan, store: ProximityStore) -> int:

@@ -158,7 +158,8 @@ class DeviceArcStep(DeviceLineSearch):
         if vertices_t0 is not None:
             start, end = self._mesh.frames(vertices_t0, vertices_t1)
         paths = self._paths.shortened(self.fraction.numpy())
-        return located(_earliest(contacts), self._mesh, start, end, paths, self._touch_of_last())
+        touch, radii = self._touch_of_last(), self._radii_of_last()
+        return located(_earliest(contacts), self._mesh, start, end, paths, touch, radii)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device.

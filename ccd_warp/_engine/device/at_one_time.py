@@ -139,7 +139,7 @@ class DeviceProximityStep(DeviceAtOneTime):
         self._stages = replace(self._stages, proximities=new_proximity_list({"count": self._count, **arrays}))
         listed = {name: arrays[name] for name in ("kind", "primitives", "parameters")}
         self.contact_arrays = ContactArrays(
-            self.topology, self.execution, {"count": self._count, **listed}, "proximities"
+            self.topology, self.execution, {"count": self._count, **listed}, name="proximities"
         )
         result = self.result
         return DeviceProximities(
@@ -159,6 +159,11 @@ class DeviceProximityStep(DeviceAtOneTime):
         assert last is not None
         positions: NDArray[np.float64] = last[0].numpy().reshape(-1, 3)[:, : self._mesh.dimension].copy()
         return positions
+
+    def radius(self) -> NDArray[np.float64] | None:
+        """What the array of radii holds now; None where there are none."""
+        radii = self._radii_of_last()
+        return None if radii is None else radii[0]
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
         self._stages.reset(recording, self._count, self._flag.array, kept_flags, keeps_toi=keeps_toi)

@@ -24,10 +24,18 @@ class ContactArrays:
     """
 
     def __init__(
-        self, topology: Topology, execution: Execution, arrays: Mapping[str, wp.array], name: str = "contacts"
+        self,
+        topology: Topology,
+        execution: Execution,
+        arrays: Mapping[str, wp.array],
+        radii: tuple[wp.array, wp.array] | None = None,
+        name: str = "contacts",
     ) -> None:
-        """Take the arrays of a list by the names of ``kernels.step.contacts``, and what messages call it."""
-        self._topology, self._execution, self._name = topology, execution, name
+        """Take the arrays of a list by the names of ``kernels.step.contacts``, and what messages call it.
+
+        ``radii`` are those of the vertices and of the primitives around them, for points.
+        """
+        self._topology, self._execution, self._name, self._radii = topology, execution, name, radii
         self._list = new_contact_list(arrays)
         self._capacity = len(arrays["kind"])
         self._arrays: dict[str, wp.array] = {}
@@ -61,7 +69,7 @@ class ContactArrays:
         num_vertices = self._topology.mesh.num_vertices
         inputs = [start, end, self.moving_row(name), int(len(end) == num_vertices)]
         planes = planes_of(self._topology)
-        inputs += [planes.point, planes.vertex, planes.unit]
+        inputs += [planes.point, planes.vertex, planes.unit, *(self._radii or ())]
         return self._filled(
             name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs
         )

@@ -123,13 +123,18 @@ class DeviceStep(Plan):
         for tree in self.trees:
             tree.lay_out(layout)
         self.result = self._new_result(capacities.max_contacts)
-        self.contact_arrays = ContactArrays(topology, execution, vars(self.result.contacts))
+        self.contact_arrays = ContactArrays(topology, execution, vars(self.result.contacts), self._both_radii)
         arrays = self._arrays(capacities, quantization.packed)
         self._stages = Stages(topology, self.tree_pairs, self._num_aabbs, self._narrow_phase, **arrays)
         self._stages.load(execution, self._sink)
         if self.static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
             self._stages.fill_boxes(execution, self.static_trees)
+
+    @property
+    def _both_radii(self) -> tuple[wp.array, wp.array]:
+        """Radii of the vertices, and of the primitives around them; empty where the mesh has none."""
+        return self.topology.radius if self._radius is None else self._radius, self._input.box_radius
 
     def _arrays(self, capacities: Capacities, quantization: Any) -> dict[str, Any]:
         """The arrays and values of the stages."""
@@ -138,7 +143,7 @@ class DeviceStep(Plan):
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         inflation = half_up(separation)
-        radii = topology.radius if self._radius is None else self._radius, self._input.box_radius
+        radii = self._both_radii
         minima = new_minima(
             topology,
             vertex=result.vertex_toi,
@@ -251,7 +256,14 @@ class DeviceStep(Plan):
             if last is None:
                 return located(contacts, self._mesh)
             start, end = (v.numpy().reshape(-1, 3) for v in last)
-        return located(contacts, self._mesh, start, end, touch=self._touch_of_last())
+        return located(contacts, self._mesh, start, end, touch=self._touch_of_last(), radii=self._radii_of_last())
+
+    def _radii_of_last(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """What the arrays of radii hold now."""
+        if self._radius is None:
+            return None
+        radius, around = (array.numpy().copy() for array in self._both_radii)
+        return radius, around
 
     def _touch_of_last(self) -> Touch | None:
         """What counts as touching, with the radii that the array holds now; unknown of a line search, which holds."""

@@ -465,6 +465,13 @@ class Step:
         radius = self.mesh.radius if self.mesh.is_thick else None
         return Touch.of(self.options, self.length_scale, is_euclidean=is_ball(self.plan.norm), radius=radius)
 
+    def _radii(self) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+        """Radii of vertices, and of the largest primitive around each where there are planes; None without."""
+        radius = self.mesh.radius if self.mesh.is_thick else None
+        if radius is None:
+            return None
+        return radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
+
     def contacts(self, *, is_ordered: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
 
@@ -485,7 +492,7 @@ class Step:
             if len(self.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
-            place: Any = (*self.given, self.paths, self._touch()) if is_ordered else ()
+            place: Any = (*self.given, self.paths, self._touch(), self._radii()) if is_ordered else ()
             contacts = located(gathered.contacts, self.mesh, *place)
         plan.release_positions()
         self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches, survivors, contacts)

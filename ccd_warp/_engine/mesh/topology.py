@@ -197,7 +197,8 @@ class Topology:
         Boxes of vertices that grow by it hold, united, the thick primitive. Vertices of a primitive are joined by an
         edge, so these are the radii of a vertex and of its neighbours.
         """
-        return self.array(largest_around(self.mesh), wp.float64)
+        radius = self.mesh.radius
+        return self.array(np.zeros(0) if radius is None else self.mesh._largest_around(radius), wp.float64)
 
     @lazy_property
     def neighbours(self) -> tuple[wp.array, wp.array]:
@@ -507,16 +508,6 @@ class Topology:
             collision_filter.meets_itself,
         ]
         return sum({array.ptr: array.capacity for array in arrays if array.ptr}.values())
-
-
-def largest_around(mesh: "CollisionMesh") -> NDArray[np.float64]:
-    """The largest radius of a vertex and of those that share an edge with it; empty where no radius was given."""
-    if mesh.radius is None:
-        return np.zeros(0)
-    largest = mesh.radius.copy()
-    for a, b in (mesh.edges.T, mesh.edges.T[::-1]):
-        np.maximum.at(largest, a, mesh.radius[b])
-    return largest
 
 
 def sorted_keys(

@@ -119,6 +119,18 @@ def test_radii_of_both_primitives_are_added_to_the_distance(per):
     assert len(found) > 2 * len(ccd.find_proximity(few(static=[1]), mesh.vertices, 0.01))
 
 
+def test_points_of_a_launch_are_those_of_surfaces_with_the_radii_that_it_had(device):
+    of_mesh, later = np.random.default_rng(5).uniform(0, 0.06, (2, 54))
+    mesh, now = (few(half_spaces=HALF_SPACES, radius=radius) for radius in (of_mesh, later))
+    pipeline = ccd.CollisionPipeline(mesh, device=device)
+    pipeline.radius.assign(later)
+    found = pipeline.launch_proximity(on_device(mesh.vertices, device), 0.05).to_host()
+    check_proximities(now, mesh.vertices, 0.05, found)
+    centres = (found.weights[..., None] * mesh.vertices[found.vertices]).sum(axis=1)  # of the primitives themselves
+    of_bodies = found.kind != int(ccd.PairKind.VERTEX_PLANE)
+    assert np.allclose(centres[of_bodies], (found.distance[:, None] * found.direction)[of_bodies], atol=1e-14)
+
+
 # --- what a pair says ---
 
 

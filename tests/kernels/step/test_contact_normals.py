@@ -169,6 +169,19 @@ def test_pair_that_touches_without_a_gap_has_a_normal_against_its_velocity():
         assert np.array_equal(contacts.normal, np.tile([0, 0, -speed], (len(contacts), 1)))
 
 
+@pytest.mark.parametrize("frame", ["axes", "turned"])
+def test_edges_that_meet_end_to_end_in_one_line_oppose_their_velocity(frame):
+    turn = np.eye(3) if frame == "axes" else np.linalg.qr(np.random.default_rng(4).standard_normal((3, 3)))[0]
+    flat = np.array([[0.0, 0, 0], [0, 0, 1], [0, 0, 2]])  # a face without area, along z
+    for faces, edges in ((NO_FACES, [[0, 1]]), (FACE, None)):
+        body = flat[:2] if edges else flat
+        upper, lower = ((body + [0, 0, z]) @ turn.T for z in (1.5, -len(body)))
+        given = [(x, faces, edges) if edges else (x, faces) for x in (upper, lower)]
+        contacts = contact_of(given, [-3 * turn[:, 2], [0, 0, 0]])
+        normal = contacts.normal * np.where(contacts.bodies[:, :1] == 0, 1, -1)
+        assert len(contacts) and np.allclose(normal, turn[:, 2], atol=1e-9)
+
+
 def test_points_that_start_at_one_place_and_stay_have_no_normal():
     mesh = ccd.CollisionMesh.from_arrays([([[1.0, 2, 3], [1, 2, 3]], NO_FACES)], codimensional_points=True)
     (contact,) = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + [1.0, 0, 0], device="cpu").contacts
