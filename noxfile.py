@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import nox
 
-nox.needs_version = ">=2024.10"
+nox.needs_version = ">=2025.2.9"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
@@ -66,7 +66,7 @@ def lowest(session: nox.Session) -> None:
 
 @nox.session(python=PYTHONS[0], reuse_venv=False)
 def newest(session: nox.Session) -> None:
-    """All tests with the newest Warp that the index has, pre-releases too: three modules use names that it may change."""
+    """All tests with the newest Warp of the index, pre-releases too: three modules use names that it may change."""
     session.install(".[test]")
     session.install("--upgrade", "--pre", "warp-lang")
     session.run("python", "-m", "pytest", "-n", "auto", *session.posargs)
