@@ -964,14 +964,16 @@ class CollisionPipeline:
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
-    def _worlds_near(self, positions: ArrayLike, contacts: Contacts) -> NDArray[np.bool_]:
-        """Which worlds have a contact that starts within its distance."""
+    def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact that starts within its distance, or passes by at it."""
         from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
         distance = hold_distance(self.mesh, self._options, self.mesh.radius)
         of_search = self.counts, self.timings
+        is_straight = isinstance(end, np.ndarray)
+        frames = start, end if is_straight else start
         near = self._run(
-            HoldStep, lambda: self._one_frame(positions), lambda step: step.worlds_near(contacts, distance)
+            HoldStep, lambda: frames, lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)
         )
         self.counts, self.timings = of_search
         return near

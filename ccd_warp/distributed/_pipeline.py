@@ -452,11 +452,16 @@ class DistributedPipeline:
 
         return self._run(start, start, lambda step: step.find_holds(self._hold_distance), PartHoldStep)
 
-    def _worlds_near(self, start: NDArray[np.float64], contacts: Contacts) -> NDArray[np.bool_]:
-        """Which worlds have a contact, of those of this part, that starts within its distance."""
+    def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact, of those of this part, that starts within its distance, or passes by at it."""
         from ccd_warp.distributed._part_proximity import PartHoldStep
 
-        return self._run(start, start, lambda step: step.worlds_near(contacts, self._hold_distance), PartHoldStep)
+        is_straight = isinstance(end, np.ndarray)
+
+        def work(step: Any) -> Any:
+            return step.worlds_near(contacts, self._hold_distance, is_straight=is_straight)
+
+        return self._run(start, end if is_straight else start, work, PartHoldStep)
 
     @property
     def _hold_distance(self) -> float:

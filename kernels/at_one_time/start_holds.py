@@ -1,6 +1,8 @@
-"""How near vertices are to anything at the start: which contacts start within their distance, and the holds of `hold`.
+"""How near vertices are to anything at the start: where that matters, and the holds of `hold`.
 
-The least distance of a pair is proved in the norm of the separation. The holds themselves are lowered by
+It matters where a contact starts within its distance; the least distance of a pair is proved in the norm of the
+separation. And it matters where a contact only passes by: a vertex that slides at its distance over a mesh starts a
+rounding beyond it, and meets a face that it was not near to a rounding within it. The holds themselves are lowered by
 `measure_pairs`, after a search at one time.
 """
 
@@ -8,8 +10,10 @@ import warp as wp
 
 from ..boxes.thickness import distance_of
 from ..pair.norm import is_ball
-from ..pair.single_points import Points, points_of
-from ..pair_kind import VERTEX_PLANE
+from ..pair.passing import clip_passing
+from ..pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
+from ..pair.single_points import Points, corners, largest, points_of
+from ..pair_kind import VERTEX_FACE, VERTEX_PLANE
 from ..parameters import norm
 from ..step.contacts import vertices_of
 from ..step.minima import Minima, world_of
@@ -19,6 +23,9 @@ from .proximity import Reach
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+_ROOT = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64]))
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 
 
@@ -29,6 +36,16 @@ def least_distance(kind: int, p: Points) -> wp.float64:
         return measured(kind, p, True).least
     else:
         return box_distance(kind, p)
+
+
+@wp.func
+def passes_by(kind: int, a: Points, b: Points, distance: wp.float64) -> bool:
+    """Whether a direction keeps a pair at a distance all the step, in the norm of the separation."""
+    c0 = corners(kind, a)
+    c1 = corners(kind, b)
+    error = _ROOT * (largest(c0) + largest(c1))
+    separation = wp.vec3d(distance, distance, distance)
+    return clip_passing(c0, c1, error, separation, kind == VERTEX_FACE, wp.uint32(1), _ZERO, _ONE) > _ONE
 
 
 module = wp.get_module(f"ccd_warp.near_contacts.{'ball' if is_ball(norm) else 'box'}")
@@ -46,12 +63,17 @@ def note_near_contacts(
     edge_corners: wp.array[wp.vec3i],
     face_corners: wp.array[wp.vec3i],
     x: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
     reach: Reach,
     minima: Minima,
     # out
     world_near: wp.array[wp.int32],
 ):
-    """Note the worlds of contacts that start within the distance; those beyond the list may be in any world."""
+    """Note the worlds of contacts that start within the distance, or pass by; those beyond the list may be in any world.
+
+    Without positions at the end, as of what moves on arcs, none passes by. What passes keeps its distance but for the
+    slack that ``reach`` has beyond it.
+    """
     n = begin + wp.tid()
     if n == 0 and count[0] > kinds.shape[0]:
         for world in range(world_near.shape[0]):
@@ -62,8 +84,13 @@ def note_near_contacts(
     if kind == VERTEX_PLANE:
         return
     first, second = vertices_of(kind, primitives[n], vertex_corners, edge_corners, face_corners)
-    least = least_distance(kind, points_of(kind, first, second, x))
-    if not (least > distance_of(reach.distance, reach.radius, first, second)):
+    start = points_of(kind, first, second, x)
+    is_near = not (least_distance(kind, start) > distance_of(reach.distance, reach.radius, first, second))
+    if not is_near and x_t1.shape[0] > 0:
+        end = points_of(kind, first, second, x_t1)
+        slack = reach.distance - reach.kept
+        is_near = passes_by(kind, start, end, distance_of(reach.kept, reach.radius, first, second) - slack)
+    if is_near:
         world_near[world_of(minima, first[0])] = 1
 
 

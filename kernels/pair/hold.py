@@ -10,21 +10,24 @@ By vertex, not by pair: what slides over a mesh at less than the distance meets 
 and its vertices take their hold along. In a vertex-face pair the vertex has the hold, and the face takes none: so what
 rests on a large face does not lower what all else keeps of that face.
 
-**The margin.** At the start the gap of a held pair is at least what it keeps plus a margin, a multiple of u times its
-size, the largest corner of its patch at either end of the step. Within the bounds on rounding (`rounding`, steps 4 to
-9) nothing could be proved free. 128 u suffice in the Euclidean norm, 1024 u in the maximum norm, whose directions are
-cross products: then 99.97 and 99.1 in a hundred of the pairs that slide have their whole step, and of those that part
-nearly all (`benchmarks/notes/distances.md`). A margin only lowers what is kept, by 1.4e-14 or 1.1e-13 of the size of a
-pair in a search; so it is stated, and nothing depends on it. Where it is more than the hold, the pair keeps 0, and
+**The margin.** At the start the gap of a held pair is at least what it keeps plus a margin: 128 u times its size, the
+largest corner of its patch at either end of the step, and 16 u times its largest coordinate. Within the bounds on
+rounding (`rounding`, steps 4 to 9) nothing could be proved free, and positions that are rounded do not slide exactly:
+four points that are off by 2 u of their coordinates change a gap by 14 u. A margin only lowers what is kept, in a
+search, by that; so it is stated, and nothing depends on it. Where it is more than the hold, the pair keeps 0, and
 cannot pass.
+
+With so little to spare, a pair that slides is decided by the directions of `passing` or not at all, and its gap is
+decided to rounding: the tolerance, which ends the search for the time of a contact, is 0 for a held pair.
 """
 
 import warp as wp
 
 from .rounding import UNIT_ROUNDOFF
 
-# By the norm of the separation: whether it is a ball.
-MARGIN = {True: 128.0 * UNIT_ROUNDOFF[wp.float64], False: 1024.0 * UNIT_ROUNDOFF[wp.float64]}
+# Of the size of a pair, and of its largest coordinate as a share of that.
+MARGIN = 128.0 * UNIT_ROUNDOFF[wp.float64]
+OF_COORDINATES = 0.125
 _INFINITY = wp.constant(wp.float64(float("inf")))
 
 

@@ -222,7 +222,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     if wp.static(has_own):
         # a length in each lane
         separation_length = simd64.least(options.minimum_separation, limit)
-        separation_length = without_margin(separation_length, most, options)
+        separation_length = without_margin(separation_length, most, points_t0, points_t1, options)
     else:
         separation_length = simd64.least(options.minimum_separation * scale, limit)
     separation = simd64.vec(separation_length, separation_length, separation_length)

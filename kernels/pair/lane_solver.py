@@ -12,12 +12,12 @@ from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
 from .lane_pair import LanePair, narrowed, normalise, widened
-from .norm import EUCLIDEAN_NORM, is_ball, is_by_pair
+from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .points import Points
 from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
-from .simd import Lanes, bits_of, greatest, least, magnitude, mask_of, spread
+from .simd import Lanes, bits_of, greatest, is_less, least, magnitude, mask_of, select, spread
 from .volume import volume_of
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
@@ -33,6 +33,10 @@ else:
     from .facets import start_gap_share
 
 simd64 = specialised("pair.simd", width=width)
+holds = has_own and not has_arcs(norm)
+if holds:
+    from .pair_options import held_lanes
+    from .passing import clip_passing
 length64 = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
 three = wp.constant(real(3.0))
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
@@ -124,7 +128,16 @@ def make_solve(with_facets: bool):
         if wp.static(with_facets):
             has_separation = has_distance(options)
         volume = volume_of(n.t0, n.t1, n.separation, has_separation)
-        reached = start(narrowed(t_start), open)
+        t = narrowed(t_start)
+        if wp.static(with_facets and holds):
+            held = held_lanes(options) & open
+            if held != _NONE:
+                end = spread(options.t_end)
+                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, held, t, end)
+                t = select(mask_of(held), s, t)
+                answer.free = bits_of(is_less(end, t)) & open
+                open = open & ~answer.free
+        reached = start(t, open)
         rounds = int(0)
         while open != _NONE and rounds < num_rounds:
             reached = advance_round(kind, n, volume, has_separation, options.t_end, reached)

@@ -10,8 +10,9 @@ from ..boxes.thickness import distance_of
 from ..pair_key import pair_of
 from ..parameters import norm, real, width
 from ..template import specialised
-from .hold import MARGIN, held_at
-from .norm import has_arcs, is_ball, is_by_pair
+from .hold import MARGIN, OF_COORDINATES, held_at
+from .norm import has_arcs, is_by_pair
+from .points import Points, farthest
 from .query import Options
 
 if has_arcs(norm):
@@ -21,7 +22,8 @@ Lanes = simd.Lanes
 Index = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else int
 lanes = wp.constant(width)
 infinite = wp.constant(wp.float64(float("inf")))
-margin = wp.constant(wp.float64(MARGIN[is_ball(norm)]))
+margin = wp.constant(wp.float64(MARGIN))
+of_coordinates = wp.constant(wp.float64(OF_COORDINATES))
 
 if width > 1:
 
@@ -97,9 +99,17 @@ else:
         LaneOptions = Options
 
         @wp.func
-        def without_margin(separation: wp.float64, size: wp.float64, options: LaneOptions) -> wp.float64:
+        def held_lanes(options: LaneOptions) -> wp.uint32:
+            """Bits of the lanes whose pairs are held."""
+            return wp.where(options.margin > wp.float64(0.0), wp.uint32(1), wp.uint32(0))
+
+        @wp.func
+        def without_margin(
+            separation: wp.float64, size: wp.float64, points_t0: Points, points_t1: Points, options: LaneOptions
+        ) -> wp.float64:
             """A separation less the margin of a held pair of a size."""
             if options.margin > wp.float64(0.0):
+                size += of_coordinates * farthest(points_t0, points_t1)
                 return wp.max(separation - options.margin * size, wp.float64(0.0))
             return separation
 
@@ -133,10 +143,18 @@ else:
                 sagitta: simd.Vec3  # how far the points of the pair may be from their chords
                 arcs: Arcs
 
+        @wp.func
+        def held_lanes(options: LaneOptions) -> wp.uint32:
+            """Bits of the lanes whose pairs are held."""
+            return options.held
+
         @simd.func
-        def without_margin(separation: Lanes, size: Lanes, options: LaneOptions) -> Lanes:
+        def without_margin(
+            separation: Lanes, size: Lanes, points_t0: Points, points_t1: Points, options: LaneOptions
+        ) -> Lanes:
             """A separation less the margin of a held pair of a size, in each lane."""
             if options.held != wp.uint32(0):
+                size = size + of_coordinates * farthest(points_t0, points_t1)
                 less = simd.greatest(separation - margin * size, wp.float64(0.0))
                 return simd.select(simd.mask_of(options.held), less, separation)
             return separation

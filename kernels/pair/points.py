@@ -74,6 +74,18 @@ def longest_side(a: Points, b: Points) -> simd.Lanes:
     return simd.greatest(simd.greatest(side.x, side.y), side.z)
 
 
+@simd.func
+def farthest(a: Points, b: Points) -> simd.Lanes:
+    """Largest |coordinate| of the points at both ends of the step."""
+    of_a = simd.greatest(
+        simd.greatest(simd.magnitude(a.p0), simd.magnitude(a.p1)), simd.greatest(simd.magnitude(a.p2), simd.magnitude(a.p3))
+    )
+    of_b = simd.greatest(
+        simd.greatest(simd.magnitude(b.p0), simd.magnitude(b.p1)), simd.greatest(simd.magnitude(b.p2), simd.magnitude(b.p3))
+    )
+    return simd.greatest_of(simd.greatest(of_a, of_b))
+
+
 @wp.func
 def scaled(p: Points, s: simd.Vec3) -> Points:
     """Points with each axis multiplied by a factor."""

@@ -13,9 +13,10 @@ from .advance import CONTACT, LIMIT, SLOW, advance, point_of
 from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
+from .hold import OF_COORDINATES
 from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .patch import Corners, corners_at
-from .points import Points, corners, largest, longest_side, scaled, total
+from .points import Points, corners, farthest, largest, longest_side, scaled, total
 from .query import BISECTION, Options
 from .rounding import (
     LARGEST,
@@ -61,6 +62,7 @@ round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_R
 slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
 length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 tiny = wp.constant(real(TINY[real]))
+of_coordinates = wp.constant(wp.float64(OF_COORDINATES))
 
 
 @wp.func
@@ -139,6 +141,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
             separation_length = wp.min(options.minimum_separation * shrink, LARGEST)  # a length
             if options.margin > wp.float64(0.0):
                 size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
+                size += of_coordinates * farthest(points_t0, points_t1) * shrink
                 separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
         s = vec3d()
         is_cut = bool(False)

@@ -15,7 +15,7 @@ from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import corners_by_kind
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
-from ccd_warp._engine.mesh.scene import norm_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages, measure_pairs_in
@@ -40,6 +40,7 @@ class StepAtOneTime(Step):
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the other arguments are those of every step."""
         super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
+        self._end = positions[1]
         self.survivors: Counter[PairKind] = Counter()
 
     def search(self, distance: float) -> HostPlan:
@@ -153,9 +154,11 @@ class HoldStep(StepAtOneTime):
             batches = plan.batches(self.capacity(plan.memory.pair_bytes))
         return self._least_of_vertices(plan, batches, HOLD)
 
-    def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
-        """Whether one of these contacts of a world starts within a distance, and radii, shape [W]."""
+    def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
+        """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
 
+        Or passes by on a straight way to the second of the positions.
+        """
         topology, device = self.topology, self.topology.device
         self.counts = Counts()  # nothing is searched
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
@@ -166,14 +169,16 @@ class HoldStep(StepAtOneTime):
             ]
             count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
             x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
-            reach = reach_of(topology.radius, distance, self.workspace.flag.array)
+            x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
+            kept = self.options.separation(length_scale_of(self.mesh, self.options))
+            reach = reach_of(topology.radius, distance, self.workspace.flag.array, kept)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             self.execution.launch(
                 specialised(
                     "at_one_time.start_holds", norm=shape_of(norm_of(self.mesh, self.options))
                 ).note_near_contacts,
                 len(contacts),
-                inputs=[count, *listed, *corners_by_kind(topology), x, reach, self.workspace.contacts.minima],
+                inputs=[count, *listed, *corners_by_kind(topology), x, x_t1, reach, self.workspace.contacts.minima],
                 outputs=[near],
             )
         return near.numpy() != 0

@@ -71,8 +71,9 @@ class DeviceHold:
         self._of_start: dict[str, Any] = {
             "inflation": inflation,
             "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
-            "reach": reach_of(radii, distance, flag.array),
+            "reach": reach_of(radii, distance, flag.array, separation),
         }
+        self._no_end: wp.array | None = wp.empty(0, dtype=wp.vec3d, device=device) if on_arcs else None
 
     def stages(self, stages: Stages) -> Stages:
         """These stages, with pairs that are held."""
@@ -87,12 +88,14 @@ class DeviceHold:
     def record_near(self, recording: Recording, stages: Stages) -> None:
         """Record the launches that look for worlds in which the first pass has found a contact that may start close."""
         topology, moving = self._topology, self._topology.moving_vertices
-        listed = self._contacts.count, self._contacts.kind, self._contacts.primitives
+        contacts = self._contacts
+        listed = contacts.count, contacts.kind, contacts.primitives
         start, minima = stages.step.vertices_t0, stages.step.minima
+        end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(
             specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
-            len(self._contacts.kind),
-            inputs=[*listed, *corners_by_kind(topology), start, self._of_start["reach"], minima],
+            len(contacts.kind),
+            inputs=[*listed, *corners_by_kind(topology), start, end, self._of_start["reach"], minima],
             outputs=[self._world_near],
         )
         inputs = [moving, self._world_near, minima]

@@ -112,21 +112,21 @@ class Solver:
         strict: All contacts between two positions.
         holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
             as long as these are not known to matter.
-        worlds_near: Which worlds have a contact that starts within its distance, given the start and all contacts; None
-            where pairs keep no distance.
+        worlds_near: Which worlds have a contact that starts within its distance or passes by, given the start, the end
+            as the other steps take it, and all contacts; None where pairs keep no distance.
         find_holds: The hold of each vertex at the start (`HoldStep`).
     """
 
     strict: Callable[[NDArray[np.float64], Any], MeshResult]
     holding: Callable[[NDArray[np.float64], Any, NDArray[np.float64] | None], MeshResult]
-    worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None
+    worlds_near: Callable[[NDArray[np.float64], Any, Contacts], NDArray[np.bool_]] | None
     find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
     @classmethod
     def of(
         cls,
         step_to: Callable[[NDArray[np.float64], Any, Callable[[Any], MeshResult]], MeshResult],
-        worlds_near: Callable[[NDArray[np.float64], Contacts], NDArray[np.bool_]] | None,
+        worlds_near: Callable[[NDArray[np.float64], Any, Contacts], NDArray[np.bool_]] | None,
         find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]],
         *,
         holds: bool,
@@ -241,7 +241,8 @@ def search_step(
         worlds_near = solver.worlds_near if num_rounds == 0 and holds is None else None
         if worlds_near is not None and not everywhere.all(not len(result.contacts)):
             # what starts within its distance has a contact, whichever way it moves
-            is_near = everywhere.least(np.where(worlds_near(start, result.contacts), 0.0, 1.0)) == 0.0
+            found_near = worlds_near(start, course.step_to(vertices, fraction), result.contacts)
+            is_near = everywhere.least(np.where(found_near, 0.0, 1.0)) == 0.0
             if is_near.any():
                 holds = everywhere.least_of_vertices(solver.find_holds(start))
                 holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
