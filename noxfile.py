@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 
 import nox
 
-nox.needs_version = ">=2024.10"
+nox.needs_version = ">=2025.2.9"
 nox.options.error_on_missing_interpreters = False
 nox.options.reuse_existing_virtualenvs = True
 nox.options.sessions = ["tests"]
@@ -46,6 +46,30 @@ def users(session: nox.Session) -> None:
         session.run("python", "-P", str(TESTS / "as_users.py"), str(OBJECTS), env=variables)
     session.install("pytest", "hypothesis")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"{name}.py") for name in FEW))
+
+
+@nox.session(python=PYTHONS[0], reuse_venv=False)
+def lowest(session: nox.Session) -> None:
+    """Before a release: all tests with the lowest versions that pyproject.toml allows, all of them wheels.
+
+    Left out are tools that no test runs, and `rigid-peers`, which at their lowest ask for different versions of NumPy.
+    """
+    project = nox.project.load_toml("pyproject.toml")["project"]
+    extras = project["optional-dependencies"]
+    taken = [extras[name] for name in extras.keys() - {"cuda-tools", "dev", "lint", "rigid-peers"}]
+    lines = {line for lines in [project["dependencies"], *taken] for line in lines if not line.startswith("ccd-warp[")}
+    session.install("--only-binary", ":all:", *sorted(line.replace(">=", "==") for line in lines))
+    session.install("--no-deps", ".")
+    # figures are those of another matplotlib
+    session.run("python", "-m", "pytest", "-n", "auto", "--deselect", "tests/docs/test_redraw.py", *session.posargs)
+
+
+@nox.session(python=PYTHONS[0], reuse_venv=False)
+def newest(session: nox.Session) -> None:
+    """All tests with the newest Warp of the index, pre-releases too: three modules use names that it may change."""
+    session.install(".[test]")
+    session.install("--upgrade", "--pre", "warp-lang")
+    session.run("python", "-m", "pytest", "-n", "auto", *session.posargs)
 
 
 @nox.session(venv_backend="none")

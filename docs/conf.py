@@ -84,11 +84,13 @@ autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without eithe
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # written out, it is a union of forty words
 python_maximum_signature_line_length = 90
 napoleon_use_ivar = True
+# Of any shape, as NumPy 2 and NumPy 1 have it.
+_ANY = r"(?:tuple\[~?(?:typing\.)?Any, \.\.\.\]|~?(?:typing\.)?Any)"
 # What a signature says in other words, which docs/reference.md explains.
 _WORDS = [
     (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
     (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|~?typing\.Any)", r"\1: Positions"),
-    (r"~numpy\.ndarray\[tuple\[~typing\.Any, \.\.\.\], ~numpy\.dtype\[(~?[\w.]+)\]\]", r"NDArray[\1]"),
+    (rf"~numpy\.ndarray\[{_ANY}, ~numpy\.dtype\[(~?[\w.]+?)_?\]\]", r"NDArray[\1]"),
     (r"~?ccd_warp\._input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
     (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.JointMotion \| ~[\w.]+\.AffineMotion", "Motion"),
@@ -97,7 +99,7 @@ _WORDS = [
 # What stands for long types of attributes.
 _TYPES = {
     "ArrayLike": re.escape(stringify_annotation(ArrayLike, "fully-qualified-except-typing")),
-    r"NDArray[\1]": r"numpy\.ndarray\[tuple\[(?:typing\.)?Any, \.\.\.\], numpy\.dtype\[(?:numpy\.)?([\w.]+)\]\]",
+    r"NDArray[\1]": rf"numpy\.ndarray\[{_ANY}, numpy\.dtype\[(?:numpy\.)?([\w.]+?)_?\]\]",
     "": r"(?<![\w.])(?:collections\.abc|pathlib|typing)\.(?=\w)",
     r"~\1": r"(?<![\w.~])(ccd_warp\.[\w.]+)",
 }
@@ -110,7 +112,7 @@ _CALLED = {
 # docs/reference.md explains.
 nitpick_ignore_regex = [
     ("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
-    ("py:.*", "NDArray|ArrayLike|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
+    ("py:.*", "NDArray|ArrayLike|Colour|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
     ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence"),
 ]
 
@@ -185,7 +187,7 @@ def _readable_property(app, domain, objtype, content):
     """The short type of a property, whose signature no event of autodoc changes."""
     for note in content.parent.findall(addnodes.desc_annotation):
         text = note.astext()
-        short = re.sub(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]", r"NDArray[\1]", text)
+        short = re.sub(rf"ndarray\[{_ANY}, dtype\[(\w+?)_?\]\]", r"NDArray[\1]", text)
         if short != text:
             note.clear()
             note += nodes.Text(short)

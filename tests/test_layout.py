@@ -1,9 +1,14 @@
 """The modules as layers: no import circle, few levels, and the kernels know nothing of the package above them."""
 
 import ast
+import re
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
+
+import warp as wp
+from warp._src import context
+from warp._src.logger import LoggerBasic, get_logger
 
 ROOT = Path(__file__).resolve().parent.parent
 # Folders in the tree, and what they are called once installed.
@@ -145,6 +150,15 @@ def test_kernels_import_nothing_of_the_package_above_them():
             names = imported_names(module, path.read_text("utf-8"), path.name == "__init__.py")
             above = {name for name in names if f"{name}.".startswith("ccd_warp.")}
             assert all(name.startswith(f"{kernels}.") for name in above), f"{module} imports {sorted(above)}"
+
+
+def test_three_modules_use_private_names_of_warp_which_this_version_has():
+    files = module_files().items()
+    using = {name for name, path in files if re.search(r"\b(?:wp|warp)\._src\b", path.read_text(encoding="utf-8"))}
+    assert using == {f"ccd_warp.{name}" for name in ("_quiet", "_runtime.shared_header", "_runtime.tape")}
+    wp.init()
+    assert hasattr(context.runtime, "get_clang_pch_dir") and hasattr(context.runtime, "tape")
+    assert isinstance(LoggerBasic, type) and callable(get_logger)
 
 
 def test_every_form_of_import_is_seen():

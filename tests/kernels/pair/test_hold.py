@@ -281,6 +281,72 @@ def test_layers_pressed_on_a_ball_keep_their_thickness_and_come_free_when_they_a
     assert not len(pipeline.find_intersections(lifted))
 
 
+def sliding(name, share, frames):
+    """Two bodies, the second of which slides at this share of the distance from the first, and where it is by frame.
+
+    A sheet slides off a tilted table by its weight, and falls once it is past the edge; a rope is pulled through a ring
+    as narrow as itself by a constant force; a piston swings on a spring in a bore, with its thickness around it.
+    """
+    gap, time, fall = share * DISTANCE, np.linspace(0.0, 1.0, frames + 1), 0.0
+    if name == "sheet":
+        table, cloth = sheet(20, 4.0), sheet(6, 1.2)
+        bodies = [table, (cloth[0] + [-1.3, 0.0, gap], cloth[1])]
+        along = 5.2 * time**2
+        fall = -10.4 * np.maximum(time - time[np.searchsorted(along, 3.9 + 2 * DISTANCE)], 0.0) ** 2
+    elif name == "rope":
+        inner = gap / np.cos(np.pi / 24)  # the middles of its inner edges are nearer than its vertices
+        ring = trimesh.creation.torus(0.1 + inner, 0.1, major_sections=24, minor_sections=12)
+        links = np.stack([np.arange(60), np.arange(1, 61)], axis=1)
+        rope = np.linspace(-5.5, 0.5, 61)[:, None] * [1.0, 0.0, 0.0]
+        bodies = [(ring.vertices[:, [2, 0, 1]], ring.faces), (rope, np.zeros((0, 3), dtype=int), links)]
+        along = 4.0 * time**2
+    else:
+        bodies = []
+        for radius, half in ((1.0, 3.0), (1.0 - gap / np.cos(np.pi / 12), 0.75)):
+            vertices, faces = sheet(12)
+            turn = 2 * np.pi * vertices[:, 1]
+            side = np.stack([2 * half * vertices[:, 0], radius * np.cos(turn), radius * np.sin(turn)], axis=1)
+            first = np.arange(len(side)).reshape(13, 13)
+            first[:, -1] = first[:, 0]  # the last column of vertices is the first
+            bodies.append((np.delete(side, np.s_[12::13], axis=0), (first - first // 13).ravel()[faces]))
+        along = 2.0 * np.sin(6 * np.pi * time)
+    return bodies, np.stack([along, 0.0 * time, fall + 0.0 * time], axis=1)
+
+
+@pytest.mark.parametrize("frames", [20, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("way", ["line_search, scene", "line_search, vertex", "launch_line_search, scene"])
+@pytest.mark.parametrize("thickness", ["radius", "minimum_distance"])
+@pytest.mark.parametrize("name", ["sheet", "rope", "piston"])
+def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thickness, way, frames):
+    call, per = way.split(", ")
+    for seed, share in enumerate((1.0, 0.3) if frames < 300 else (1.0, 0.999, 0.3)):
+        rng = np.random.default_rng(seed)
+        turn, origin = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
+        bodies, places = sliding(name, share, frames)
+        bodies = [(body[0] @ turn + origin, *body[1:]) for body in bodies]
+        radius = [0.5 * DISTANCE] * 2 if name == "sheet" else [0.0, DISTANCE]
+        options = {"radius": radius} if thickness == "radius" else {}
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], **options)
+        pipeline = ccd.CollisionPipeline(
+            mesh, device="cpu", max_pairs=1 << 17, max_contacts=1 << 15, **({} if options else NORMS["ball"])
+        )
+        moves = (mesh.vertex_body == 1)[:, None]
+        x, num_cut, num_still = mesh.vertices, 0, 0
+        for displacement in np.diff(places, axis=0) @ turn:
+            y = x + displacement * moves
+            if call == "line_search":
+                reached = pipeline.line_search(x, y, per=per).vertices
+            else:
+                reached = shortened_by_launch(pipeline, x, y, per=per)
+            num_cut += not np.array_equal(reached, y)
+            num_still += not np.array_equal(x, y) and np.array_equal(reached, x)
+            x = reached
+        assert (num_cut, num_still) == (0, 0), f"cut and still, of {frames} searches that start at {share}"
+        travel = (x - mesh.vertices)[moves[:, 0]] @ turn.T
+        np.testing.assert_allclose(travel, np.broadcast_to(places[-1] - places[0], travel.shape), atol=1e-12)
+        assert pipeline.find_proximity(x, 0.0).distance.min(initial=DISTANCE) > share * DISTANCE - 1e-12
+
+
 # ---- Half-spaces -----------------------------------------------------------------------------------------------------
 
 
