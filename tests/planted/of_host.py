@@ -44,7 +44,39 @@ PLANTED = [
         "kernels/pair/hold.py",
         "return wp.min(of_first, wp.min(hold[second[0]]",
         "return wp.max(of_first, wp.min(hold[second[0]]",
-        ("kernels/pair/test_hold.py::test_patch_slides_over_a_mesh_without_losing_height",),
+        (
+            "kernels/pair/test_hold.py::test_patch_slides_over_a_mesh_with_parallel_edges_in_any_direction_without_losing_height",
+        ),
+    ),
+    Fault(
+        "no direction across an edge of the swept hull",
+        "kernels/pair/passing.py",
+        "_COUNT = wp.constant(17 if is_euclidean else 19)",
+        "_COUNT = wp.constant(4)",
+        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+    ),
+    Fault(
+        "no margin of what is held for rounded positions",
+        "kernels/pair/hold.py",
+        "OF_COORDINATES = 0.125",
+        "OF_COORDINATES = 0.0",
+        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+    ),
+    Fault(
+        "nothing passes by",
+        "kernels/at_one_time/start_holds.py",
+        "if not is_near and x_t1.shape[0] > 0:",
+        "if not is_near and x_t1.shape[0] < 0:",
+        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+    ),
+    Fault(
+        "a tolerance of what is held",
+        "kernels/pair/lane_pair.py",
+        "wp.float64(0.0), delta_length)",
+        "wp.float64(1.0) * delta_length, delta_length)",
+        (
+            "kernels/pair/test_hold.py::test_segments_that_turn_as_they_part_are_decided_to_rounding_and_not_to_the_tolerance",
+        ),
     ),
     # --- pairs on arcs ---
     Fault(

@@ -8,7 +8,7 @@ from distance_oracle import exact_distance
 from exact import exact_distance_tois, exact_tois
 from oracles import brute_force, corners_of
 from scenes import FACE, TRIANGLE, sheet
-from slides import SLIDERS, slides_of
+from slides import FACES, GROUND, SLIDERS, slides_of
 from thick_scenes import KIND_NAMES, crowd, crowd_in_plane
 
 import ccd_warp as ccd
@@ -190,6 +190,20 @@ def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, co
         on_host = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
         for reached in (on_host, shortened_by_launch(pipeline, start, end, per="world")):
             assert (reached != end).any(axis=(1, 2)).sum() <= count / 10_000, case
+
+
+def test_segments_that_turn_as_they_part_are_decided_to_rounding_and_not_to_the_tolerance():
+    """Of four thousand slides that are disturbed, some that a tolerance takes for contacts at the start."""
+    _, start, end = slides_of(5, 4000, "segment", "radius")
+    rng = np.random.default_rng(1)
+    end[:, GROUND:] += rng.normal(size=(4000, 2, 3)) * 10.0 ** -rng.uniform(0, 9, (4000, 1, 1))
+    for x, y in zip(start[[79, 532, 578, 837]], end[[79, 532, 578, 837]], strict=True):
+        bodies = [(x[:GROUND], FACES), (x[GROUND:], np.zeros((0, 3), dtype=int), [[0, 1]])]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], self_collision=False, radius=0.01)
+        check_kept(
+            mesh, x, y, kept_by_pair(mesh, x, lambda _, c: np.full(len(c), 0.02), exact_distance), exact_distance_tois
+        )
+        np.testing.assert_array_equal(ccd.line_search(mesh, x, y, tolerance=1e-2, device="cpu").vertices, y)
 
 
 @pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.long)])
