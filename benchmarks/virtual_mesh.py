@@ -63,6 +63,7 @@ class VirtualMesh:
         self.bodies = np.searchsorted(ends, self.numbers, side="right")
         self.worlds = np.zeros(count, dtype=np.int64)
         self.owned_rows = self.numbers
+        self.is_owned, self.is_unused = np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
         self.owner = np.zeros(count, dtype=np.int64)
         self.radius, self.box_radius, self.is_thick = None, np.zeros(count), False
         self.static = np.zeros(self.num_bodies, dtype=bool)

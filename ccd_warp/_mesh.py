@@ -59,7 +59,7 @@ class CollisionMesh(ReadOnly):
     codimensional point only in bodies whose ``codimensional_points`` flag is set. A body of vertices alone is one of
     particles in any case; without the flag they are tested against faces and half-spaces, not against each other.
 
-    In all other bodies such a vertex takes **no part** (:attr:`unused_vertices`): files often have some, and bodies may
+    In all other bodies such a vertex takes **no part** (``unused_vertices``): files often have some, and bodies may
     share one list of nodes. It keeps its rows in positions and results, collides with nothing, and no box, length scale
     or world depends on where it is; its coordinates need not be finite. Its toi and its bound of displacement are inf.
     A line search moves it by the fraction of its body, world or scene, and with ``per="vertex"`` all the way.

@@ -88,4 +88,4 @@ def fill_points(
         if kind != VERTEX_PLANE:
             of_first = radius_of(radius, wp.vec3i(v[0], v[0], v[num_first - 1]))
             lean = radius_of(radius, wp.vec3i(v[num_first], v[2], v[3])) - of_first
-        points[n] += (_HALF * lean) * contacts.normal[n]
+        points[n] = points[n] + (_HALF * lean) * contacts.normal[n]  # += would be an atomic operation
