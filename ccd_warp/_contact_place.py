@@ -256,8 +256,12 @@ def points_at_toi(
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
-    radii = None if mesh.radius is None else (mesh.radius, mesh._largest_around(mesh.radius))
-    return _points(MovingVertices(mesh, start, end, paths), contacts, radii)
+    return _points(MovingVertices(mesh, start, end, paths), contacts, radii_of(mesh))
+
+
+def radii_of(mesh: CollisionMesh) -> Radii | None:
+    """Radii of the vertices of a mesh, and the largest of the primitives around each; None where it has none."""
+    return None if mesh.radius is None else (mesh.radius, mesh._largest_around(mesh.radius))
 
 
 def _points(frames: MovingVertices, contacts: Contacts, radii: Radii | None) -> NDArray[np.float64]:

@@ -10,7 +10,7 @@ from ..pair.rounding import LARGEST, inverse_power_of_two
 from ..pair.single_points import Points, corners, largest, scaled, total
 from ..pair_kind import VERTEX_FACE
 from ..step.contact_normal import to_unit_size
-from .pair_distance import UNDERFLOW, bound_along
+from .pair_distance import UNDERFLOW, bound_along, without
 
 _ZERO = wp.constant(wp.float64(0.0))
 _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
@@ -55,7 +55,13 @@ def box_distance(kind: int, given: Points) -> wp.float64:
                 side = wp.where(kind == VERTEX_FACE, third, wp.vec3d())
             d = wp.cross(side, d)
         if number == 12:
-            d = wp.cross(w01 - w00, w10 - w00)
+            q = w01 - w00
+            r = w10 - w00
+            d = wp.cross(q, r)
+            # of two sides that are nearly parallel, the product is off along the longer one
+            if wp.dot(q, q) < wp.dot(r, r):
+                q = r
+            d = without(d, q)
         if wp.max(wp.abs(d)) > _ZERO:
             d = to_unit_size(d)
             norm = wp.abs(d[0]) + wp.abs(d[1]) + wp.abs(d[2])

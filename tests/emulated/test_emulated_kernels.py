@@ -154,7 +154,13 @@ def hash_of(lower, upper, cell):
     aabbs[:, :3], aabbs[:, 4:7] = lower, -upper
     corners = np.repeat(np.arange(count), 3).reshape(-1, 3)
     grid = Grid(PrimitiveSet("box", "moving", 1, array(np.arange(count), wp.int32), array(corners, wp.vec3i)))
-    layout = Layout(1, lambda _, size, dtype: wp.empty(size, dtype=dtype, device="cpu"), lambda _: None, lambda: cell)
+    layout = Layout(
+        1,
+        lambda _, size, dtype: wp.empty(size, dtype=dtype, device="cpu"),
+        lambda _: None,
+        lambda: cell,
+        array([], wp.int32),
+    )
     grid.lay_out(layout)
     with emulation(shared().emulated):
         Grid.fill([grid], array(aabbs.ravel(), wp.float32), Execution(wp.get_device("cpu"), 1))

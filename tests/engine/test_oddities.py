@@ -175,6 +175,14 @@ def test_a_launch_looks_at_its_own_positions_and_at_those_of_moving_vertices():
             pipeline.launch(x, x)
 
 
+def test_a_first_launch_with_a_distance_and_no_rows_looks_at_none():
+    vertices, faces = scenes.sheet(2)
+    for bodies, static in ([(np.zeros((0, 3)), faces[:0])], []), ([(vertices, faces)], [0]):
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=static)
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=1e-3)
+        assert pipeline.launch(np.zeros((0, 3)), np.zeros((0, 3))).to_host().toi == np.inf
+
+
 @pytest.mark.parametrize("per", ["scene", "vertex"])
 def test_a_line_search_at_a_distance_of_many_edges_takes_one_round(per):
     mesh = two_sheets(static=[0])

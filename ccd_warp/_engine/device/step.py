@@ -223,7 +223,7 @@ class DeviceStep(Plan):
         given = prepared.vertices_t0.numpy() if prepared.given is None else prepared.given[0]
         rows = slice(None) if prepared.form.t0_by_vertex else self._mesh.moving_vertices
         start = self._vertices.copy()
-        start[rows, : self._mesh.dimension] = given.reshape(len(given), -1)
+        start[rows, : self._mesh.dimension] = given.reshape(-1, self._mesh.dimension)
         return start
 
     def launch(self, prepared: PreparedLaunch) -> None:

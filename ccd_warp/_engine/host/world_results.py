@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import MovingVertices, joined, located
+from ccd_warp._contact_place import MovingVertices, joined, located, radii_of
 from ccd_warp._contacts import Contacts
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._results import Counts, MeshResult
@@ -68,7 +68,7 @@ def result_of(
     contacts = contacts[_in_order(contacts, has_axis=has_axis)]
     if frames is not None and len(contacts):
         place = contacts._known()
-        place.frames, place.touch = frames.copied(contacts), touch
+        place.frames, place.touch, place.radii = frames.copied(contacts), touch, radii_of(mesh)
     world_contact = firsts(contacts.toi, contacts.world[:, None], num_worlds)[1]
     of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
     of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()

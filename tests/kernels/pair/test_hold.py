@@ -192,6 +192,26 @@ def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, co
             assert (reached != end).any(axis=(1, 2)).sum() <= count / 10_000, case
 
 
+def test_edges_that_are_nearly_parallel_lose_no_more_than_rounding_in_the_maximum_norm():
+    """Their normal is that of two sides, whose product is off by rounding over the sine of their angle."""
+    rng, count = np.random.default_rng(0), 60
+    angle = 10.0 ** -rng.uniform(4, 9, (count, 1))
+    x = np.zeros((count, 4, 3))
+    x[:, :, 0] = [-1, 1, -1, 1]
+    x[:, 2:, 1], x[:, 2:, 2] = angle * [-1, 1], 0.01 * angle
+    y = x.copy()
+    y[:, 2:] += np.concatenate([rng.choice([-0.5, 0.1], (count, 2)), -0.4 * angle], axis=1)[:, None]
+    turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    x, y = x @ turn, y @ turn
+    cables = [(x[0, k : k + 2], np.zeros((0, 3), dtype=int), [[0, 1]]) for k in (0, 2)]
+    mesh = ccd.CollisionMesh.from_arrays(cables, self_collision=False).replicate(count)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_separation=0.01, length_scale=1.0)
+    reached = pipeline.line_search(x, y, per="world").vertices.reshape(x.shape)
+    for world in range(count):
+        before, after = (float(exact_gap("edge-edge", rows[world], rows[world], 0.0)) for rows in (x, reached))
+        assert after >= before - 3 * LOST, world  # of a pair whose sides are 2 long
+
+
 def test_segments_that_turn_as_they_part_are_decided_to_rounding_and_not_to_the_tolerance():
     """Of four thousand slides that are disturbed, some that a tolerance takes for contacts at the start."""
     _, start, end = slides_of(5, 4000, "segment", "radius")
