@@ -119,13 +119,14 @@ def run_cloth_code() -> str:
     assert bounded and 0.3 < lowest < 0.32, (bounded, lowest)
     assert ccd.mesh_ccd(mesh, x, x).first is None
     down = x - [0, 0, 0.5] * moves
-    first = ccd.mesh_ccd(mesh, x, down).first
+    result = ccd.mesh_ccd(mesh, x, down)
+    first = result.first
     assert first is not None and first.toi > 0 and set(first.body_names) == {"cloth", "ball"}
     assert 0.2 < np.linalg.norm(first.point) < 0.31
     found = ccd.line_search(mesh, x, down, per="vertex")
     assert ccd.is_step_collision_free(mesh, x, found.vertices)
     again = pickle.loads(pickle.dumps(mesh))  # for the workers of a pool
-    assert ccd.mesh_ccd(again, x, down).toi == first.toi
+    assert ccd.mesh_ccd(again, x, down).toi == result.toi
     try:
         ccd.mesh_ccd(mesh, x, down, minimum_seperation=1e-4)  # type: ignore[call-arg]
     except TypeError as error:
