@@ -184,7 +184,7 @@ def test_patch_slides_over_a_mesh_with_parallel_edges_in_any_direction_without_l
 @pytest.mark.parametrize("norm", ["radius", "minimum_distance", "minimum_separation"])
 @pytest.mark.parametrize("slider", SLIDERS)
 def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, count):
-    cases = {}, {"scale": 1e-3}, {"scale": 1e3, "drifts": True}, {"offset": 10.0}
+    cases = {}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0}
     for seed, case in enumerate(cases):
         pipeline, start, end = slides_of(seed, count, slider, norm, **case)
         on_host = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
