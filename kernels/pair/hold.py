@@ -17,8 +17,8 @@ four points that are off by 2 u of their coordinates change a gap by 14 u. A mar
 search, by that; so it is stated, and nothing depends on it. Where it is more than the hold, the pair keeps 0, and
 cannot pass.
 
-With so little to spare, a pair that slides is decided by the directions of `passing` or not at all, and its gap is
-decided to rounding: the tolerance, which ends the search for the time of a contact, is 0 for a held pair.
+With so little to spare, a held pair is first tried with the directions of `passing`, which prove most of what slides at
+once. On straight lines it is decided to rounding: the tolerance, which ends the search for the time of a contact, is 0.
 """
 
 import warp as wp
