@@ -7,8 +7,8 @@ sides do not turn, at both ends, span a convex hull: the patch, swept along its 
 separating direction from a ball or a box around the origin among few, wherever there is one: the normals of its faces,
 which are cross products of the sides with each other and with the velocity; of a ball, the way to a corner or an edge,
 which is the closest pair's at either end or, of an edge that a corner sweeps, what lies across the velocity; of a box,
-the axes and their cross products with the edges. All of them are tried here. For sides that turn they are good guesses,
-tried again with what is left of the step.
+the axes and their cross products with the edges. All of them are tried here, once, before the
+rounds of a held pair. For sides that turn they are good guesses.
 
 Held pairs (`hold`) have a slack of few roundings, so directions are to be accurate: of two edges that are nearly
 parallel, the cross product is made orthogonal to the longer one again, and what lies across an edge is so twice.
@@ -117,10 +117,12 @@ def clip_passing(
     later = corners_at(t0, t1, end)
     s = t
     for k in range(_COUNT):
-        d = normal_of(side_of(c, 0), side_of(c, 1))
-        if k < 3:
-            d = normal_of(side_of(c, k), later.w00 - c.w00)
-        if k > 3:
+        d = later.w00 - c.w00
+        if k == 3:
+            d = side_of(c, 1)
+        if k < 4:
+            d = normal_of(side_of(c, k % 3), d)
+        else:
             d = of_shape(c, later, k - 4, is_face)
         d = (one / greatest_of(magnitude(d))) * d
         d = select(is_less(dot(d, c.w00), zero), minus(d), d)
