@@ -3,7 +3,12 @@
 It is installed as ``ccd_warp.benchmarks``; its additional requirements are the extra ``bench``.
 """
 
+import sys
 from importlib.util import find_spec
+from pathlib import Path
+
+# The oracle and the hard cases are those of the tests.
+sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "tests/helpers")]
 
 # Module of each requirement of the extra, by the name under which it is installed.
 REQUIRED = {

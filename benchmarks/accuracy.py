@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from ccd_warp.benchmarks.exact_toi import ExactToi
-from ccd_warp.benchmarks.oracle import exact_tois
+from exact_toi import ExactToi
+from oracle import exact_tois
 
 
 @dataclass(frozen=True)

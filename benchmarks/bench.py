@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from ccd_warp.benchmarks import broad_phases, many_worlds, rigid, scaling, small_scenes, whole_step
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.interleaved import Effort, measure
 from ccd_warp.benchmarks.machine import machine
 from ccd_warp.benchmarks.methods import KINDS, Method, all_methods
@@ -21,6 +20,7 @@ from ccd_warp.benchmarks.query_sets import GENERATED, QuerySet, generated_sets, 
 from ccd_warp.benchmarks.raw_file import merged, write_raw
 from ccd_warp.benchmarks.scenes import all_scenes, cloth_over_sphere
 from ccd_warp.benchmarks.scenes import small_scenes as all_small_scenes
+from hard_cases import FAMILIES
 from tqdm import tqdm
 
 from ccd_warp._files.journal import Journal, fingerprint

@@ -34,10 +34,10 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 from ccd_warp.benchmarks.fuzz_queries import MUTATIONS, PUBLISHED, draw, draw_options
-from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS
 from ccd_warp.benchmarks.methods import SOLVE
-from ccd_warp.benchmarks.oracle import exact_gap, exact_tois
 from ccd_warp.benchmarks.query_sets import default_data, size_of_motion
+from hard_cases import FAMILIES, POINTS
+from oracle import exact_gap, exact_tois
 from tqdm import tqdm
 
 import ccd_warp as ccd

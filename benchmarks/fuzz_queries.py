@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS
+from hard_cases import FAMILIES, POINTS
 
 MUTATIONS = ("published_noise", "published_crossover", "published_scaled_axes", "published_snapped", "family_mutated")
 # Published queries by kind, at both ends of their steps; set by the process that draws.

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 from ccd_warp.benchmarks.accuracy import ExactTimes
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import KINDS
+from hard_cases import FAMILIES
 
 from ccd_warp import datasets
 

@@ -13,9 +13,9 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE, Method
 from ccd_warp.benchmarks.timing import interleaved
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads

@@ -6,7 +6,7 @@ import sys
 from contextlib import contextmanager
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parent / "helpers"))
+sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpers", "")]
 
 import pytest
 import warp as wp

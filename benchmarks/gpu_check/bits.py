@@ -19,9 +19,9 @@ import warp as wp
 from ccd_warp.benchmarks.gpu_check.cases import Case, all_cases
 from ccd_warp.benchmarks.gpu_check.fingerprint import fingerprint
 from ccd_warp.benchmarks.gpu_check.journal import read_json, write_json
-from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different
 from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target
+from laws.outputs import Outputs, different
 
 Answers = dict[str, tuple[str, str]]
 

@@ -12,11 +12,11 @@ from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.gpu_check import calls
 from ccd_warp.benchmarks.gpu_check.broad_phases import OPTION, choices
-from ccd_warp.benchmarks.gpu_check.outputs import Outputs
 from ccd_warp.benchmarks.gpu_check.steps import all_steps
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
+from laws import calls
+from laws.outputs import Outputs
 
 PRECISIONS = ("float64", "float32")
 KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")

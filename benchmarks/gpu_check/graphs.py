@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.calls import EVERY_PER
-from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different, outputs_of
 from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.steps import Step, worlds
 from ccd_warp.benchmarks.gpu_check.target import Target
+from laws.calls import EVERY_PER
+from laws.outputs import Outputs, different, outputs_of
 
 import ccd_warp as ccd
 

@@ -13,8 +13,8 @@ from ccd_warp.benchmarks.gpu_check.cases import PRECISIONS
 from ccd_warp.benchmarks.gpu_check.record import Cases, Record
 from ccd_warp.benchmarks.gpu_check.target import Target, launched_with, middle
 from ccd_warp.benchmarks.gpu_check.variants import BLOCK_DIMS
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
+from hard_cases import FAMILIES
 
 COLLIDING, CULLED = "colliding", "culled"
 MANY, FEW = 10_000_000, 1_000_000

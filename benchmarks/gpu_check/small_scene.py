@@ -3,7 +3,8 @@
 import sys
 
 import warp as wp
-from ccd_warp.benchmarks.gpu_check import broad_phases, calls, cases, precompile, steps
+from ccd_warp.benchmarks.gpu_check import broad_phases, cases, precompile, steps
+from laws import calls
 
 
 def run_small_scene(device: str) -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from ccd_warp.benchmarks import command, require_extra
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from exact import exact_tois
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from distance_oracle import exact_distance, exact_distance_tois, is_within
 from distance_queries import KINDS
+from hard_cases import FAMILIES
 
 every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
 

@@ -37,10 +37,10 @@ from ccd_warp.benchmarks.gpu_check.journal import (
     Journal,
     StageRecord,
 )
-from ccd_warp.benchmarks.gpu_check.outputs import different
 from ccd_warp.benchmarks.gpu_check.plugin import Plugin
 from ccd_warp.benchmarks.gpu_check.runner import run_all
 from ccd_warp.benchmarks.gpu_check.target import CPU, CUDA, Target, launched_with
+from laws.outputs import different
 from warp._src import context
 
 TESTS = Path(__file__).resolve().parents[1]

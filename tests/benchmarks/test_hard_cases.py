@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from ccd_warp.benchmarks.cubic_roots import ROOTS
-from ccd_warp.benchmarks.exact_toi import ExactToi
-from ccd_warp.benchmarks.hard_cases import FAMILIES, POINTS, HardCase
-from ccd_warp.benchmarks.oracle import exact_gap
 from ccd_warp.benchmarks.univariate import univariate_ccd
 from exact import exact_tois
+from exact_toi import ExactToi
+from hard_cases import FAMILIES, POINTS, HardCase
+from oracle import exact_gap
 
 import ccd_warp as ccd
 

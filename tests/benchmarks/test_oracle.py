@@ -8,18 +8,18 @@ from fractions import Fraction
 from itertools import combinations, pairwise
 
 import numpy as np
+import oracle
 import published
 import pytest
-from ccd_warp.benchmarks import oracle
-from ccd_warp.benchmarks.algebraic import Root, unit_roots, value_dyadic
-from ccd_warp.benchmarks.exact_toi import ExactToi
-from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_gap, exact_toi, exact_tois
-from ccd_warp.benchmarks.oracle_corners import POINTS
+from algebraic import Root, unit_roots, value_dyadic
 from daily import marked
+from exact_toi import ExactToi
 from flint import fmpq
+from hard_cases import FAMILIES
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracle import exact_gap, exact_toi, exact_tois
+from oracle_corners import POINTS
 
 KINDS = [
     ("vertex-face", 3),

@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 import pytest
 from ccd_warp.benchmarks.cubic_roots import ROOTS
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.univariate import coplanarity_cubic, ends_ccd, univariate_ccd
 from exact import exact_tois
+from hard_cases import FAMILIES
 
 KINDS = ("vertex-face", "edge-edge")
 every_kind = pytest.mark.parametrize("kind", KINDS)

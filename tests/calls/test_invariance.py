@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from ccd_warp.benchmarks.gpu_check import calls
-from ccd_warp.benchmarks.gpu_check.calls import StepCase
-from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
 from daily import marked
 from emulated.comparison import DAILY, PAIR_OPTIONS, PAIRS, PLAN, PRECISIONS
 from emulated.steps import STEPS, THICK
 from expected_warnings import OF_ROUNDING
+from laws import calls
+from laws.calls import StepCase
+from laws.outputs import different, outputs_of
 from pairs import FIELDS, SOLVE, hard_pairs, results
 
 import ccd_warp as ccd

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import trimesh
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from exact import exact_tois
+from hard_cases import FAMILIES
 from oracles import corners_of
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 from scenes import with_static_at_rest

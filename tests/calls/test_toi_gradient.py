@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
 from toi_scenes import SOLVE, scene
 from toi_truth import difference, exact_times
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scenes
 import trimesh
-from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
 from expected_warnings import OF_STRAIGHT_MOTION
+from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import arc_hostile
 import arc_pairs
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from emulated.comparison import PAIRS, PLAN
+from hard_cases import FAMILIES
 from planted import of_gpu, of_host
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,8 +11,8 @@ from typing import Any
 
 import scenes
 from ccd_warp.benchmarks.cuda_modules import cuda_modules
-from ccd_warp.benchmarks.gpu_check import calls
-from ccd_warp.benchmarks.gpu_check.outputs import Outputs, different
+from laws import calls
+from laws.outputs import Outputs, different
 
 from emulated.device import Emulation, emulation
 from emulated.steps import STEPS, THICK

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import scenes
-from ccd_warp.benchmarks.gpu_check.calls import Made, StepCase
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
+from laws.calls import Made, StepCase
 
 import ccd_warp as ccd
 

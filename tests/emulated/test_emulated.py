@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.step.minima import CANDIDATES
 from daily import marked
 from expected_warnings import OF_ROUNDING
+from hard_cases import FAMILIES
 from launches import host, on_device
+from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
 from ccd_warp._engine import stages

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
 from ccd_warp.kernels.boxes.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
 from ccd_warp.kernels.boxes.lanes import vec8f
@@ -14,6 +13,7 @@ from ccd_warp.kernels.search.search_types import SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 from ccd_warp._engine.boxes.box_sets import Layout

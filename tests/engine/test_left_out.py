@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
 from scenes import pairs_in_worlds
 
 import ccd_warp as ccd

@@ -5,10 +5,10 @@ from functools import cache
 import faults
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
+from hard_cases import FAMILIES
 from scenes import FACE, pairs_in_worlds
 
 import ccd_warp as ccd

@@ -13,9 +13,9 @@ import pytest
 import scenes
 import trimesh
 from ccd_warp.benchmarks.gpu_check.steps import crowd as crowd_with_particles
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
+from hard_cases import FAMILIES
 from oracles import brute_force, check_candidates, corners_of
 from scenes import crowd, leaning_stack, single, soup, with_static_at_rest
 

@@ -25,10 +25,10 @@ from functools import cmp_to_key
 from typing import NamedTuple
 
 import numpy as np
-from ccd_warp.benchmarks.algebraic import ZERO, Poly, Root, unit_roots
-from ccd_warp.benchmarks.exact_toi import ExactToi
-from ccd_warp.benchmarks.oracle import certainly_apart
-from ccd_warp.benchmarks.oracle_corners import (
+from algebraic import ZERO, Poly, Root, unit_roots
+from exact_toi import ExactToi
+from oracle import certainly_apart
+from oracle_corners import (
     PAIRS,
     TRIANGLES,
     Line,

@@ -15,11 +15,11 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.benchmarks.query_sets import size_of_motion
 from distance_oracle import exact_distance
 from exact import exact_distance_tois
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 

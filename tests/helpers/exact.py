@@ -1,7 +1,11 @@
 """The exact oracles as tests ask them: what was asked in an earlier run is looked up."""
 
+import algebraic
 import distance_oracle
-from ccd_warp.benchmarks import algebraic, exact_toi, oracle, oracle_contact, oracle_corners
+import exact_toi
+import oracle
+import oracle_contact
+import oracle_corners
 from kept import kept
 
 _MODULES = (algebraic, exact_toi, oracle, oracle_contact, oracle_corners)

@@ -1,7 +1,7 @@
 """Pairs of all kinds, many of them hard, and their results with several options."""
 
 import numpy as np
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 

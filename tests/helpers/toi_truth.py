@@ -3,8 +3,8 @@
 from fractions import Fraction
 
 import numpy as np
-from ccd_warp.benchmarks.oracle import exact_tois
 from distance_oracle import exact_distance_tois
+from oracle import exact_tois
 
 BITS = 240  # to which a toi is bracketed: moves of 1e-12 of the size leave 60 digits of a difference
 

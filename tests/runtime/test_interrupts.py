@@ -23,8 +23,8 @@ import faults
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.benchmarks.scenes import spheres_through_each_other
+from hard_cases import FAMILIES
 
 import ccd_warp as ccd
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from distance_oracle import exact_distance
 from emulated.steps import STEPS
 from exact_proximity import HALF_SPACES, SCENES, check_proximities, few, size_of
+from hard_cases import FAMILIES
 from launches import on_device
 from scenes import FACE, TRIANGLE
 

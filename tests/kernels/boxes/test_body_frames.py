@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
 from ccd_warp.kernels.boxes import body_frames as kernels
 from launches import on_device
+from laws.outputs import different, outputs_of
 from scenes import TURN, squeezed, tube
 
 import ccd_warp as ccd

@@ -5,10 +5,10 @@ import itertools
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
-from ccd_warp.benchmarks.oracle import exact_gap
 from ccd_warp.kernels.template import specialised
 from exact import exact_tois
+from hard_cases import FAMILIES
+from oracle import exact_gap
 from published import all_queries, requires_data
 
 import ccd_warp as ccd

@@ -7,13 +7,13 @@ from functools import cache
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.pair.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from exact import exact_distance_tois
+from hard_cases import FAMILIES
 from rounding_samples import cross, drawn, exactly
 
 REALS = {"float64": wp.float64, "float32": wp.float32}

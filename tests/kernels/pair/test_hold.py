@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 import trimesh
-from ccd_warp.benchmarks.oracle import exact_gap
 from distance_oracle import exact_distance
 from exact import exact_distance_tois, exact_tois
+from oracle import exact_gap
 from oracles import brute_force, corners_of
 from scenes import FACE, TRIANGLE, sheet
 from slides import FACES, GROUND, SLIDERS, slides_of

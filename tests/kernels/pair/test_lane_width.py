@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
+from hard_cases import FAMILIES
 from pairs import FIELDS
 
 import ccd_warp as ccd

@@ -15,13 +15,13 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from ccd_warp.kernels.boxes.boxes import end_box
 from ccd_warp.kernels.pair.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from exact import exact_tois
+from hard_cases import FAMILIES
 from rounding_samples import cross, drawn, exactly
 
 REALS = {"float64": wp.float64, "float32": wp.float32}

@@ -9,11 +9,11 @@ import re
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.outputs import different, outputs_of
 from ccd_warp.benchmarks.scenes import sphere
 from daily import marked
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from launches import CAPACITIES, on_device
+from laws.outputs import different, outputs_of
 from oracles import brute_force
 from scenes import (
     FACE,

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from cull_probe import KINDS, WIDTHS, culled
 from exact import exact_tois
+from hard_cases import FAMILIES
 from scenes import crowd, crowd_in_plane, sheet_over_floor
 
 import ccd_warp as ccd

@@ -5,9 +5,9 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.hard_cases import FAMILIES
 from distance_oracle import exact_gap
 from distance_queries import KINDS
+from hard_cases import FAMILIES
 from scenes import NO_FACES, pairs_in_worlds
 
 import ccd_warp as ccd

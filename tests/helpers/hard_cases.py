@@ -22,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from ccd_warp.benchmarks._contacts import (
+from hard_contacts import (
     POINTS,
     Points,
     as_points,

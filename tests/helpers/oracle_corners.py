@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from ccd_warp.benchmarks.algebraic import Poly
+from algebraic import Poly
 
 KINDS = ("vertex-face", "edge-edge", "point-segment", "point-point")
 POINTS = {"vertex-face": 4, "edge-edge": 4, "point-segment": 3, "point-point": 2}

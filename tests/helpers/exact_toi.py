@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from ccd_warp.benchmarks.algebraic import Root, signum
+from algebraic import Root, signum
 from flint import fmpq
 
 

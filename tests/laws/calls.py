@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.gpu_check.outputs import Outputs, outputs_of
 
 import ccd_warp as ccd
+from laws.outputs import Outputs, outputs_of
 
 Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 

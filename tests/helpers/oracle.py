@@ -17,10 +17,10 @@ import sys
 from fractions import Fraction
 
 import numpy as np
-from ccd_warp.benchmarks.exact_toi import ExactToi
-from ccd_warp.benchmarks.oracle_contact import contact, facet_normals, separated_contact
-from ccd_warp.benchmarks.oracle_corners import CORNERS, POINTS, integer_rows, moving_corners, validated
+from exact_toi import ExactToi
 from flint import fmpq
+from oracle_contact import contact, facet_normals, separated_contact
+from oracle_corners import CORNERS, POINTS, integer_rows, moving_corners, validated
 
 
 def certainly_apart(kind: str, p0: np.ndarray, p1: np.ndarray, separation: float) -> np.ndarray:

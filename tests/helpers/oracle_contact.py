@@ -13,8 +13,8 @@ there is no contact, so the search jumps to the first root of that normal's corn
 
 from __future__ import annotations
 
-from ccd_warp.benchmarks.algebraic import ZERO, Poly, Root, trimmed, unit_roots, variations_on_unit_interval
-from ccd_warp.benchmarks.oracle_corners import PAIRS, TRIANGLES, Line, component, difference, dot, times_line, total
+from algebraic import ZERO, Poly, Root, trimmed, unit_roots, variations_on_unit_interval
+from oracle_corners import PAIRS, TRIANGLES, Line, component, difference, dot, times_line, total
 
 # ---- Without separation ----------------------------------------------------------------------------------------------
 
