@@ -89,6 +89,8 @@ class Pairs:
 
     def _without_listed(self, pairs: np.ndarray, key: str) -> np.ndarray:
         listed = {*map(tuple, self.mesh.exclude_pairs.get(key, np.zeros((0, 2), int)).tolist())}
+        if not listed:
+            return pairs
         return pairs[[tuple(pair) not in listed for pair in pairs.tolist()]].reshape(-1, 2)
 
     def corners(self, kind: int, pairs: np.ndarray) -> np.ndarray:
