@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from laws.test_truth import SEEDS, kinds_of, scene_of
-from laws.truth import candidates, displacement_bounds, intersections, proximities
 
 import ccd_warp as ccd
+from laws.test_truth import SEEDS, kinds_of, scene_of
+from laws.truth import candidates, displacement_bounds, intersections, proximities
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -53,6 +53,6 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_intersects(seed):
-    scene, mesh, start, end, pairs = scene_of(seed)
+    _, mesh, start, end, pairs = scene_of(seed)
     for x in (start, end):
         assert rows_of(ccd.find_intersections(mesh, x)) == intersections(pairs, x)

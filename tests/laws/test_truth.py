@@ -1,9 +1,11 @@
-"""What a step finds in a drawn scene is what exact arithmetic over all pairs finds: nothing missed, late, or too early."""
+"""What a step finds in a drawn scene is what exact arithmetic over all pairs finds: none missed, late or too early."""
 
 from functools import cache
 
 import numpy as np
 import pytest
+
+import ccd_warp as ccd
 from laws.scenes import drawn
 from laws.truth import (
     NAMES,
@@ -16,8 +18,6 @@ from laws.truth import (
     first_times,
     sizes,
 )
-
-import ccd_warp as ccd
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -119,7 +119,7 @@ def check_planes(scene, mesh, start, end, pairs, found):
     for (v, k), distance in zip(pairs.with_planes.tolist(), distances.tolist(), strict=True):
         truth, toi = PlaneTruth(mesh, start, end, v, k), found.get((int(PLANE), v, k), INFINITY)
         if isinstance(fraction, float):
-            distance = min(distance, fraction * truth.gap(scene.is_euclidean))
+            distance = min(distance, fraction * max(float(truth.f[0]), 0.0) / truth.length(scene.is_euclidean))
         assert not truth.is_late(toi, distance * (1 - 1e-9), scene.is_euclidean, t_max), (v, k)
         assert toi == INFINITY or not truth.is_early(toi, distance), (v, k)
 

@@ -89,6 +89,8 @@ class Pairs:
 
     def _without_listed(self, pairs: np.ndarray, key: str) -> np.ndarray:
         listed = {*map(tuple, self.mesh.exclude_pairs.get(key, np.zeros((0, 2), int)).tolist())}
+        if not listed:
+            return pairs
         return pairs[[tuple(pair) not in listed for pair in pairs.tolist()]].reshape(-1, 2)
 
     def corners(self, kind: int, pairs: np.ndarray) -> np.ndarray:
@@ -176,10 +178,9 @@ class PlaneTruth:
         ends = zip((start, end), points, strict=True)
         self.terms = Fraction(max(np.abs((x[vertex] - p) * mesh.planes.normals[plane]).sum() for x, p in ends))
 
-    def gap(self, is_euclidean: bool) -> float:
-        """The gap at the start, about."""
-        length = np.linalg.norm([float(n) for n in self.normal], 2 if is_euclidean else 1)
-        return float(max(self.f[0], Fraction(0))) / length
+    def length(self, is_euclidean: bool) -> float:
+        """Of the normal, about: a gap times it is the value."""
+        return float(np.linalg.norm([float(n) for n in self.normal], 2 if is_euclidean else 1))
 
     def at(self, t: float) -> Fraction:
         """The value at a time."""
@@ -279,7 +280,7 @@ def displacement_bounds(pairs: Pairs, x: np.ndarray, search_radius: float, kept_
     bodies = np.flatnonzero(~mesh.static)
     bodies = bodies[np.diff(mesh.body_vertex_range)[bodies] > 0]
     worlds = mesh.vertex_world[mesh.body_vertex_range[bodies]]
-    collides = (mesh.self_collision | mesh.kinematic)[bodies].any()
+    collides = mesh.self_collision[bodies].any()
     is_alone = not collides and 0 < len({*worlds.tolist()}) == len(bodies)
     bounds = np.where(moving, search_radius if is_alone else 0.5 * search_radius, 0.0)
     largest = 0.0
