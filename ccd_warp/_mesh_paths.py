@@ -41,6 +41,7 @@ class MeshPaths(BodyPaths):
             ValueError: If the numbers of bodies differ, a static body moves, or any leaves the plane of a mesh in it.
         """
         check_motion(mesh, given)
+        check_worlds(mesh)
         return cls.of_checked(mesh, given, excess)
 
     @classmethod
@@ -146,7 +147,6 @@ def check_motion(mesh: CollisionMesh, given: BodyPaths, num_worlds: int = 1) -> 
     """
     bodies = np.flatnonzero(mesh.rigid)
     check_rows(mesh, bodies, len(given) // num_worlds)
-    check_worlds(mesh)
     _check_rest(mesh, bodies, given)
     _check_plane(mesh, bodies, given)
 
@@ -204,9 +204,25 @@ def check_worlds(mesh: CollisionMesh) -> None:
     for vertex in np.flatnonzero(differs)[:1].tolist():
         body = int(mesh.vertex_body[vertex])
         raise ValueError(
-            f"motion is given, and {body_label(body, mesh.names)}, which is rigid, has vertices in worlds "
-            f"{first[body]} and {mesh.vertex_world[vertex]}; expected a body for each world"
+            _of_worlds(body_label(body, mesh.names), int(first[body]), int(mesh.vertex_world[vertex]))
         )
+
+
+def check_worlds_of(bodies: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+    """Check the same of bodies whose first and last worlds are known.
+
+    Raises:
+        ValueError: If one has vertices in several.
+    """
+    for body in np.flatnonzero(bodies & (first < last))[:1].tolist():
+        raise ValueError(_of_worlds(f"body {body}", int(first[body]), int(last[body])))
+
+
+def _of_worlds(body: str, first: int, last: int) -> str:
+    return (
+        f"motion is given, and {body}, which is rigid, has vertices in worlds {first} and {last}; "
+        f"expected a body for each world"
+    )
 
 
 def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:

@@ -21,7 +21,7 @@ from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._joint_motion import JointMotion
-from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames
+from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Counts, MeshResult
 from ccd_warp._runtime.lazy import lazy_property
@@ -65,6 +65,7 @@ class MotionWorlds:
         mesh = self._mesh = pipeline.mesh
         given = motion._paths_at_start
         check_motion(mesh, given, self.num_worlds)
+        check_worlds(mesh)
         check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
         most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)

@@ -1,7 +1,9 @@
-"""Set-up of the test suite: the installed package, a quiet Warp, and the fixtures every module shares."""
+"""Set-up of the test suite: the installed package, a quiet Warp, its device, and the fixtures every module shares."""
 
 import gc
 import importlib.util
+import os
+import signal
 import sys
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,35 +17,10 @@ from browser import find_browser, opened_browser
 from ccd_warp._cli.explore import write_page
 
 wp.config.log_level = wp.LOG_WARNING
-# Files with seconds to minutes of work in few tests.
-_LONGEST = [
-    "test_emulated",
-    "test_distributed",
-    "test_cuda",
-    "test_faults",
-    "test_invariance",
-    "test_gpu_check",
-    "test_docs",
-    "test_hold",
-    "test_cli_progress",
-    "test_sequence",
-    "test_package",
-    "test_typing",
-    "test_queued_pairs",
-    "test_step",
-    "test_rounding",
-    "test_closest_point",
-    "test_line_search",
-    "test_broad_phase",
-    "test_narrow_phase",
-    "test_minimum_distance",
-    "test_damaged_files",
-    "test_interrupts",
-    "test_distance_oracle",
-    "test_bench",
-]
-# What processes of `pytest -n` ran on the emulated device.
-_TOLD: list[str | None] = []
+if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
+    wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as of a command in the background of a script
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @contextmanager
@@ -57,17 +34,48 @@ def loaded_example(name: str):
     del sys.modules[name]
 
 
+def pytest_addoption(parser):
+    parser.addoption("--device", default="cpu", help="Warp's device in all tests: cpu, emulated or cuda:0")
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
-    """Files are what `pytest -n` shares among processes, as the fixtures and kernels of a file are made once."""
+    """Processes of `pytest -n` get stretches of files, as fixtures and kernels of a file are made once, and share them."""
     if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
-        config.option.dist, config.option.loadscopereorder = "loadfile", False
+        config.option.dist = "worksteal"
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(items):
-    """What takes longest comes first, so that at the end no process waits for another."""
-    items.sort(key=lambda item: _LONGEST.index(item.path.stem) if item.path.stem in _LONGEST else len(_LONGEST))
+def pytest_sessionstart(session):
+    """Let Warp take the device of the option where a test names none."""
+    name = session.config.getoption("device")
+    if name == "emulated":
+        from emulated.build import compiler
+        from emulated.device import begin_run
+
+        if compiler() is None:
+            raise pytest.UsageError("--device emulated: no C++ compiler found: apt-get install g++, or set CXX")
+        begin_run()
+        name = "cpu"
+    wp.init()
+    if name not in (names := [device.alias for device in wp.get_devices()]):
+        raise pytest.UsageError(f"--device is {name!r}; expected emulated or one of {', '.join(names)}")
+    wp.set_device(name)
+
+
+def pytest_sessionfinish():
+    if "emulated.device" in sys.modules:
+        from emulated.device import end_run
+
+        end_run()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config, items):
+    """Tests that compare with another device have the emulated one where they run on the CPU."""
+    if config.getoption("device") == "cpu":
+        for item in items:
+            if "other_device" in item.fixturenames:
+                item.add_marker("emulated")
 
 
 def pytest_collection_finish():
@@ -76,42 +84,32 @@ def pytest_collection_finish():
     gc.freeze()
 
 
-def _emulated() -> str | None:
-    """What this process ran on the emulated device."""
-    if "emulated.comparison" in sys.modules:
-        from emulated.comparison import shared, summary
-
-        if shared().num_kernels:
-            return summary(shared())
-    return None
-
-
-def pytest_sessionfinish(session):
-    """A process of `pytest -n` tells the one that writes the summary."""
-    if hasattr(session.config, "workeroutput"):
-        session.config.workeroutput["emulated"] = _emulated()
+def pytest_runtest_logfinish(nodeid):
+    """An error of CUDA stays with a process to its end: another one of `pytest -n` goes on with the tests."""
+    device = wp.get_device()
+    try:
+        if device.ordinal >= 0:
+            wp.zeros(1, dtype=int, device=device).numpy()
+    except Exception as error:
+        print(f"{nodeid}: {device} answers nothing more: {error}", file=sys.__stderr__, flush=True)
+        os._exit(1)
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_testnodedown(node):
-    """Take what a process of `pytest -n` tells."""
-    _TOLD.append(getattr(node, "workeroutput", {}).get("emulated"))
+@pytest.fixture(scope="session")
+def device() -> str:
+    """The name of the device that Warp takes: that of the option."""
+    return str(wp.get_device())
 
 
-def pytest_terminal_summary(terminalreporter):
-    """Say what ran on the emulated device."""
-    for line in filter(None, [*_TOLD, _emulated()]):
-        terminalreporter.write_line(line)
+@pytest.fixture
+def other_device():
+    """A context in which the run has another device: the CPU, or where it is on the CPU the emulated one."""
+    from emulated.build import compiler
+    from emulated.device import on_the_other_device
 
-
-def _devices() -> list[str]:
-    return ["cpu", *(["cuda:0"] if wp.is_cuda_available() else [])]
-
-
-@pytest.fixture(scope="session", params=_devices())
-def device(request) -> str:
-    """Each kind of device of this machine: the CPU, and the first CUDA device where there is one."""
-    return request.param
+    if compiler() is None and wp.get_device().ordinal < 0:
+        pytest.skip("no C++ compiler found: apt-get install g++, or set CXX")
+    return on_the_other_device
 
 
 @pytest.fixture(scope="session", params=["float64", "float32"])

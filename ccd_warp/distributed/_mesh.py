@@ -219,6 +219,12 @@ class DistributedMesh:
         self.copies = Exchange(ranks, every.sources, every.targets)
         self.has_ghosts = ranks.agree(-float(self.copies.num_sent))[0] < 0.0
 
+    def worlds_of_bodies(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The first and the last world of each body's vertices that take part, shape [B]; collective."""
+        used = ~self.is_unused
+        first, last = worlds_of_bodies(self.bodies[used], self.worlds[used], self.num_bodies)
+        return self.ranks.least(first), self.ranks.most(last)
+
     def _move_alone(self) -> bool:
         """Whether at most one body moves in each world, and none of them collides with itself; collective."""
         first, last = worlds_of_bodies(self.bodies, self.worlds, self.num_bodies)

@@ -12,7 +12,7 @@ from ccd_warp._engine.host.arc_course import ArcCourse
 from ccd_warp._engine.host.line_search import OneProcess
 from ccd_warp._input.arguments import shown
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths, in_space
+from ccd_warp._mesh_paths import MeshPaths, check_motion, check_worlds_of, in_space
 from ccd_warp._motion import RigidMotion
 from ccd_warp._rotations import norms
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -54,7 +54,9 @@ class LocalPaths:
                 f"calls of one process, and bodies that stretch move straight between rows of vertices_t0 and t1"
             )
         self._mesh, self.motion, self.given = mesh, motion, (start, end)
-        self.paths = MeshPaths.of(mesh, motion._body_paths)  # type: ignore[arg-type]
+        check_motion(mesh, motion._body_paths)  # type: ignore[arg-type]
+        check_worlds_of(mesh.rigid, *mesh.worlds_of_bodies())
+        self.paths = MeshPaths.of_checked(mesh, motion._body_paths)  # type: ignore[arg-type]
         text = b"".join(array.tobytes() for array in vars(motion._body_paths).values())
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if list(mesh.ranks.agree(digest, -digest)) != [digest, -digest]:

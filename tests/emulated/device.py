@@ -6,12 +6,12 @@ still finds a CPU: arrays lie in host memory, and sorts and scans are those of t
 """
 
 import ctypes
+import os
 import re
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from threading import Lock
@@ -57,14 +57,6 @@ class Emulation:
             if key not in self._libraries:
                 self._libraries[key] = self._load(self._build(module))
             return self._libraries[key]
-
-    def build_all(self, modules: Iterable[Any]) -> None:
-        """Compile modules at once, as many as there are cores at a time."""
-        modules = list(modules)
-        with ThreadPoolExecutor(2) as pool:
-            paths = list(pool.map(self._build, modules))
-        for module, path in zip(modules, paths, strict=True):
-            self._libraries[module, _hash_of(module)] = self._load(path)
 
     def executable_of(self, module: Any, device: Any, block_dim: int) -> "_Executable":
         """What Warp launches of a module, for a size of blocks."""
@@ -158,31 +150,15 @@ def _is_asked_by_library() -> bool:
     return sys._getframe(2).f_globals.get("__name__", "").partition(".")[0] == "ccd_warp"
 
 
-@contextmanager
-def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -> Iterator[Emulation]:
-    """Run the kernels of the CPU as on a CUDA device, until the end of the block.
-
-    Meshes and pipelines keep what they have recorded for a device: those of the block and others must not be mixed.
-
-    Args:
-        emulated: The emulated modules, which may be those of an earlier block.
-        num_multiprocessors: How many threads the library launches at most where only the device knows how many have
-            work. With a few, threads of small scenes take several turns and few threads take none; with
-            ``MULTIPROCESSORS`` nearly all take none, on which the emulation would spend most of its time.
-
-    Raises:
-        RuntimeError: If a launch of a graph failed.
-    """
+def _patches(emulated: Emulation, num_multiprocessors: int) -> list[Any]:
+    """What lets the kernels of the CPU run as on a CUDA device, from `start()` to `stop()`."""
     from ccd_warp.kernels.narrow_phase import queued_pairs
 
     from ccd_warp._engine import stages  # with what only CUDA launches
 
     wp.init()  # which describes the devices as they are
-    emulated = emulated or Emulation()
-    load, resolve = context.Module.load, context._resolve_launch_block_dim
+    load, resolve, stream = context.Module.load, context._resolve_launch_block_dim, context.Device.stream
     numpy, allocate = wp.array.numpy, context.CpuDefaultAllocator.allocate
-
-    stream = context.Device.stream
 
     def of_device(most: int) -> int:
         """Threads of a launch that a device of this size runs at once."""
@@ -221,25 +197,82 @@ def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -
             ctypes.memset(place, _GARBAGE, min(size, _MOST_GARBAGE))
         return place
 
+    solvers = {stage: of_device(most) for stage, most in queued_pairs.MOST_SOLVERS.items()}
+    replaced = (
+        (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
+        (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
+        (context.Device, "stream", property(stream_of)),
+        (context.Device, "captures", property(captures_of)),
+        (context, "_resolve_launch_block_dim", block_dim_of),
+        (context.Module, "load", load_emulated),
+        (context.CpuDefaultAllocator, "allocate", allocate_garbage),
+        (wp.array, "numpy", copied),
+        (stages, "_MOST_CULLS", of_device(stages._MOST_CULLS)),
+        (stages, "_MOST_REST", of_device(stages._MOST_REST)),
+        (wp, "Event", _Event),
+        (wp, "get_stream", _Stream),
+        (wp, "is_conditional_graph_supported", lambda: True),
+        (wp, "get_event_elapsed_time", lambda begin, end, *_: 1e3 * (end.time - begin.time)),
+    )
+    patches = [mock.patch.object(*each, create=True) for each in replaced]
+    return [mock.patch.dict(queued_pairs.MOST_SOLVERS, solvers), *patches]
+
+
+@contextmanager
+def emulation(emulated: Emulation | None = None, num_multiprocessors: int = 4) -> Iterator[Emulation]:
+    """Run the kernels of the CPU as on a CUDA device, until the end of the block.
+
+    Meshes and pipelines keep what they have recorded for a device: those of the block and others must not be mixed.
+
+    Args:
+        emulated: The emulated modules; those that all blocks share by default.
+        num_multiprocessors: How many threads the library launches at most where only the device knows how many have
+            work. With a few, threads of small scenes take several turns and few threads take none; with
+            ``MULTIPROCESSORS`` nearly all take none, on which the emulation would spend most of its time.
+
+    Raises:
+        RuntimeError: If a launch of a graph failed.
+    """
+    emulated = emulated or SHARED
     with ExitStack() as stack:
-        solvers = {stage: of_device(most) for stage, most in queued_pairs.MOST_SOLVERS.items()}
-        stack.enter_context(mock.patch.dict(queued_pairs.MOST_SOLVERS, solvers))
-        for target, name, value in (
-            (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
-            (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
-            (context.Device, "stream", property(stream_of)),
-            (context.Device, "captures", property(captures_of)),
-            (context, "_resolve_launch_block_dim", block_dim_of),
-            (context.Module, "load", load_emulated),
-            (context.CpuDefaultAllocator, "allocate", allocate_garbage),
-            (wp.array, "numpy", copied),
-            (stages, "_MOST_CULLS", of_device(stages._MOST_CULLS)),
-            (stages, "_MOST_REST", of_device(stages._MOST_REST)),
-            (wp, "Event", _Event),
-            (wp, "get_stream", _Stream),
-            (wp, "is_conditional_graph_supported", lambda: True),
-            (wp, "get_event_elapsed_time", lambda begin, end, *_: 1e3 * (end.time - begin.time)),
-        ):
-            stack.enter_context(mock.patch.object(target, name, value, create=True))
+        for patch in _patches(emulated, num_multiprocessors):
+            stack.enter_context(patch)
         yield emulated
     emulated.check()
+
+
+# What all blocks share: sanitized in a process that has loaded the library for that.
+SHARED = Emulation(is_sanitized="libasan" in os.environ.get("LD_PRELOAD", ""))
+# What is replaced while a whole run of the tests is on the emulated device.
+_of_run: list[Any] = []
+
+
+def begin_run() -> None:
+    """Emulate the device until `end_run()`."""
+    _of_run[:] = _patches(SHARED, 4)
+    for patch in _of_run:
+        patch.start()
+
+
+def end_run() -> None:
+    """End the emulation of a whole run, if there is one."""
+    for patch in reversed(_of_run):
+        patch.stop()
+    if _of_run:
+        _of_run.clear()
+        SHARED.check()
+
+
+@contextmanager
+def on_the_other_device() -> Iterator[None]:
+    """The CPU for a while; where all runs on the CPU, the emulated device."""
+    if wp.get_device().ordinal >= 0:
+        with wp.ScopedDevice("cpu"):
+            yield
+    elif _of_run:
+        end_run()
+        yield
+        begin_run()
+    else:
+        with emulation():
+            yield

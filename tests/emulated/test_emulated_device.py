@@ -5,10 +5,12 @@ import pytest
 import warp as wp
 
 from emulated.build import compiler
-from emulated.comparison import shared
 from emulated.device import emulation
 
-pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
+pytestmark = [
+    pytest.mark.emulated,
+    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
+]
 
 
 @wp.func_native(
@@ -99,7 +101,7 @@ def least_and_largest(a: wp.array[wp.float64], b: wp.array[wp.float64], out: wp.
 
 
 def launch(kernel, dim, *inputs, **options):
-    with emulation(shared().emulated):
+    with emulation():
         wp.launch(kernel, dim, inputs=list(inputs), device="cpu", **options)
 
 
@@ -144,7 +146,7 @@ def test_faults_are_errors_and_the_next_launch_works(fault, message):
 
 def test_fault_in_the_replay_of_a_graph_is_raised_at_the_end():
     values = zeros(128)
-    with pytest.raises(RuntimeError, match="__trap"), emulation(shared().emulated):
+    with pytest.raises(RuntimeError, match="__trap"), emulation():
         with wp.ScopedCapture(device="cpu") as capture:
             wp.launch(faulty, 128, inputs=[4, values], device="cpu")
         wp.capture_launch(capture.graph)
@@ -174,7 +176,7 @@ def test_zeros_have_signs_and_numbers_win_over_those_that_are_none():
 def test_afterwards_the_cpu_is_the_cpu():
     device = wp.get_device("cpu")
     before = type(device).is_cuda, wp.array.numpy, wp.Event
-    with emulation(shared().emulated):
+    with emulation():
         assert type(device).is_cuda is not before[0] and device.is_cpu  # for Warp and for tests
     assert (type(device).is_cuda, wp.array.numpy, wp.Event) == before
     assert not hasattr(type(device), "captures")

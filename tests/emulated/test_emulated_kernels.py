@@ -24,10 +24,12 @@ from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of
 from emulated.build import compiler
-from emulated.comparison import shared
 from emulated.device import emulation
 
-pytestmark = pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX")
+pytestmark = [
+    pytest.mark.emulated,
+    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
+]
 
 # Around every multiple of half a warp and of a warp.
 COUNTS = [0, 1, 2, *(16 * k + d for k in (1, 2, 3, 4, 8) for d in (-1, 0, 1))]
@@ -42,7 +44,7 @@ def array(values, dtype):
 
 
 def launch(kernel, dim, inputs, outputs=(), **options):
-    with emulation(shared().emulated):
+    with emulation():
         wp.launch(kernel, dim, inputs=inputs, outputs=list(outputs), device="cpu", **options)
 
 
@@ -162,7 +164,7 @@ def hash_of(lower, upper, cell):
         array([], wp.int32),
     )
     grid.lay_out(layout)
-    with emulation(shared().emulated):
+    with emulation():
         Grid.fill([grid], array(aabbs.ravel(), wp.float32), Execution(wp.get_device("cpu"), 1))
     return grid
 

@@ -1,10 +1,10 @@
 """A harness that lets a call fail: at each use of Warp and of threads, or by an interrupt between two of its bytecodes.
 
 A call that fails must leave nothing behind. Made again on the same objects, twice, it must answer in every bit what it
-answers on fresh ones, and the exception must have reached the caller. The harness knows nothing of the library but the
-calls of a `Scenario`, and how it asks for the parts of a recorded launch, which then run without Warp: it counts the
-events of an undisturbed call, and then lets each of them fail in turn, on objects made anew each time. What failed is
-kept until the calls after it are made, as a notebook keeps the last exception with all the frames that it went through.
+answers on fresh ones, and the exception must have reached the caller. The harness knows nothing of the library but its
+calls, and how it asks for the parts of a recorded launch, which then run without Warp: it counts the events of an
+undisturbed call, and then lets some of them fail in turn, on objects made anew each time. What failed is kept until the
+calls after it are made, as a notebook keeps the last exception with all the frames that it went through.
 """
 
 import functools
@@ -12,112 +12,47 @@ import operator
 import signal
 import sys
 import threading
-import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import warp as wp
+from laws.outputs import different, outputs_of
 
 from ccd_warp._runtime.packed import PackedLaunch
 
-# Seconds after which a call of some milliseconds is taken to hang; another one hangs for the same reason.
-_PATIENCE = (120.0, 2.0)
+# Seconds after which a call of some milliseconds is taken to hang.
+_PATIENCE = 120.0
 # What a call uses of Warp, by attributes that are looked up when it does, and of threads; an event after the parts of a
 # launch were asked for is one before they run.
-_OF_WARP = [
-    *((wp, name) for name in ("launch", "empty", "zeros", "full", "ones", "clone", "empty_like", "zeros_like", "copy")),
-    *((wp, name) for name in ("load_module", "from_dlpack", "capture_launch")),
-    *((wp.array, name) for name in ("__init__", "assign", "fill_", "zero_", "numpy")),
-    (wp.Launch, "launch"),
-    (PackedLaunch, "parts"),
-]
-_WARP = (wp, wp.array, wp.Launch, PackedLaunch)
+_NEW = [(wp, name) for name in ("empty", "zeros", "full", "ones", "clone", "empty_like", "zeros_like", "from_dlpack")]
+_NEW.append((wp.array, "__init__"))
+_READ = [(wp.array, "numpy"), (wp, "load_module")]
+_WRITE = [(wp, name) for name in ("launch", "copy", "capture_launch")]
+_WRITE += [*((wp.array, name) for name in ("assign", "fill_", "zero_")), (wp.Launch, "launch"), (PackedLaunch, "parts")]
 _OF_THREADS = [(ThreadPoolExecutor, "submit"), (threading.Thread, "start")]
-# What only reads, and what makes an array that nobody has yet: what fails directly after these leaves all as before.
-_READING = {"array.numpy", "warp.load_module"}
-_MAKING = {f"warp.{name}" for name in ("empty", "zeros", "full", "ones", "clone", "empty_like", "zeros_like")}
-_MAKING |= {"warp.from_dlpack", "array.__init__"}
-# Lines of callers by which two uses are told apart.
-_DEPTH = 2
-# Events of a call that are chosen beside, where many uses come from one line, as those of a recording do.
-_FEWEST = 12
 # Files between whose bytecodes interrupts arrive, beside the library's: what it waits and cleans up with.
-_STANDARD = ("/contextlib.py", "/threading.py", "/concurrent/futures/")
+_STANDARD = ("/contextlib.py", "/threading.py", "/concurrent/futures/", "/ccd_warp/", "/kernels/")
 
 
 class Stop(BaseException):
     """An exception that no code can expect."""
 
 
-class Hung(BaseException):
-    """A call did not end."""
-
-
 ERRORS = (Stop, MemoryError, KeyboardInterrupt)
+_watch = threading.local()
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A call, and what was called before it.
-
-    Attributes:
-        fresh: Makes what the call works on.
-        call: The call; its result may hold arrays of NumPy and of Warp, in data classes, tuples and dictionaries.
-        before: What is done with it before, without a fault; the truth is that of a call without it.
-    """
+    """A call on what `fresh` makes, and what is done with that before; the truth is that of a call without it."""
 
     fresh: Callable[[], Any]
     call: Callable[[Any], Any]
     before: Callable[[Any], Any] = lambda _: None
-
-
-@dataclass
-class Findings:
-    """What came of the faults of a scenario.
-
-    Attributes:
-        num_faults: Faults that happened.
-        wrong: Faults after which a call answered otherwise than on fresh objects, raised or did not end, or whose
-            exception did not reach the caller; and how.
-    """
-
-    num_faults: int = 0
-    wrong: list[str] = field(default_factory=list)
-
-    def __add__(self, other: "Findings") -> "Findings":
-        return Findings(self.num_faults + other.num_faults, self.wrong + other.wrong)
-
-    def check(self) -> None:
-        """Raise if anything is wrong."""
-        shown = "\n  ".join(self.wrong[:8])
-        assert not self.wrong, f"{len(self.wrong)} of {self.num_faults} faults:\n  {shown}"
-
-
-_watch = threading.local()
-
-
-def _lines(frame: Any) -> Iterator[int]:
-    """Lines of a frame and of those that called it."""
-    for _ in range(_DEPTH):
-        if frame is None:
-            return
-        yield frame.f_lineno
-        frame = frame.f_back
-
-
-@contextmanager
-def unwatched() -> Iterator[None]:
-    """What the test itself does meanwhile does not count."""
-    depth = getattr(_watch, "depth", 0)
-    _watch.depth = depth + 1
-    try:
-        yield
-    finally:
-        _watch.depth = depth
 
 
 class Event:
@@ -125,48 +60,47 @@ class Event:
 
     def __init__(self, n: int = 0, is_after: bool = False, error: type[BaseException] = Stop) -> None:
         self.n, self.is_after, self.error = n, is_after, error
-        self.count = 0
-        self.has_happened = False
-        self.what = ""
-        self.sites: dict[tuple[Any, ...], int] = {}
-        self.names: list[str] = []
+        self.count, self.has_happened, self.what = 0, False, ""
+        self.sites: dict[tuple[Any, ...], int] = {}  # first events from each line and its caller's
+        self.writes: set[int] = set()
         self._lock = threading.Lock()
 
     def __str__(self) -> str:
-        moment = "after" if self.is_after else "before"
-        return f"{self.error.__name__} {moment} event {self.n} ({self.what})"
+        return f"{self.error.__name__} {'after' if self.is_after else 'before'} event {self.n} ({self.what})"
 
     def start(self) -> None:
         """Stand between the caller and Warp."""
-        self._originals = [(owner, name, getattr(owner, name)) for owner, name in (*_OF_WARP, *_OF_THREADS)]
+        self._originals = [(*at, getattr(*at)) for at in (*_NEW, *_READ, *_WRITE, *_OF_THREADS)]
         for owner, name, original in self._originals:
-            setattr(owner, name, self._watched(original, f"{owner.__name__}.{name}", owner not in _WARP))
+            setattr(owner, name, self._watched(original, (owner, name)))
 
     def stop(self) -> None:
         """Step aside."""
         for owner, name, original in self._originals:
             setattr(owner, name, original)
 
-    def _watched(self, original: Any, name: str, is_of_threads: bool) -> Any:
+    def _watched(self, original: Any, at: tuple[Any, str]) -> Any:
         @functools.wraps(original)
         def call(*args: Any, **options: Any) -> Any:
             # what Warp does within one of its functions is that function's; a pool that starts a thread may fail there
-            if getattr(_watch, "depth", 0) > 0:
+            if getattr(_watch, "is_inside", False):
                 return original(*args, **options)
             with self._lock:
                 self.count += 1
                 is_now = self.count == self.n
-                self.names.append(name)
-                self.sites.setdefault((name, *_lines(sys._getframe(1))), self.count)
+                frame = sys._getframe(1)
+                self.sites.setdefault((at[1], frame.f_lineno, frame.f_back and frame.f_back.f_lineno), self.count)
+                if at not in _NEW and at not in _READ:
+                    self.writes.add(self.count)
                 if is_now:
-                    self.has_happened, self.what = True, name
+                    self.has_happened, self.what = True, at[1]
             if is_now and not self.is_after:
                 raise self.error("injected")
-            if is_of_threads:
+            try:
+                _watch.is_inside = at not in _OF_THREADS
                 result = original(*args, **options)
-            else:
-                with unwatched():
-                    result = original(*args, **options)
+            finally:
+                _watch.is_inside = False
             if is_now:
                 raise self.error("injected")
             return result
@@ -193,17 +127,13 @@ class Interrupt:
 
     error = KeyboardInterrupt
 
-    def __init__(self, folders: tuple[str, ...], n: int = 0, gap: int = 0) -> None:
+    def __init__(self, n: int = 0, gap: int = 0) -> None:
         self.n, self.second = n, n + gap if gap else 0
-        self.count = 0
-        self.has_happened = False
-        self._folders = folders
+        self.count, self.has_happened, self.where = 0, False, ""
         self._is_own: dict[str, bool] = {}
-        self.where = ""
 
     def __str__(self) -> str:
-        again = f" and {self.second - self.n} later" if self.second else ""
-        return f"interrupt at bytecode {self.n}{again} ({self.where})"
+        return f"interrupt at bytecode {self.n}{f' and {self.second}' if self.second else ''} ({self.where})"
 
     def start(self) -> None:
         """Trace this thread."""
@@ -222,10 +152,9 @@ class Interrupt:
 
     def _enter(self, frame: Any, event: str, _: Any) -> Any:
         name = frame.f_code.co_filename
-        is_own = self._is_own.get(name)
-        if is_own is None:
-            is_own = self._is_own[name] = any(folder in name for folder in (*self._folders, *_STANDARD))
-        if not is_own:
+        if name not in self._is_own:
+            self._is_own[name] = any(part in name for part in _STANDARD)
+        if not self._is_own[name]:
             return None
         frame.f_trace_lines = False
         frame.f_trace = self._step  # before the next line, or Python 3.13 traces no bytecodes
@@ -245,56 +174,17 @@ class Interrupt:
         return self._step
 
 
-def arrays_of(result: Any, name: str = "result") -> dict[str, np.ndarray]:
-    """Copies of all arrays and numbers of a result, by name; contacts of the device in their order on the host."""
-    if hasattr(result, "to_host"):
-        result = result.to_host()
-    if isinstance(result, (list, tuple)):
-        result = dict(enumerate(result))
-    if is_dataclass(result):
-        # how long it took, and how often memory had to be cleared, is not the answer
-        kept = [f.name for f in fields(result) if f.name not in ("counts", "timings", "num_rounds", "_step")]
-        result = {key: getattr(result, key) for key in kept}
-    if isinstance(result, dict):
-        return {key: array for part in result for key, array in arrays_of(result[part], f"{name}.{part}").items()}
-    return {name: np.array(result.numpy() if isinstance(result, wp.array) else result)}
-
-
-def difference(ours: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> str:
-    """The first array that differs in a bit, in words, or nothing."""
-    if ours.keys() != truth.keys():
-        return f"holds {sorted(ours.keys() ^ truth.keys())}"
-    for name, array in ours.items():
-        other = truth[name]
-        if array.shape != other.shape:
-            return f"{name} has shape {array.shape} instead of {other.shape}"
-        if array.dtype != other.dtype or array.tobytes() != other.tobytes():
-            shown = [str(values.ravel()[:1]) for values in (array, other)]
-            return f"{name} differs ({shown[0]} … instead of {shown[1]} …)"
-    return ""
-
-
-_num_hung = 0
-
-
 @contextmanager
-def patience() -> Iterator[None]:
-    """Raises `Hung` where the main thread waits too long, if the system has alarms."""
-    global _num_hung
-    if not hasattr(signal, "setitimer"):
-        yield
-        return
+def _patience():
+    """Raises TimeoutError where the main thread waits too long."""
 
     def give_up(*_: Any) -> None:
-        raise Hung("the call did not end")
+        raise TimeoutError("the call did not end")
 
     before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, _PATIENCE[min(_num_hung, 1)])
+    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
     try:
         yield
-    except Hung:
-        _num_hung += 1
-        raise
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
@@ -333,95 +223,70 @@ def _is_of(error: BaseException, kind: type[BaseException]) -> bool:
     return isinstance(error, kind)
 
 
-def inject(scenario: Scenario, fault: Any, truth: dict[str, np.ndarray]) -> Findings:
-    """Let one fault happen, and make the same call twice."""
+def inject(scenario: Scenario, fault: Any, truth: dict[str, np.ndarray]) -> list[str]:
+    """Let one fault happen, and make the same call twice; what is wrong, in words."""
     objects = scenario.fresh()
     scenario.before(objects)
     ignored: list[Any] = []
     hook, sys.unraisablehook = sys.unraisablehook, ignored.append
     try:
-        with patience():
+        with _patience():
             error, result = _disturbed(fault, lambda: scenario.call(objects))
-    except Hung as hung:
-        error, result = hung, None
     finally:
         sys.unraisablehook = hook
     if not fault.has_happened:
-        return Findings()
+        return []
     wrong = []
-    if error is None:
-        # where memory is short a call may find another way, and Python drops what is raised in a destructor
-        if fault.error is not MemoryError and not ignored:
-            wrong.append("the exception did not reach the caller")
-        elif found := difference(arrays_of(result), truth):
-            wrong.append(f"the call itself: {found}")
-    elif not _is_of(error, fault.error):
+    if error is not None and not _is_of(error, fault.error):
         wrong.append(f"the caller got {error!r}")
+    # where memory is short a call may find another way, and Python drops what is raised in a destructor
+    elif error is None and fault.error is not MemoryError and not ignored:
+        wrong.append("the exception did not reach the caller")
+    elif error is None:
+        wrong += different(outputs_of(result), truth)
     for count in ("next", "second"):
-        try:
-            with patience():
-                found = difference(arrays_of(scenario.call(objects)), truth)
-        except (Exception, Hung) as raised:
-            found = f"raised {raised!r}"
-        if found:
-            wrong.append(f"the {count} call: {found}")
+        with _patience():
+            wrong += [f"the {count} call: {line}" for line in different(outputs_of(scenario.call(objects)), truth)]
     del error  # kept until here, with all its frames
-    return Findings(1, [f"{fault}: {'; '.join(wrong)}"] if wrong else [])
+    return [f"{fault}: {line}" for line in wrong]
+
+
+def _counted(scenario: Scenario, fault: Any) -> Any:
+    """A fault that counts and does not happen."""
+    objects = scenario.fresh()
+    scenario.before(objects)
+    error, _ = _disturbed(fault, lambda: scenario.call(objects))
+    assert error is None and fault.count > 0, error
+    return fault
 
 
 def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
     """What the call answers on fresh objects; checks that it answers the same again, and after what came before."""
-    truth = arrays_of(scenario.call(scenario.fresh()))
+    truth = outputs_of(scenario.call(scenario.fresh()))
     objects = scenario.fresh()
     scenario.before(objects)
     for _ in range(2):
-        found = difference(arrays_of(scenario.call(objects)), truth)
-        assert not found, f"without a fault: {found}"
+        assert different(outputs_of(scenario.call(objects)), truth) == [], "without a fault"
     return truth
 
 
-def _undisturbed(scenario: Scenario, fault: Any) -> Any:
-    """A fault that has counted and does not happen."""
-    _count(scenario, fault)
-    assert fault.count > 0, "the call has no events"
-    return fault
+def wrong_after_events(scenario: Scenario, every: int | None = None) -> list[str]:
+    """A fault before an event, and directly after one that changes something: every so many of the lines, or all events."""
+    truth, counted = truth_of(scenario), _counted(scenario, Event())
+    wrong: list[str] = []
+    for k, n in enumerate(sorted(counted.sites.values())[::every] if every else range(1, counted.count + 1)):
+        for is_after in (False, True) if n in counted.writes else (False,):
+            wrong += inject(scenario, Event(n, is_after, ERRORS[(k + is_after) % len(ERRORS)]), truth)
+    return wrong
 
 
-def _count(scenario: Scenario, fault: Any) -> None:
-    objects = scenario.fresh()
-    scenario.before(objects)
-    error, _ = _disturbed(fault, lambda: scenario.call(objects))
-    assert error is None, repr(error)
-
-
-def inject_events(scenario: Scenario, *, at_every_event: bool = False, every_error: bool = False) -> Findings:
-    """A fault before and directly after an event: the first from each line and its callers', and some more, or every.
-
-    Directly after an event that leaves all as before, one happens only where every event is asked for. The errors take
-    turns, unless each is to happen at each event.
-    """
-    truth = truth_of(scenario)
-    findings = Findings()
-    counted = _undisturbed(scenario, Event())
-    every = range(1, counted.count + 1)
-    chosen = every if at_every_event else sorted({*counted.sites.values(), *every[:: max(1, counted.count // _FEWEST)]})
-    for k, n in enumerate(chosen):
-        is_as_before = counted.names[n - 1] in (_READING if at_every_event else _READING | _MAKING)
-        for is_after in (False,) if is_as_before else (False, True):
-            for error in ERRORS if every_error else (ERRORS[(k + is_after) % len(ERRORS)],):
-                findings += inject(scenario, Event(n, is_after, error), truth)
-    return findings
-
-
-def inject_interrupts(scenario: Scenario, name: str, num_samples: int, folders: tuple[str, ...]) -> Findings:
+def wrong_after_interrupts(scenario: Scenario, seed: int, num_samples: int) -> list[str]:
     """Interrupts at places drawn over all bytecodes of the call, of which every third is followed by another."""
     truth = truth_of(scenario)
-    _count(scenario, Interrupt(folders))  # from Python 3.12 on, bytecodes are traced from a function's second call on
-    count = _undisturbed(scenario, Interrupt(folders)).count
-    findings = Findings()
-    rng = np.random.default_rng(zlib.crc32(name.encode()))
+    _counted(scenario, Interrupt())  # from Python 3.12 on, bytecodes are traced from a function's second call on
+    count, rng = _counted(scenario, Interrupt()).count, np.random.default_rng(seed)
+    wrong: list[str] = []
     for k in range(num_samples):
         n = 1 + int((k + rng.random()) * count / num_samples)
-        gap = int(10 ** rng.uniform(0.5, 3.0)) if k % 3 == 2 else 0
-        findings += inject(scenario, Interrupt(folders, n, gap), truth)
-    return findings
+        wrong += inject(scenario, Interrupt(n, int(10 ** rng.uniform(0.5, 3.0)) if k % 3 == 2 else 0), truth)
+    return wrong

@@ -18,8 +18,8 @@ from pathlib import Path
 import ccd_warp.kernels
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.cuda_modules import cuda_modules
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
+from cuda_modules import cuda_modules
 
 from ccd_warp._runtime.lanes import search_on
 

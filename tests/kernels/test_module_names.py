@@ -1,14 +1,16 @@
 """The name under which Warp keeps a compiled module is the same in every process, whatever was built before."""
 
+import os
 import subprocess
 import sys
 import textwrap
+from pathlib import Path
 
 SCRIPT = """
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from ccd_warp.benchmarks.cuda_modules import cuda_modules
+    from cuda_modules import cuda_modules
 
     wp.init()
     modules = {name: module for name, module in cuda_modules().items() if "float64" in name}
@@ -36,5 +38,7 @@ def test_what_was_built_before_does_not_change_the_name_of_a_module():
     the function once.
     """
     command = [sys.executable, "-P", "-c", textwrap.dedent(SCRIPT)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    path = os.pathsep.join([str(Path(__file__).parents[1] / "helpers"), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""

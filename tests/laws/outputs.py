@@ -1,6 +1,7 @@
 """What calls return, as named NumPy arrays whose bits can be compared."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -13,6 +14,11 @@ import ccd_warp as ccd
 _NOT_COMPARED = {"timings", "num_boxes", "num_sorted_sets", "num_searches", "num_batches"}
 # What contacts know beside their fields.
 _OF_CONTACTS = ("points", "vertices", "weights", "bodies", "world")
+# What is compared of results that are no plain fields.
+_NAMES: dict[type, tuple[str, ...]] = {
+    ccd.Proximities: ("kind", "primitives", "parameters", "distance", "direction", "features", "points"),
+    ccd.Intersections: ("kind", "primitives", "parameters", "edge_parameter", "points", "is_crossing"),
+}
 
 Outputs = dict[str, np.ndarray]
 
@@ -27,6 +33,10 @@ def outputs_of(value: Any, name: str = "") -> Outputs:
         value = value.sorted()  # the one device sorts them, the other does not
     if isinstance(value, wp.array):
         return {name: value.numpy().copy()}
+    if type(value) in _NAMES:
+        value = {name: getattr(value, name) for name in _NAMES[type(value)]}
+    if isinstance(value, tuple) and not all(isinstance(part, (int, float)) for part in value):
+        value = dict(enumerate(value))
     if isinstance(value, Mapping):
         parts = {str(key): item for key, item in value.items()}
     elif is_dataclass(value):
@@ -53,7 +63,9 @@ def _of_device_contacts(contacts: ccd.DeviceContacts, name: str) -> Outputs:
     count = contacts.count.numpy()
     num_stored = min(int(count[0]), len(contacts.kind))
     stored = {key: array.numpy()[:num_stored] for key, array in vars(contacts).items() if key != "count"}
-    stored |= {key: getattr(contacts, key).numpy()[:num_stored] for key in _OF_CONTACTS}
+    for key in _OF_CONTACTS:
+        with suppress(ValueError):  # points that a launch with a motion does not know
+            stored[key] = getattr(contacts, key).numpy()[:num_stored]
     pairs = np.column_stack([stored["kind"], stored["primitives"]])
     by_toi = pairs[contacts.order_by_toi().numpy()[:num_stored]]
     order = np.lexsort(pairs.T[::-1])

@@ -3,19 +3,19 @@
 from planted.planting import Fault
 
 
-def _step(call: str, step: str, precision: str) -> str:
-    return f"emulated/test_emulated.py::test_calls_on_a_step_return_the_bits_of_the_cpu[{call}-{step}-{precision}]"
+def _on_device(call: str, scene: str) -> str:
+    return f"laws/test_other_ways.py::test_the_device_changes_no_bit[{call}-{scene}]"
 
 
 # Tests by what they look at: those of one row are run in this order, up to the first that fails.
 FINDERS = {
     "functions": ["emulated/test_emulated_kernels.py"],
-    "launch": [_step("launches", "every kind, one body static", "float64")],
-    "host": [_step("on_the_host", "every kind, one body static", "float64")],
-    "host, sheet": [_step("on_the_host", "sheet over a static ball", "float32")],
-    "hash": [_step("launches", "spatial hash", "float32"), _step("on_the_host", "spatial hash", "float32")],
+    "launch": [_on_device("launches", "kinds")],
+    "host": [_on_device("steps", "kinds")],
+    "host, sheet": [_on_device("steps", "sheet")],
+    "hash": [_on_device("launches", "hash"), _on_device("steps", "hash")],
     "needles": ["emulated/test_emulated.py::test_needles_that_cross_at_many_speeds"],
-    "at one time": [_step("at_one_time", "worlds in one place", "float64")],
+    "at one time": [_on_device("at_one_time", "kinds")],
     "counts": ["emulated/test_emulated.py::test_searches_of_so_many_boxes"],
     "short lists": ["emulated/test_emulated.py::test_replays_with_lists_too_short_for_the_candidates"],
     "solvers": ["emulated/test_emulated.py::test_searches_culls_and_solvers_do_not_race"],
@@ -26,10 +26,8 @@ FINDERS = {
     "beyond": ["emulated/test_emulated.py::test_more_candidates_than_32_bits_count"],
     "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "trees": ["kernels/boxes/test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
-    "pairs": [
-        "emulated/test_emulated.py::test_pair_functions_return_the_bits_of_the_cpu[vertex_face-3-default-float64]"
-    ],
-    "replays": [_step("replays", "worlds", "float32")],
+    "pairs": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[vertex-face 3-default-float64]"],
+    "replays": [_on_device("replays", "hash")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
 _SEARCH, _WALK = "kernels/search/search_half_warp.py", "kernels/search/search_trees.py"

@@ -390,7 +390,7 @@ PLANTED = [
         "ccd_warp/_engine/boxes/grids.py",
         "            if not pair.within:\n",
         "            if False:\n",
-        ("calls/test_invariance.py::test_the_broad_phase_changes_no_bit",),
+        ("laws/test_other_ways.py::test_threads_and_the_broad_phase_change_no_bit",),
     ),
     Fault(
         "a line search up to the contact",
@@ -478,14 +478,14 @@ PLANTED = [
         "ccd_warp/_runtime/packed.py",
         "setattr(own, name, begin)",
         "setattr(own, name, begin + 1)",
-        ("calls/test_invariance.py::test_threads_change_no_bit",),
+        ("laws/test_other_ways.py::test_threads_alone_change_no_bit",),
     ),
     Fault(
         "the error of a task lost",
         "ccd_warp/_runtime/threads.py",
         "        if self._errors:\n            raise self._errors[0]\n",
         "",
-        ("calls/test_faults.py::test_call_that_fails_at_any_use_of_warp_is_made_again",),
+        ("laws/test_again_after_failure.py::test_a_call_that_fails_at_any_use_of_warp_is_made_again",),
     ),
     Fault(
         "a box at a cut on one side of it",

@@ -1,10 +1,8 @@
 """The table of planted faults is that of the code as it is; `nox -s faults` plants them."""
 
 import ast
-import re
 
 import pytest
-from emulated.comparison import DAILY
 
 from planted import of_gpu
 from planted.planting import ROOT, fault_in
@@ -21,12 +19,6 @@ def test_every_fault_is_a_change_of_a_file():
             is_named = f"def {test}(" in (ROOT / "tests" / file).read_text(encoding="utf-8") if test else True
             assert finder in of_gpu.FINDERS or ((ROOT / "tests" / file).is_file() and is_named), fault.name
         assert fault.finders, fault.name
-
-
-def test_steps_that_find_faults_are_those_of_every_run():
-    tests = "\n".join(test for tests in of_gpu.FINDERS.values() for test in tests)
-    steps = re.findall(r"test_calls_on_a_step\w*\[(.*)\]", tests)
-    assert len(steps) > 5 and {*steps} <= {"-".join(case) for case in DAILY}
 
 
 def test_a_fault_whose_text_is_gone_is_named():

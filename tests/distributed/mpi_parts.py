@@ -1,0 +1,154 @@
+"""Meshes cut over ranks, the one process that they are compared with, and the comparison."""
+
+import time
+
+import numpy as np
+from laws.outputs import different
+
+import ccd_warp as ccd
+from ccd_warp.distributed import DistributedMesh, DistributedPipeline
+
+SCALARS = ["collision_free_step", "is_step_collision_free"]
+SEARCHES = [f"line_search {per}" for per in ("scene", "world", "body", "vertex")]
+CALLS = ["mesh_ccd", "find_candidates", "find_proximity", "displacement_bounds", "find_intersections", *SCALARS, *SEARCHES]
+# Of each result: what each rank has of its own vertices, what all have, and the lists of which each has some rows.
+_LOCAL = {"mesh_ccd": ["vertex_toi"], "line_search": ["vertices", "vertex_fraction"]}
+_SAME = {
+    "mesh_ccd": ["toi", "body_toi", "world_toi"],
+    "line_search": ["fraction", "num_rounds", "is_limited"],
+}
+_LISTS = {"mesh_ccd": ["contacts"], "line_search": ["touching", "struck"]}
+_COLUMNS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width", "points", "vertices", "bodies")
+_COLUMNS += ("distance", "direction", "features", "edge_parameter", "world", "is_crossing", *map(str, ccd.Candidates.__annotations__))
+
+
+def whole_mesh(mesh):
+    """The same mesh with faces in the order in which the ranks number them, each once, and with what lists ranks take."""
+    faces = mesh.faces.astype(np.int64)
+    ordered = np.sort(faces, axis=1)
+    order = np.lexsort((*faces.T[::-1], *ordered.T[::-1]))
+    is_first = np.ones(len(order), dtype=bool)
+    is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
+    kept = "vertices body_vertex_range static kinematic rigid self_collision body_pairs exclusion_rings vertex_world names radius planes"
+    return ccd.CollisionMesh(
+        faces=mesh.faces[order[is_first]],
+        given_edges=mesh.edges[mesh.codimensional_edges],
+        with_codimensional_points=_has(mesh, mesh.codimensional_points),
+        with_inner_vertices=_has(mesh, mesh.inner_vertices),
+        exclude_pairs={name: pairs for name, pairs in mesh.exclude_pairs.items() if name in ("vertices", "bodies")},
+        **{name: getattr(mesh, name) for name in kept.split()},
+    )
+
+
+def _has(mesh, vertices):
+    """Which bodies have some of the vertices."""
+    return np.isin(np.arange(mesh.num_bodies), mesh.vertex_body[vertices])
+
+
+class Cut:
+    """The part of a mesh on one rank: the faces that are given to it, and the vertices that they use.
+
+    Vertices in no face go to the rank of their index; codimensional edges to that of their first vertex. ``ids`` are
+    twice the indices and five more, so that a number is never an id.
+    """
+
+    def __init__(self, comm, mesh, rank_of_face, rng, with_owners=False):
+        rank, size = comm.Get_rank(), comm.Get_size()
+        faces = mesh.faces[rank_of_face == rank]
+        # a face of another rank, too, with its corners in another order: it counts once, as the first has it
+        faces = np.concatenate([faces, mesh.faces[rng.random(len(mesh.faces)) < 0.05 * (rank + 1)]])
+        edges = mesh.edges[mesh.codimensional_edges]
+        edges = edges[edges[:, 0] % size == rank]
+        is_used = ~np.isin(np.arange(mesh.num_vertices), mesh.faces) & (np.arange(mesh.num_vertices) % size == rank)
+        is_used[faces], is_used[edges] = True, True
+        self.rows = rng.permutation(np.flatnonzero(is_used))
+        place = np.full(mesh.num_vertices, -1)
+        place[self.rows] = np.arange(len(self.rows))
+        owned = None
+        if with_owners:  # the highest rank that has it
+            owned = (size - 1 - np.argmax(np.stack(comm.allgather(is_used))[::-1], axis=0))[self.rows] == rank
+        planes = zip(mesh.planes.bodies, mesh.planes.points, mesh.planes.normals, strict=True)
+        self.mesh = DistributedMesh(
+            comm,
+            mesh.vertices[self.rows],
+            place[faces],
+            vertex_ids=2 * self.rows + 5,
+            edges=place[edges],
+            bodies=mesh.vertex_body[self.rows],
+            static=np.setdiff1d(np.flatnonzero(mesh.static), mesh.planes.bodies).tolist(),
+            kinematic=np.flatnonzero(mesh.kinematic).tolist(),
+            rigid=np.flatnonzero(mesh.rigid).tolist(),
+            self_collision=mesh.self_collision,
+            codimensional_points=_has(mesh, mesh.codimensional_points),
+            body_pairs=mesh.body_pairs,
+            exclusion_rings=mesh.exclusion_rings,
+            exclude_pairs={
+                name: 2 * pairs.astype(np.int64) + 5 if name == "vertices" else pairs
+                for name, pairs in mesh.exclude_pairs.items()
+            },
+            vertex_world=mesh.vertex_world[self.rows],
+            radius=None if mesh.radius is None else mesh.radius[self.rows],
+            owned=owned,
+            half_spaces={int(b): ccd.HalfSpace(point, normal) for b, point, normal in planes},
+        )
+
+    def local(self, positions):
+        """Positions of the vertices on this rank; those of ghosts are spoiled, as they are not to be read."""
+        values = positions[self.rows].copy()
+        ghosts = np.flatnonzero(~self.mesh.is_owned)
+        values[ghosts] = np.resize([np.nan, 0.0, np.inf, -1e308], len(ghosts))[:, None]
+        return values
+
+
+def compare(comm, cut, mesh, start, end, calls, options, motion=None):
+    """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
+    start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
+    pipelines = DistributedPipeline(cut.mesh, **options), ccd.CollisionPipeline(mesh, **options)
+    for call in calls:
+        compare_call(comm, cut, *pipelines, start, end, call, motion)
+    return pipelines[0]
+
+
+def wait_for_all(comm):
+    """A barrier at which ranks sleep: elsewhere MPI asks all the time, on cores that the others need."""
+    request = comm.Ibarrier()
+    while not request.Test():
+        time.sleep(1e-3)
+
+
+def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
+    """Make one call on all ranks and in one process, and compare every bit."""
+    name, _, per = call.partition(" ")
+    size = cut.mesh.length_scale
+    more = {"find_proximity": [0.05 * size], "displacement_bounds": [0.1 * size], "find_candidates": [0.01 * size]}.get(name, [])
+    options = {"per": per} if per else {}
+
+    def made(of, *positions):
+        if name in ("find_proximity", "displacement_bounds", "find_intersections"):
+            return getattr(of, name)(positions[0], *more)
+        return getattr(of, name)(*positions, *more, **options, **({} if motion is None else {"motion": motion}))
+
+    found = made(pipeline, cut.local(start), cut.local(end))
+    expected = made(one, start, end) if comm.Get_rank() == 0 else None
+    wait_for_all(comm)
+    expected = comm.bcast(expected)
+    ours, theirs, lists = {}, {}, [(name, found, expected)] * hasattr(found, "to_root")
+    if name == "displacement_bounds" or name in SCALARS:
+        ours[name], theirs[name] = found, expected[cut.rows] if name == "displacement_bounds" else expected
+    for key in _LOCAL.get(name, []) + _SAME.get(name, []):
+        ours[key], value = getattr(found, key), getattr(expected, key)
+        theirs[key] = value[cut.rows] if key in _LOCAL[name] else value
+    if name == "line_search" and motion is not None:
+        ours["poses"], theirs["poses"] = (result.motion.poses_t1 for result in (found, expected))
+    lists += [(key, getattr(found, key), getattr(expected, key)) for key in _LISTS.get(name, [])]
+    for key, part, whole in lists:
+        part, whole = part.to_root(), whole.sorted() if name == "find_candidates" else whole
+        for column in _COLUMNS if comm.Get_rank() == 0 else ():
+            if hasattr(whole, column) and hasattr(part, column):
+                values = np.asarray(getattr(whole, column))
+                ours[f"{key} {column}"] = np.asarray(getattr(part, column))
+                values = 2 * values.astype(np.int64) + 5 if column == "vertices" else values
+                theirs[f"{key} {column}"] = values.astype(ours[f"{key} {column}"].dtype)
+        assert comm.Get_rank() > 0 or sum(k.startswith(key) for k in ours) >= 4, key
+    assert different(*({k: np.asarray(v) for k, v in each.items()} for each in (ours, theirs))) == [], call
+    wait_for_all(comm)

@@ -1,0 +1,348 @@
+"""No result depends on how it is computed: drawn scenes and all calls, in every way that must change no bit.
+
+The ways: threads, the broad phase, memory, what was called before, launches in place of calls on the host, graphs in
+place of launches, the device, the width of lanes, the place of a pair among others. Ranks are in `tests/distributed`.
+"""
+
+import hashlib
+import os
+import pickle
+import subprocess
+import sys
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import warp as wp
+from cuda_modules import cuda_modules
+from expected_warnings import OF_ROUNDING
+from hard_cases import FAMILIES
+
+import ccd_warp as ccd
+from laws import calls
+from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
+from laws.outputs import different, outputs_of
+from laws.scenes import drawn, with_static_at_rest
+
+pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
+
+
+def crowd(num_faces, num_others=0, size=0.1, seed=21, dust=0, **of_mesh):
+    """Three bodies of faces, and cables and particles among them, that move at random, but for static ones."""
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for count in (num_faces, num_faces // 2, num_faces // 4):
+        x = rng.random((count + num_others, 1, 3)) + size * rng.standard_normal((count + num_others, 3, 3))
+        x = x.reshape(-1, 3)
+        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
+        x = np.concatenate([x, 0.01 * rng.standard_normal((dust, 3))])
+        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **of_mesh)
+    end = mesh.vertices + 1.5 * size * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def sheets():
+    """A sheet that falls through another, which is static."""
+    x, a = np.stack(np.divmod(np.arange(64), 8), axis=1) / 7, np.arange(54)[np.arange(54) % 8 < 7]
+    x = np.column_stack([x, 0.05 * np.sin(9 * x[:, 0]) * np.cos(8 * x[:, 1])])
+    faces = np.concatenate([np.stack([a, a + 8, a + 1], axis=1), np.stack([a + 1, a + 8, a + 9], axis=1)])
+    mesh = ccd.CollisionMesh.from_arrays([(x + [0.01, 0.02, 0.2], faces), (1.1 * x, faces)], static=[1])
+    return mesh, mesh.vertices, mesh.vertices - [0.02, 0.01, 0.4] * (mesh.vertex_body == 0)[:, None]
+
+
+def needles():
+    """Needles that cross each other, each in a world of its own: many take more iterations than a first round has."""
+    start, end = (x.reshape(-1, 3) for x in FAMILIES["needle_against_needle"]("edge-edge", 24, np.random.default_rng(0)))
+    edges, world = np.arange(96).reshape(-1, 2), np.repeat(np.arange(24), 4)
+    return ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), int), edges)], vertex_world=world), start, end
+
+
+_LISTS = {"bodies": [(0, 2)], "vertices": [(0, 130), (7, 250), (3, 20)], "vertex_face": [(v, v % 20) for v in range(90)]}
+# Scenes so large that threads share them in many parts, batches are many and a device takes several turns.
+LARGE = {
+    "crowd": StepCase(lambda: crowd(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
+    "static": StepCase(lambda: crowd(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000),
+    "one place": StepCase(lambda: crowd(60, 30, dust=150, static=[0]), {}, 400_000),
+}
+# Those in which a GPU has what a warp, a block or a few threads must not lose.
+ON_DEVICE = {
+    "kinds": StepCase(lambda: crowd(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}),
+    "hash": StepCase(lambda: crowd(40, 15, static=[1]), {"broad_phase": "hash"}),
+    "lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
+    "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
+    "sheet": StepCase(sheets, {}),  # whose edges are more than its vertices
+    "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
+    "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
+    "few iterations": StepCase(lambda: crowd(60), {"max_iterations": 3}),
+    "levels": StepCase(lambda: crowd(900, size=0.02), {}, 90_000),
+}
+NAMES = [name for name in CALLS if name != "batches"]  # which has a law of its own
+# Each seed with the call that has its turn, and each of the large scenes with some.
+PLAN = [(NAMES[seed % len(NAMES)], seed) for seed in range(6 * len(NAMES))]
+PLAN += [(call, name) for name in LARGE for call in ("steps", "searches")] + [("launches", "crowd")]
+PLAN += [(call, f"arcs {k}") for k, call in enumerate(("steps", "launches", "line_searches", "searches") * 2)]
+every = pytest.mark.parametrize(("call", "scene"), PLAN)
+
+
+@cache
+def case_of(scene):
+    """The scene of a seed, one in which bodies turn, or a large one of a name."""
+    if isinstance(scene, int):
+        return drawn(scene)
+    return (LARGE | ON_DEVICE).get(scene) or drawn(int(scene.removeprefix("arcs")), "arcs")
+
+
+def precision_of(scene):
+    """Both precisions, by turns."""
+    return PRECISIONS[(scene // len(NAMES) if isinstance(scene, int) else len(scene)) % 2]
+
+
+def asked(call, scene, change=lambda case: case, **options):
+    """What a call returns of a scene that is changed, or passed with other options."""
+    case = change(case_of(scene))
+    return CALLS[call](replace(case, options=case.options | options), precision_of(scene))
+
+
+@cache
+def expected(call, scene):
+    """What it returns on one thread."""
+    return asked(call, scene, num_threads=1)
+
+
+@every
+def test_threads_and_the_broad_phase_change_no_bit(call, scene):
+    other = "tree" if case_of(scene).options.get("broad_phase") == "hash" else "hash"
+    assert different(asked(call, scene, num_threads=5, broad_phase=other), expected(call, scene)) == []
+
+
+@pytest.mark.parametrize("scene", LARGE)
+def test_threads_alone_change_no_bit(scene):
+    assert different(asked("steps", scene, num_threads=8), expected("steps", scene)) == []
+
+
+@every
+def test_earlier_calls_change_no_bit(call, scene):
+    """The mesh has been used in a step that goes elsewhere and back, and in the same one."""
+    mesh, start, end = made = case_of(scene).make()
+    away = start + 0.3 * case_of(scene).size * ~mesh.rigid[mesh.vertex_body][:, None]
+    asked(call, scene, lambda case: replace(case, make=lambda: (mesh, away, with_static_at_rest(mesh, away, end))))
+    assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
+
+
+@pytest.mark.parametrize("scene", [*range(16), *LARGE])
+def test_memory_changes_no_bit(scene):
+    """Nor the order of candidates."""
+    case, given = case_of(scene), (precision_of(scene),)
+    limited, enough = (replace(case, options=case.options | {"num_threads": n}) for n in (3, 1))
+    enough = calls.batches(enough, *given, is_limited=False, with_order=True)
+    assert different(calls.batches(limited, *given, with_order=True), enough) == []
+
+
+@pytest.mark.parametrize("scene", [*range(16), "kinds", "hash", "needles"])
+def test_a_graph_changes_no_bit(scene):
+    """Replays with other positions give what launches give."""
+    truth, found = (calls.replays(case_of(scene), precision_of(scene), is_captured=k) for k in (False, True))
+    assert different(found, truth) == []
+
+
+@pytest.mark.parametrize("scene", [*range(24), *ON_DEVICE])
+def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
+    """Of positions of both types, and as displacements, which are added in float64."""
+    case = case_of(scene)
+    mesh, start, end = case.make()
+    pipeline, motion = case.pipeline(mesh, precision_of(scene)), case.motion()
+    finder = ccd.CollisionPipeline(mesh, max_pairs=90_000, max_contacts=90_000)
+    for dtype in PRECISIONS:
+        x, moves = start.astype(dtype), (end - start).astype(dtype)
+        y = (x.astype(float) + moves.astype(float)).astype(dtype)
+        host = {name: ccd.mesh_ccd(mesh, x.astype(float), z, precision=precision_of(scene), **case.options, **motion)
+                for name, z in (("to", y.astype(float)), ("by", x.astype(float) + moves.astype(float)))}
+        launched = [("to", pipeline.launch(x, y, **motion)), ("to", pipeline.launch(on_device(x, dtype), on_device(y, dtype), **motion))]
+        for name, result in launched if motion else [*launched, ("by", None)]:
+            result = result or pipeline.launch(on_device(x, dtype), displacements=on_device(moves, dtype))
+            assert_shared_bits(result.to_host(), host[name], ".toi", ".vertex_toi", ".body_toi", ".contacts.points")
+        distance = (0.05 if dtype == "float64" else 0.02) * case.size
+        near = finder.launch_proximity(on_device(x, dtype), distance)
+        assert_shared_bits(near.to_host(), ccd.find_proximity(mesh, x.astype(float), distance))
+        bounds = finder.launch_displacement_bounds(on_device(x, dtype), distance).to_host()
+        assert different({"": bounds}, {"": ccd.displacement_bounds(mesh, x.astype(float), distance)}) == []
+
+
+def assert_shared_bits(launched, host, *names):
+    """What both results have is equal in every bit, and has these names."""
+    launched, host = outputs_of(launched), outputs_of(host)
+    shared = launched.keys() & host.keys()
+    assert shared >= {*names} and len(shared) > 4
+    assert different(*({name: each[name] for name in shared} for each in (launched, host))) == []
+
+
+# --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
+
+ON_OTHER = [(NAMES[seed % len(NAMES)], seed) for seed in range(2 * len(NAMES))]
+ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene != "levels" for call in ("launches", "steps")]
+ON_OTHER += [("searches", "levels"), ("gradients", "kinds"), ("gradients", "radii"), ("at_one_time", "kinds")]
+ON_OTHER += [("at_one_time", "radii"), ("launched_line_searches", "radii"), ("few_pairs", "kinds"), ("replays", "hash")]
+ON_OTHER += [(call, f"arcs {k}") for k, call in enumerate(("steps", "launches", "launched_line_searches"))]
+# The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
+_KEPT = os.environ.get("CCD_WARP_KEPT_ANSWERS")
+
+
+def kept(case, call):
+    """What a call returns, or has returned in another process."""
+    path = Path(_KEPT or "", hashlib.sha256(repr(case).encode()).hexdigest())
+    if _KEPT and path.exists():
+        return pickle.loads(path.read_bytes())
+    answer = call()
+    if _KEPT:
+        path.write_bytes(pickle.dumps(answer))
+    return answer
+
+
+@cache
+def difference_of_devices(call, scene, other_device):
+    """What differs in a bit between this device and the other one."""
+    here = kept((call, scene), lambda: asked(call, scene))
+    with other_device():
+        return different(asked(call, scene), here)
+
+
+@pytest.mark.parametrize(("call", "scene"), ON_OTHER)
+def test_the_device_changes_no_bit(call, scene, other_device):
+    assert difference_of_devices(call, scene, other_device) == []
+
+
+# Kernels of modules for CUDA that the CPU alone launches, each in place of another.
+CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unite_levels refresh_levels split_segments"
+# Of modules for distances, ends of the names of those that are not run, as others run what is theirs: a precision, the
+# norm of boxes, and of radii with lists of excluded pairs and without one search each.
+_LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
+_LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
+_LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
+
+
+@pytest.mark.emulated
+def test_every_kernel_for_cuda_is_run(other_device):
+    """Otherwise a kernel would be missed above; what is not run yet, when this test runs alone, is run now."""
+    from emulated.device import SHARED
+
+    for call, scene in ON_OTHER:
+        difference_of_devices(call, scene, other_device)
+    launched = {(module, key.split("__")[-1]) for module, key in SHARED.launches}
+    missing = [
+        f"{name}: {key}"
+        for name, module in cuda_modules(with_distances=True).items()
+        if not name.endswith(_LIKE_OTHERS)
+        for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
+        if key not in CPU_ALONE.split() and (module.name, key) not in launched
+    ]
+    assert missing == []
+
+
+# --- pairs ---
+
+PAIR_OPTIONS = {
+    "default": {},
+    "separation": {"minimum_separation": 0.02, "start_gap_fraction": 0.5, "t_max": 0.6},
+    "scale": {"length_scale": 2.0, "tolerance": 1e-3},
+    "bisection": {"method": "bisection", "max_iterations": 500},
+    "limit": {"max_iterations": 2},
+    "distance": {"minimum_distance": 0.02, "t_max": 0.6},
+}
+KINDS = ["vertex-face 3", "edge-edge 3", "point-segment 2", "point-segment 3", "point-point 2", "point-point 3"]
+_OF_KINDS = ("random", "random_colliding", "cloth_like", "static_partner", "lattice", "collinear")
+every_pair = pytest.mark.parametrize(
+    ("kind", "options", "precision"),
+    [
+        (kind, name, precision)
+        for k, kind in enumerate(KINDS)
+        for n, name in enumerate(PAIR_OPTIONS)
+        for precision in (PRECISIONS if n == 0 else PRECISIONS[(n + k) % 2 :][:1] if n < 5 else PRECISIONS[:1] * (k < 2))
+    ],
+)
+
+
+@cache
+def points_of(kind, each, seed=0):
+    """The function of a kind, and its points at both ends: of plain families and of all others."""
+    kind, dimension = kind.split()
+    families = FAMILIES if int(dimension) == 3 and "point" not in kind else _OF_KINDS
+    rng = np.random.default_rng(seed)
+    drawn_points = [FAMILIES[name](kind, each, rng, int(dimension)) for name in families]
+    return kind.replace("-", "_"), *(np.concatenate(frames) for frames in zip(*drawn_points, strict=True))
+
+
+@every_pair
+def test_threads_and_graphs_and_arrays_of_warp_change_no_bit_of_pairs(kind, options, precision):
+    name, *points = points_of(kind, 200)
+    call, given = getattr(ccd, f"{name}_ccd"), {**PAIR_OPTIONS[options], "precision": precision}
+    truth = outputs_of(call(*points, num_threads=1, **given))
+    assert np.isfinite(truth[".toi"]).sum() > 20
+    for num_threads in (2, 3):
+        assert different(outputs_of(call(*points, num_threads=num_threads, **given)), truth) == []
+    arrays = [on_device(x) for x in points_of(kind, 200, 1)[1:]]
+    call(*arrays, **given)
+    with wp.ScopedCapture() as capture:
+        result = call(*arrays, num_threads=3, **given)
+    for array, values in zip(arrays, points, strict=True):
+        array.assign(values)
+    wp.capture_launch(capture.graph)
+    assert different(outputs_of(result), truth) == []
+    assert different(outputs_of(call(*arrays, **given)), truth) == []
+
+
+@every_pair
+def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device):
+    name, *points = points_of(kind, 16)
+    here = kept((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
+    with other_device():
+        assert different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here) == []
+
+
+@every_pair
+def test_the_lane_of_a_pair_and_its_neighbours_change_no_bit(kind, options, precision):
+    name, *points = points_of(kind, 8)
+    call, rng = getattr(ccd, f"{name}_ccd"), np.random.default_rng(1)
+    together = outputs_of(call(*points, precision=precision, **PAIR_OPTIONS[options]))
+    count = len(together[".toi"])
+    for rows in (rng.permutation(count), np.repeat(rng.integers(0, count, 5), 7), *([i] for i in range(0, count, 29))):
+        found = outputs_of(call(*(x[rows] for x in points), precision=precision, **PAIR_OPTIONS[options]))
+        assert different(found, {field: values[rows] for field, values in together.items()}) == []
+
+
+def digest_of_lanes():
+    """A hash of the bits of pairs of all kinds and of steps."""
+    found = hashlib.sha256()
+    for precision in PRECISIONS:
+        results = [asked("steps", scene) for scene in (*range(8), "kinds")]
+        for kind in KINDS:
+            name, *points = points_of(kind, 8)
+            for options in ("default", "separation", "distance")[: 3 if precision == "float64" and "point" not in kind else 2]:
+                results.append(pairs(name, *points, precision, PAIR_OPTIONS[options]))
+        for result in results:
+            for name, array in sorted(result.items()):
+                found.update(name.encode() + array.tobytes())
+    return found.hexdigest()
+
+
+# Plain numbers, and vectors of 256 bits compiled for a processor without AVX-512. The default of this machine is the
+# other side of the comparison.
+@pytest.mark.parametrize(
+    ("lanes", "flags"), [("1", None), pytest.param("4", "-target-cpu haswell", marks=pytest.mark.long)]
+)
+def test_the_width_of_lanes_changes_no_bit(lanes, flags):
+    from ccd_warp._runtime.lanes import cpu_lanes
+
+    if wp.get_device().ordinal >= 0 or (flags and cpu_lanes() < 4):
+        pytest.skip("lanes are those of a CPU, these of one with AVX2")
+    script = "import conftest, warp; warp.set_device('cpu')\nfrom laws import test_other_ways\n"
+    script += f"warp.config.cpu_compiler_flags = {flags!r}\n" if flags else ""
+    script += "print(test_other_ways.digest_of_lanes())"
+    tests = Path(__file__).resolve().parents[1]
+    path = os.pathsep.join([str(tests), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "CCD_WARP_LANES": lanes, "PYTHONPATH": path, "PYTHONWARNINGS": "ignore"}
+    done = subprocess.run([sys.executable, "-P", "-c", script], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split()[-1] == digest_of_lanes()
