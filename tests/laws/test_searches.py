@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from laws.test_truth import SEEDS, kinds_of, scene_of
-from laws.truth import candidates, displacement_bounds, intersections, proximities
 
 import ccd_warp as ccd
+from laws.test_truth import SEEDS, kinds_of, scene_of
+from laws.truth import candidates, displacement_bounds, intersections, proximities
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 

@@ -4,6 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+
+import ccd_warp as ccd
 from laws.scenes import drawn
 from laws.truth import (
     NAMES,
@@ -16,8 +18,6 @@ from laws.truth import (
     first_times,
     sizes,
 )
-
-import ccd_warp as ccd
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 

@@ -139,11 +139,10 @@ class Pairs:
         return turning(self.points[side][k], self.poses[k, side], end, self.path, pivot, twist)
 
     @precise
-    def place(self, k: int, side: int, weights: np.ndarray, t: float) -> np.ndarray:
-        """Where a place on a primitive is at a time, up to rounding."""
+    def at(self, k: int, side: int, t: float) -> np.ndarray:
+        """The points of a side at a time, up to rounding."""
         points = self.trajectories(k)[side](arb_poly([arb(float(t))]))
-        terms = [scaled(w, x) for w, x in zip(exact(weights), points, strict=True)]
-        return np.array([float(sum((arb_poly(x[i])[0] for x in terms), arb(0))) for i in range(3)])
+        return np.array([[float(arb_poly(x)[0]) for x in point] for point in points])
 
     def moved(self, shift: np.ndarray) -> Pairs:
         """The same pairs with the second body elsewhere all the time; shape [n, 3]."""
@@ -156,14 +155,14 @@ class Pairs:
 
     def meeting(self, time, at, gap) -> Pairs:
         """The second bodies moved so that places on both, by weights, are a vector from each other at a time."""
-        places = [[self.place(k, side, at[side][k], t) for side in (0, 1)] for k, t in enumerate(time)]
+        places = [[at[side][k] @ self.at(k, side, t) for side in (0, 1)] for k, t in enumerate(time)]
         return self.moved(np.array([a - b for a, b in places]) + gap)
 
     def near(self, rng, time, gap) -> Pairs:
         """Places in the inside of both are, at a time, a gap from counting as contact; up to rounding."""
         at, way = [weights(self.kind, side, rng, len(self)) for side in (0, 1)], directions(rng, len(self))
         if self.kind == "point-segment":
-            ends = np.array([[self.place(k, 1, w, t) for w in np.eye(2)] for k, t in enumerate(time)])
+            ends = np.array([self.at(k, 1, t) for k, t in enumerate(time)])
             along = unit(ends[:, 1] - ends[:, 0])
             way = unit(way - along * (along * way).sum(axis=1, keepdims=True))
         return self.meeting(time, at, way * (gap + self.distance)[:, None])
