@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.timing import figures, interleaved
-from ccd_warp.benchmarks.whole_step import ToolkitScene, disagreements
+from scenes import Scene
+from timing import figures, interleaved
+from whole_step import ToolkitScene, disagreements
 
 import ccd_warp as ccd
 

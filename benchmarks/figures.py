@@ -12,13 +12,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from ccd_warp.benchmarks.machine import describe
-from ccd_warp.benchmarks.methods import REFERENCE
-from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, ratio_text, set_name, time_text
-from ccd_warp.benchmarks.raw_file import frame
-from ccd_warp.benchmarks.rigid_sections import draw_turns, of_what
-from ccd_warp.benchmarks.scene_sections import machine_of, scene_name
-from ccd_warp.benchmarks.sections import FIRST_CALL
+from machine import describe
+from methods import REFERENCE
+from numbers import DEFAULT_TOLERANCE, is_peer, ratio_text, set_name, time_text
+from raw_file import frame
+from rigid_sections import draw_turns, of_what
+from scene_sections import machine_of, scene_name
+from sections import FIRST_CALL
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure

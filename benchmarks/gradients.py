@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
-from ccd_warp.benchmarks.numbers import table
-from ccd_warp.benchmarks.timing import interleaved, medians
+import scenes, side_figures
+from numbers import table
+from timing import interleaved, medians
 
 import ccd_warp as ccd
 

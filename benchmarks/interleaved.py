@@ -6,11 +6,11 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from ccd_warp.benchmarks.accuracy import judged
-from ccd_warp.benchmarks.memory import PeakMemory
-from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method
-from ccd_warp.benchmarks.peers import Peer
-from ccd_warp.benchmarks.query_sets import QuerySet
+from accuracy import judged
+from memory import PeakMemory
+from methods import REFERENCE, Answer, Method
+from peers import Peer
+from query_sets import QuerySet
 
 # Number of queries of the reference whose times are kept, so that two runs can be compared on the same work.
 REFERENCE_QUERIES = 200

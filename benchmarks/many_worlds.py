@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.device_step import worlds as sheets_and_balls
-from ccd_warp.benchmarks.timing import figures, interleaved
+import scenes
+from device_step import worlds as sheets_and_balls
+from timing import figures, interleaved
 
 import ccd_warp as ccd
 

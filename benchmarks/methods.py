@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.univariate import ends_ccd, univariate_ccd
+from univariate import ends_ccd, univariate_ccd
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from ccd_warp.benchmarks.methods import REFERENCE, SHORT
+from methods import REFERENCE, SHORT
 
 OURS = "ours float64"
 PEERS = (REFERENCE, "additive CCD")

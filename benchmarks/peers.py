@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.memory import PeakMemory, resident
+from memory import PeakMemory, resident
 
 # Number of calls for measuring the cost of a Python call, around every piece of a pass.
 _OVERHEAD_CALLS = 60

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from ccd_warp.benchmarks.accuracy import ExactTimes
-from ccd_warp.benchmarks.methods import KINDS
+from accuracy import ExactTimes
+from methods import KINDS
 from hard_cases import FAMILIES
 
 from ccd_warp import datasets

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ccd_warp.benchmarks import rigid_sections, scene_sections, sections
-from ccd_warp.benchmarks.ahead import ahead
-from ccd_warp.benchmarks.front_page import speed
-from ccd_warp.benchmarks.machine import describe
-from ccd_warp.benchmarks.methods import REFERENCE
-from ccd_warp.benchmarks.numbers import (
+import rigid_sections, scene_sections, sections
+from ahead import ahead
+from front_page import speed
+from machine import describe
+from methods import REFERENCE
+from numbers import (
     DEFAULT_TOLERANCE,
     OURS,
     at_default,
@@ -19,7 +19,7 @@ from ccd_warp.benchmarks.numbers import (
     set_name,
     time_text,
 )
-from ccd_warp.benchmarks.scene_sections import scene_name, step_cells
+from scene_sections import scene_name, step_cells
 
 COMMAND = "ccd-warp bench --output benchmarks/results --docs ."
 

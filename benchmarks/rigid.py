@@ -15,11 +15,11 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import rigid_arm, rigid_dice, rigid_nonlinear, rigid_turns
-from ccd_warp.benchmarks.rigid_peers import PEERS, missing, peers_of
-from ccd_warp.benchmarks.rigid_scenes import SCENES, RigidSteps
-from ccd_warp.benchmarks.rigid_truth import evidence, mesh_of, starting_apart, worlds_of
-from ccd_warp.benchmarks.timing import figures, interleaved
+import rigid_arm, rigid_dice, rigid_nonlinear, rigid_turns
+from rigid_peers import PEERS, missing, peers_of
+from rigid_scenes import SCENES, RigidSteps
+from rigid_truth import evidence, mesh_of, starting_apart, worlds_of
+from timing import figures, interleaved
 
 import ccd_warp as ccd
 
@@ -158,7 +158,7 @@ def calls(sizes: Sizes) -> dict[str, Callable[[], dict]]:
 
 def _turns(kind: str, sizes: Sizes) -> dict:
     """The price of a pair by its turn, with the number of its steps."""
-    from ccd_warp.benchmarks import rigid_iterations  # whose kernel is compiled from templates that few parts need
+    import rigid_iterations  # whose kernel is compiled from templates that few parts need
 
     record = rigid_turns.measure(kind, sizes.pairs, sizes.rounds, sizes.turns)
     counted = rigid_iterations.measure(kind, sizes.counted, sizes.turns)

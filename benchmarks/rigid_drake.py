@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps, Spheres
+from rigid_scenes import Boxes, RigidSteps, Spheres
 
 
 def checkers(steps: RigidSteps) -> Iterator[tuple[float, Any, np.ndarray, np.ndarray]]:

@@ -12,7 +12,7 @@ from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps, Spheres
+from rigid_scenes import Boxes, RigidSteps, Spheres
 
 # Modules of the peers, by the name under which they are installed.
 PEERS = {"python-fcl": "fcl", "coal": "coal", "drake": "pydrake", "py-parry3d": "py_parry3d"}
@@ -163,7 +163,7 @@ def _parry(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
 
 def _drake(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
     """drake's checker of edges between configurations, by the size of its steps."""
-    from ccd_warp.benchmarks.rigid_drake import checkers
+    from rigid_drake import checkers
 
     for size, checker, starts, ends in checkers(steps):
 

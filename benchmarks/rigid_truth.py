@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps, Spheres
+from rigid_scenes import Boxes, RigidSteps, Spheres
 
 import ccd_warp as ccd
 

@@ -13,8 +13,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.methods import SOLVE, Method
-from ccd_warp.benchmarks.timing import interleaved
+from methods import SOLVE, Method
+from timing import interleaved
 from hard_cases import FAMILIES
 
 import ccd_warp as ccd

@@ -6,9 +6,9 @@ python -m ccd_warp.benchmarks.separation --output benchmarks/results/separation.
 from __future__ import annotations
 
 import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
-from ccd_warp.benchmarks.numbers import table, time_text
-from ccd_warp.benchmarks.timing import interleaved, medians
+import scenes, side_figures
+from numbers import table, time_text
+from timing import interleaved, medians
 
 import ccd_warp as ccd
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import ipctk
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.scene_sections import SMALL_PEERS
-from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.timing import figures, interleaved
-from ccd_warp.benchmarks.whole_step import ToolkitScene
+from scene_sections import SMALL_PEERS
+from scenes import Scene
+from timing import figures, interleaved
+from whole_step import ToolkitScene
 from hard_cases import FAMILIES
 
 import ccd_warp as ccd

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from ccd_warp.benchmarks.cubic_roots import ROOTS
+from cubic_roots import ROOTS
 
 CHUNK = 100_000  # queries at a time, which limits the memory to about 200 MB
 

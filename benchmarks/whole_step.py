@@ -15,10 +15,10 @@ from functools import partial
 import ipctk
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.memory import PeakMemory
-from ccd_warp.benchmarks.scaling import run_apart
-from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere
-from ccd_warp.benchmarks.timing import figures, interleaved, medians
+from memory import PeakMemory
+from scaling import run_apart
+from scenes import Scene, cloth_over_sphere
+from timing import figures, interleaved, medians
 
 import ccd_warp as ccd
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.methods import SOLVE
+from pair_functions import SOLVE
 from ccd_warp.kernels.boxes.thickness import sum_up
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois

@@ -588,46 +588,6 @@ def one_rank_more_work_than_the_others():
     assert seen[4][0] < 0.9 * seen[0][0], seen
 
 
-class Counted:
-    """A communicator that counts its collective operations."""
-
-    def __init__(self, comm):
-        self.comm, self.count = comm, 0
-
-    def __getattr__(self, name):
-        self.count += name in ("Allreduce", "allgather", "Allgatherv", "Alltoall", "exscan")
-        return getattr(self.comm, name)
-
-
-def simulation_of_ranks():
-    """The simulation of many ranks says what these have and send; rank 0 hands in everything."""
-    from ccd_warp.benchmarks import distributed_simulation as simulation
-    from ccd_warp.benchmarks.virtual_mesh import Traffic, VirtualMesh, VirtualPlan
-
-    from ccd_warp.distributed import DistributedMesh, DistributedPipeline
-
-    scene = simulation.scenes.cloth_over_sphere(1_500)
-    rows, faces = (slice(None), scene.faces) if RANK == 0 else (slice(0), scenes.NO_FACES)
-    bodies = np.repeat([0, 1], [scene.faces[: scene.body_faces[0]].max() + 1, len(scene.vertices_t0)])
-    ids = np.arange(len(scene.vertices_t0))[rows]
-    mesh = DistributedMesh(COMM, scene.vertices_t0[rows], faces, vertex_ids=ids, bodies=bodies[: len(ids)])
-    pipeline = DistributedPipeline(mesh)
-    for _ in range(2):  # the second keeps the plan
-        mesh.ranks.comm = counted = Counted(getattr(mesh.ranks.comm, "comm", mesh.ranks.comm))
-        work = pipeline.mesh_ccd(scene.vertices_t0[rows], scene.vertices_t1[rows]).work
-    virtual, owner = VirtualMesh(scene), np.zeros(len(scene.vertices_t0), dtype=np.int64)
-    plan = VirtualPlan.of(virtual, SIZE, None, owner, pipeline._inflation)
-    traffic = Traffic.of(virtual, plan, owner)
-    found = work.num_primitives, work.num_ghosts, work.num_neighbours, work.bytes_sent
-    ghosts = plan.num_primitives - plan.num_home
-    expected = [each[RANK] for each in (plan.num_primitives, ghosts, traffic.num_neighbours, traffic.num_sent)]
-    assert not work.is_planned and list(found) == expected, f"{found} in place of {expected}"
-    assert SIZE == 1 or counted.count == simulation.NUM_REDUCTIONS, counted.count
-    pairs = simulation.worked(virtual, plan, RANK).pairs
-    after_cull = work.counts.num_after_cull
-    assert {kind: len(each) for kind, each in pairs.items()} == {kind: after_cull[kind] for kind in pairs}
-
-
 CASES = [
     cloth_over_sphere,
     static_floor_and_owners_that_are_given,
@@ -659,12 +619,11 @@ CASES = [
     bound_from_a_sample,
     many_steps,
     one_rank_more_work_than_the_others,
-    simulation_of_ranks,
 ]
 
 
 # Says something of the benchmarks, whose simulation it runs.
-LONG = [simulation_of_ranks, bar_that_sweeps_the_regions_of_all_ranks, spheres_that_roll_on_each_other]
+LONG = [bar_that_sweeps_the_regions_of_all_ranks, spheres_that_roll_on_each_other]
 
 
 def main(names):

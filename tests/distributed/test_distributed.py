@@ -11,9 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.distributed_regions import regions_of_faces
-from ccd_warp.benchmarks.virtual_mesh import VirtualMesh, VirtualPlan
 
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed import _partition as partition
@@ -257,16 +254,6 @@ def test_primitives_go_to_every_region_that_they_meet_and_to_each_once():
         assert np.array_equal(np.unique(np.concatenate(found[kind])), np.arange(len(of)))
         for items, expected in zip(found[kind], partition.regions_met(regions, *boxes), strict=True):
             assert np.array_equal(items, expected)
-
-
-def test_a_picture_of_a_cut_shows_every_face_in_the_colour_of_a_rank_that_has_it():
-    mesh = VirtualMesh(scenes.cloth_over_sphere(600))
-    plan = VirtualPlan.of(mesh, 8, None, mesh.owners(8))
-    home = regions_of_faces(mesh, plan)
-    has = np.array([np.isin(np.arange(mesh.num_faces), items["face"]) for items in plan.items])
-    assert has[home, np.arange(mesh.num_faces)].all() and (np.bincount(home, minlength=8) > 20).all()
-    assert has.sum() > mesh.num_faces  # and there are ghosts to outline
-    assert np.array_equal(np.bincount(home, minlength=8), plan.num_home_faces)
 
 
 def test_the_copy_of_a_face_that_counts_is_the_first_in_lexicographic_order():

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks import scenes
+import fine_meshes as scenes
 from hard_cases import FAMILIES
 from scenes import pairs_in_worlds
 

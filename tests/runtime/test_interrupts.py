@@ -23,7 +23,7 @@ import faults
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.scenes import spheres_through_each_other
+from fine_meshes import spheres_through_each_other
 from hard_cases import FAMILIES
 
 import ccd_warp as ccd

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.methods import SOLVE
+from pair_functions import SOLVE
 from ccd_warp.kernels.template import specialised
 from distance_oracle import exact_distance
 from distance_queries import KINDS, check, grazing, run

@@ -9,7 +9,7 @@ import re
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.scenes import sphere
+from fine_meshes import sphere
 from daily import marked
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from launches import CAPACITIES, on_device

@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere
+from scenes import Scene, cloth_over_sphere
 
 import ccd_warp as ccd
 from ccd_warp.distributed import DistributedMesh, DistributedPipeline
