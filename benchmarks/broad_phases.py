@@ -48,7 +48,7 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         "faces": len(scene.faces),
         "rounds": len(seconds[PEER]),
         **figures(seconds | stages),
-        "candidates": [len(tree.vertex_face), len(tree.edge_edge)],
+        "candidates": len(tree.vertex_face) + len(tree.edge_edge),
         "are_equal": bool(
             all((a == b).all() for a, b in zip(vars(tree).values(), vars(hashed).values(), strict=True))
             and (tree_result.vertex_toi == hash_result.vertex_toi).all()

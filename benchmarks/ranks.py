@@ -1,7 +1,6 @@
 """Steps of one scene on 1 and more ranks, one thread each, beside one process with as many threads.
 
-    mpiexec -n 1 python -m ccd_warp.benchmarks.distributed_scaling --faces 1000000
-    mpiexec -n 2 python -m ccd_warp.benchmarks.distributed_scaling --faces 1000000 --output two.json
+    mpiexec -n 2 python benchmarks/ranks.py --faces 1000000
 
 Each rank takes a part of the scene, a band of the cloth and of the sphere; rank 0 keeps all of it only for the process
 that it compares with. The bands are across a diagonal, along which no region is cut, as a code that divides its mesh by
@@ -14,12 +13,9 @@ from __future__ import annotations
 
 import argparse
 import itertools
-import json
 import os
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 from scenes import Scene, cloth_over_sphere
@@ -34,136 +30,85 @@ def part_of(comm, scene: Scene, parts: str) -> tuple[DistributedMesh, np.ndarray
     bodies = list(itertools.pairwise(np.cumsum([0, *scene.body_faces])))
     chosen = []
     for begin, end in bodies:
-        if parts == "torn":
-            chosen.append(np.arange(begin + rank, end, size))
-            continue
         along = scene.vertices_t0[scene.faces[begin:end], :2].sum(axis=(1, 2))
         ordered = begin + np.argsort(along, kind="stable")
-        chosen.append(np.array_split(ordered, size)[rank])
-    faces = scene.faces[np.concatenate(chosen)]
-    rows, local = np.unique(faces, return_inverse=True)
+        torn = np.arange(begin + rank, end, size)
+        chosen.append(torn if parts == "torn" else np.array_split(ordered, size)[rank])
+    rows, local = np.unique(scene.faces[np.concatenate(chosen)], return_inverse=True)
     firsts = [scene.faces[a:b].min() for a, b in bodies]
-    mesh = DistributedMesh(
-        comm,
-        scene.vertices_t0[rows],
-        local.reshape(-1, 3),
-        vertex_ids=rows,
-        bodies=np.searchsorted(firsts, rows, side="right") - 1,
-        static=scene.static,
-        self_collision=scene.self_collision,
-    )
-    return mesh, rows
+    options = {"bodies": np.searchsorted(firsts, rows, side="right") - 1, "self_collision": scene.self_collision}
+    start, faces = scene.vertices_t0[rows], local.reshape(-1, 3)
+    return DistributedMesh(comm, start, faces, vertex_ids=rows, static=scene.static, **options), rows
 
 
-def seconds_of(step, frames, rounds: int, comm) -> list[float]:
-    """Seconds of each of some steps, on all ranks together; the cloth goes on a little in each."""
-    start, end = frames
+def seconds_of(
+    step: Callable, start: np.ndarray, end: np.ndarray, rounds: int, barrier: Callable = lambda: None
+) -> np.ndarray:
+    """Milliseconds of each of some steps; the cloth goes on a little in each."""
     seconds = []
     for k in range(rounds + 2):
         shift = (end - start) * (0.01 * k)
         x, y = start + shift, end + shift
-        comm.Barrier()
+        barrier()
         begin = time.perf_counter()
         step(x, y)
-        comm.Barrier()
+        barrier()
         seconds.append(time.perf_counter() - begin)
-    return seconds[2:]
+    return 1e3 * np.array(seconds[2:])
 
 
-def seconds_alone(scene: Scene, call: str, rounds: int, num_threads: int) -> list[float]:
-    """Seconds of the same steps in one process with so many threads."""
-    seconds = []
-    with on_all_cores():
-        pipeline = ccd.CollisionPipeline(scene.mesh(ccd), num_threads=num_threads, device="cpu")
-        for k in range(rounds + 2):
-            shift = (scene.vertices_t1 - scene.vertices_t0) * (0.01 * k)
-            x, y = scene.vertices_t0 + shift, scene.vertices_t1 + shift
-            begin = time.perf_counter()
-            getattr(pipeline, call)(x, y)
-            seconds.append(time.perf_counter() - begin)
-    return seconds[2:]
-
-
-@contextmanager
-def on_all_cores() -> Iterator[None]:
-    """A block whose threads may run on every core; mpiexec binds a rank, and so its threads, to one."""
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, range(os.cpu_count() or 1))
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
-
-
-def measure(comm, num_faces: int, rounds: int, parts: str) -> dict:
+def measure(comm, num_faces: int, rounds: int, parts: str) -> None:
     """Steps of the scene on these ranks, and on rank 0 alone."""
     scene = cloth_over_sphere(num_faces)
     mesh, rows = part_of(comm, scene, parts)
-    frames = scene.vertices_t0[rows], scene.vertices_t1[rows]
-    result: dict = {"faces": num_faces, "ranks": comm.Get_size(), "parts": parts, "calls": {}}
+    rank, size = comm.Get_rank(), comm.Get_size()
+    if rank == 0:
+        print(f"{num_faces:,} faces on {size} ranks, one thread each, parts: {parts}; milliseconds, least and median")
     for call in ("mesh_ccd", "collision_free_step"):
         pipeline = DistributedPipeline(mesh, num_threads=1, device="cpu")
-        stages = []
+        works = []
 
-        def step(x, y, call=call, pipeline=pipeline, stages=stages):
+        def step(x, y, call=call, pipeline=pipeline, works=works):
             getattr(pipeline, call)(x, y)
-            stages.append((pipeline.work.timings, pipeline.work.bytes_sent))
+            works.append(pipeline.work)
 
-        seconds = seconds_of(step, frames, rounds, comm)
-        names = sorted({name for timings, _ in stages for name in timings})
-        median = {name: float(np.median([timings.get(name, 0.0) for timings, _ in stages[2:]])) for name in names}
-        work = pipeline.work
-        mine = {
-            "stages": median,
-            "bytes": int(np.median([sent for _, sent in stages[2:]])),
-            "primitives": work.num_primitives,
-            "ghosts": work.num_ghosts,
-            "imbalance": work.imbalance,
-            "plans": sum("plan" in timings for timings, _ in stages),
-        }
-        result["calls"][call] = {"seconds": seconds, "by_rank": comm.gather(mine, root=0)}
-        if comm.Get_rank() == 0:
-            result["calls"][call]["one_process"] = seconds_alone(scene, call, rounds, comm.Get_size())
-        # the others wait without taking a core
-        request = comm.Ibarrier()
+        frames = scene.vertices_t0[rows], scene.vertices_t1[rows]
+        ours = seconds_of(step, *frames, rounds, comm.Barrier)
+        names = sorted({name for work in works for name in work.timings})
+        median = {name: 1e3 * np.median([work.timings.get(name, 0.0) for work in works[2:]]) for name in names}
+        sent = int(np.median([work.bytes_sent for work in works[2:]]))
+        plans = sum("plan" in work.timings for work in works)
+        mine = (
+            f"  rank {rank}: {pipeline.work.num_primitives:,} primitives, {pipeline.work.num_ghosts:,} of them of "
+            f"other regions, {sent:,} bytes a step, {plans} plans; "
+        )
+        of_ranks = comm.gather(mine + ", ".join(f"{name} {ms:.1f}" for name, ms in median.items()), root=0)
+        if rank == 0:
+            bound = os.sched_getaffinity(0)
+            os.sched_setaffinity(0, range(os.cpu_count() or 1))  # mpiexec binds a rank, and so its threads, to one core
+            whole = ccd.CollisionPipeline(scene.mesh(ccd), num_threads=size, device="cpu")
+            alone = seconds_of(getattr(whole, call), scene.vertices_t0, scene.vertices_t1, rounds)
+            os.sched_setaffinity(0, bound)
+            print(
+                f"{call}: {ours.min():.1f}, {np.median(ours):.1f}; one process with as many threads "
+                f"{alone.min():.1f}, {np.median(alone):.1f}"
+            )
+            print("\n".join(of_ranks))
+        request = comm.Ibarrier()  # the others wait without taking a core
         while not request.Test():
             time.sleep(0.01)
-    return result
-
-
-def lines_of(result: dict) -> list[str]:
-    """What is printed."""
-    heading = f"{result['faces']:,} faces on {result['ranks']} ranks, one thread each, parts: {result['parts']}"
-    lines = [f"{heading}; milliseconds, least and median"]
-    for call, of in result["calls"].items():
-        ours, alone = (1e3 * np.array(of[name]) for name in ("seconds", "one_process"))
-        lines.append(
-            f"{call}: {ours.min():.1f}, {np.median(ours):.1f}; "
-            f"one process with as many threads {alone.min():.1f}, {np.median(alone):.1f}"
-        )
-        for rank, mine in enumerate(of["by_rank"]):
-            stages = ", ".join(f"{name} {1e3 * seconds:.1f}" for name, seconds in mine["stages"].items())
-            lines.append(
-                f"  rank {rank}: {mine['primitives']:,} primitives, {mine['ghosts']:,} of them of other regions, "
-                f"{mine['bytes']:,} bytes a step, {mine['plans']} plans; {stages}"
-            )
-    return lines
 
 
 def main() -> None:
+    """Measure on the ranks of MPI."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--faces", type=int, default=1_000_000, help="faces of the scene (1000000)")
     parser.add_argument("--parts", choices=["place", "torn"], default="place", help="what a rank hands in (place)")
     parser.add_argument("--rounds", type=int, default=20, help="steps that are measured (20)")
-    parser.add_argument("--output", type=Path, help="file for the raw figures")
     arguments = parser.parse_args()
     from mpi4py import MPI
 
-    result = measure(MPI.COMM_WORLD, arguments.faces, arguments.rounds, arguments.parts)
-    if MPI.COMM_WORLD.Get_rank() == 0:
-        print("\n".join(lines_of(result)))
-        if arguments.output:
-            arguments.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    measure(MPI.COMM_WORLD, arguments.faces, arguments.rounds, arguments.parts)
 
 
 if __name__ == "__main__":

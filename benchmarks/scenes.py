@@ -6,6 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import checkout  # noqa: F401
 import numpy as np
 import trimesh
 from fine_meshes import Scene, grid, joined, sphere, spheres_through_each_other

@@ -9,9 +9,9 @@ import re
 import numpy as np
 import pytest
 import warp as wp
-from fine_meshes import sphere
 from daily import marked
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
+from fine_meshes import sphere
 from launches import CAPACITIES, on_device
 from laws.outputs import different, outputs_of
 from oracles import brute_force
