@@ -56,7 +56,7 @@ def source(tmp_path) -> Path:
     """A copy of what an installation takes from the project, so that no build output lands in the tree."""
     copy = tmp_path / "source"
     ignore = shutil.ignore_patterns(*IGNORED)
-    for name in ("ccd_warp", "benchmarks", "kernels"):
+    for name in ("ccd_warp", "kernels"):
         shutil.copytree(ROOT / name, copy / name, ignore=ignore)
     for name in ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, copy / name)
@@ -94,7 +94,7 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
     for folder, suffixes in {
         "ccd_warp": {".py", ".typed"},
         "kernels": {".py"},
-        "benchmarks": {".py", ".md", ".csv", ".json"},
+        "benchmarks": {".py", ".md", ".csv"},
         "docs": {".py", ".md", ".png", ".css"},
         "examples": {".py"},
         "tests": {".py"},
@@ -106,18 +106,9 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
         assert not any(path.match(pattern) for pattern in IGNORED if pattern != "*.egg-info"), path
 
 
-@pytest.mark.parametrize(
-    "names",
-    [
-        pytest.param(["docs/test_readme.py", "test_layout.py"], id="docs"),
-        pytest.param(
-            ["benchmarks/test_bench.py::test_docs_are_those_of_the_raw_figures"], id="figures", marks=pytest.mark.long
-        ),
-    ],
-)
-def test_tests_pass_from_the_source_distribution(distribution, names):
+def test_tests_pass_from_the_source_distribution(distribution):
     """Those that read files of the project; all the others see no difference."""
-    arguments = ["-q", "-p", "no:cacheprovider", *(f"tests/{name}" for name in names)]
+    arguments = ["-q", "-p", "no:cacheprovider", "tests/docs/test_readme.py", "tests/test_layout.py"]
     _run(sys.executable, "-m", "pytest", *arguments, cwd=distribution)
 
 
@@ -187,8 +178,7 @@ def test_wheel_holds_the_kernels_the_types_and_the_page_and_no_path_of_this_mach
         names = set(archive.namelist())
         contents = {name: archive.read(name) for name in names}
     modules = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp").rglob("*.py")}
-    for name in ("benchmarks", "kernels"):
-        modules |= {f"ccd_warp/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / name).rglob("*.py")}
+    modules |= {f"ccd_warp/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / "kernels").rglob("*.py")}
     pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "ccd_warp" / "_cli" / "page").iterdir()}
     assert len(pages) > 5
     assert modules | pages | {"ccd_warp/py.typed"} == {name for name in names if ".dist-info/" not in name}
@@ -205,7 +195,7 @@ def test_version_is_stated_once():
 
 
 def test_the_host_package_never_imports_kernels_by_a_second_name():
-    """`import kernels` from the root would register every Warp module twice; the benchmarks have one name, too."""
-    second_name = re.compile(r"^\s*(from|import) (kernels|benchmarks)\b", flags=re.MULTILINE)
+    """`import kernels` from the root would register every Warp module twice."""
+    second_name = re.compile(r"^\s*(from|import) kernels\b", flags=re.MULTILINE)
     for path in [path for name in ("ccd_warp", "benchmarks", "kernels") for path in (ROOT / name).rglob("*.py")]:
         assert not second_name.search(path.read_text(encoding="utf-8")), path

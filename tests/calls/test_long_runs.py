@@ -17,7 +17,6 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "helpers"))
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.memory import resident
 from scenes import random_pairs, sheet_over_floor
 
 import ccd_warp as ccd
@@ -86,6 +85,12 @@ class Calls:
         return calls
 
 
+def resident():
+    """Bytes of the process that lie in memory, under Linux."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmRSS"))
+
+
 def held():
     """Bytes that the process holds, without what is only kept to be used again."""
     gc.collect()
@@ -93,7 +98,7 @@ def held():
         ctypes.CDLL(None).malloc_trim(0)
     except (AttributeError, OSError, TypeError):  # no glibc
         pass
-    return resident("VmRSS")
+    return resident()
 
 
 def grow(count, only=None):

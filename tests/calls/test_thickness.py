@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.kernels.boxes.thickness import sum_up
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois
@@ -17,6 +16,7 @@ from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from hard_cases import FAMILIES
 from launches import host, on_device
 from oracles import brute_force, corners_of
+from pair_functions import SOLVE
 from scenes import NO_FACES, pairs_in_worlds, sheet
 from thick_scenes import (
     KIND_NAMES,

@@ -3,10 +3,10 @@
 from contextlib import contextmanager
 from types import SimpleNamespace
 
+import fine_meshes as scenes
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks import scenes
 from hard_cases import FAMILIES
 from scenes import pairs_in_worlds
 

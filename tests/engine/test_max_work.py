@@ -5,9 +5,9 @@ from functools import cache
 import faults
 import numpy as np
 import pytest
-from ccd_warp.benchmarks.scenes import spheres_through_each_other
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
+from fine_meshes import spheres_through_each_other
 from hard_cases import FAMILIES
 from scenes import FACE, pairs_in_worlds
 

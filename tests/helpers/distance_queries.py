@@ -15,11 +15,10 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from ccd_warp.benchmarks.methods import SOLVE
-from ccd_warp.benchmarks.query_sets import size_of_motion
 from distance_oracle import exact_distance
 from exact import exact_distance_tois
 from hard_cases import FAMILIES
+from pair_functions import SOLVE, size_of_motion
 
 import ccd_warp as ccd
 

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.benchmarks.methods import SOLVE
 from ccd_warp.kernels.template import specialised
 from distance_oracle import exact_distance
 from distance_queries import KINDS, check, grazing, run
 from exact import exact_distance_tois
 from hard_cases import FAMILIES
 from oracles import brute_force, corners_of
+from pair_functions import SOLVE
 from scenes import crowd
 from thick_scenes import crowd as mixed_crowd
 
