@@ -28,7 +28,9 @@ version = release = _PROJECT["version"]
 root_doc = "README"
 
 
-_REFERENCE = re.findall(r"\((reference/\w+)\.md\)", Path(__file__).with_name("reference.md").read_text(encoding="utf-8"))
+_REFERENCE = re.findall(
+    r"\((reference/\w+)\.md\)", Path(__file__).with_name("reference.md").read_text(encoding="utf-8")
+)
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
     "Start": ["docs/tasks", "docs/examples", "docs/command_line", "docs/glossary"],
@@ -124,13 +126,25 @@ def _described(fence):
     """
     module, names = fence[1], fence[2].split()
     lines = [f".. automodule:: {module}", ""] if module != "ccd_warp" else []
-    lines += [f".. currentmodule:: {module}", "", ".. autosummary::", "   :nosignatures:", "", *(f"   {n}" for n in names), ""]
+    lines += [
+        f".. currentmodule:: {module}",
+        "",
+        ".. autosummary::",
+        "   :nosignatures:",
+        "",
+        *(f"   {n}" for n in names),
+        "",
+    ]
     for name in names:
         if "." in name:
             continue
         lines += [f".. auto{'class' if name[0].isupper() else 'function'}:: {module}.{name}"]
         if name[0].isupper():
-            lines += ["   :members:", "   :inherited-members: dict, int", *["   :undoc-members:"] * (name == "PairKind")]
+            lines += [
+                "   :members:",
+                "   :inherited-members: dict, int",
+                *["   :undoc-members:"] * (name == "PairKind"),
+            ]
     return "\n".join(["```{eval-rst}", *lines, "```"])
 
 
