@@ -40,6 +40,7 @@ def test_the_command_line_of_the_page_runs(tmp_path, monkeypatch, capsys):
         program, *arguments = shlex.split(command)
         assert program == "ccd-warp" and main(arguments) == 0, capsys.readouterr().err
     assert json.loads((tmp_path / "result.json").read_text())
+    assert capsys.readouterr().out.count("MISS") == 2  # of the demo, at both ends of its first step
 
 
 def _options(text: str) -> dict[str, object]:
