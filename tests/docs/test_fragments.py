@@ -30,7 +30,7 @@ def _torch() -> tuple[Names, Callable[[Names], bool]]:
     mesh = ccd.CollisionMesh.from_arrays([(BOX.vertices + [0, 0, 2], BOX.faces), (BOX.vertices, BOX.faces)], static=[1])
     dx = torch.tensor([0, 0, -2.0]) * torch.tensor(mesh.vertex_body == 0)[:, None].double()
     dx.requires_grad_()
-    names = {"pipeline": ccd.CollisionPipeline(mesh, device="cpu"), "x": torch.tensor(mesh.vertices), "dx": dx}
+    names = {"pipeline": ccd.CollisionPipeline(mesh), "x": torch.tensor(mesh.vertices), "dx": dx}
     return names, lambda names: 0.0 < names["step"].item() < 1.0 and bool(dx.grad.abs().sum() > 0)
 
 
