@@ -311,7 +311,7 @@ PLANTED = [
         "kernels/step/contact_points.py",
         "points[n] = _HALF * first + _HALF * second",
         "points[n] = first",
-        ("calls/test_device_contacts.py::test_contacts_on_the_device_say_what_those_on_the_host_say",),
+        ("calls/test_contacts.py::test_contacts_on_the_device_say_what_those_on_the_host_say",),
     ),
     Fault(
         "a contact beside an edge whose face has been met",
