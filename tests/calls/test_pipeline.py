@@ -9,7 +9,7 @@ from exact import exact_tois
 from hard_cases import FAMILIES
 from oracles import rows
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
-from scenes import FACE, NO_FACES, TRIANGLE, crowd, stacked
+from scenes import FACE, NO_FACES, TRIANGLE, crowd, crowd_in_plane, stacked
 
 import ccd_warp as ccd
 
@@ -297,6 +297,17 @@ def test_ends_of_segments_give_the_first_contact_of_two_segments(separation):
         assert not exact[k].late(toi)
         assert not exact[k].hit or toi == pytest.approx(exact[k].approx, abs=1e-4)  # the tolerance is one of length
     assert len(apart) > 200 and sum(exact[k].hit for k in apart) > 60
+
+
+def test_pictures_of_a_mesh_in_the_plane(tmp_path):
+    pytest.importorskip("pyvista")
+    mesh, start, end = crowd_in_plane(np.random.default_rng(10))
+    result, path = ccd.mesh_ccd(mesh, start, end), tmp_path / "plane.png"
+    ccd.viz.render_step(mesh, start, end, result, path)
+    assert path.stat().st_size > 10_000
+    blocks = ccd.viz.to_pyvista(mesh, start, end, result, t=1.0)
+    np.testing.assert_array_equal(np.asarray(blocks["dust"].points)[:, :2], end[mesh.vertex_body == 2])
+    np.testing.assert_array_equal(np.asarray(blocks["contacts"].point_data["normal"])[:, :2], result.contacts.normal)
 
 
 # --- what options do ---
