@@ -2,7 +2,6 @@
 
 import copy
 import pickle
-from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import trimesh
 from exact_planes import (
     VERTEX_PLANE,
     Truth,
-    U,
     check_never_late,
     hostile_queries,
     moved_planes,
@@ -18,10 +16,9 @@ from exact_planes import (
     random_queries,
     tois_of,
 )
-from exact_proximity import exact_bounds
 from expected_warnings import OF_ROUNDING
 from oracles import plane_value
-from scenes import FACE, NO_FACES, TRIANGLE, sheet
+from scenes import FACE, TRIANGLE, sheet
 
 import ccd_warp as ccd
 
@@ -88,17 +85,6 @@ def test_hostile_vertices_and_planes_are_never_late(seed):
     assert check_never_late(mesh, start, end, ccd.mesh_ccd(mesh, start, end)) > 300
 
 
-def test_a_start_gap_fraction_leaves_every_vertex_outside_a_way_to_go():
-    mesh, start, end = random_queries(np.random.default_rng(5))
-    result = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.5, start_gap_fraction=0.25)
-    toi, _ = tois_of(result, len(start), len(mesh.planes))
-    for vertex, plane in np.ndindex(toi.shape):
-        truth, t = Truth(mesh, start, end, vertex, plane), float(toi[vertex, plane])
-        assert (t == 0) == (truth.f[0] <= 0) and not truth.is_late(t)
-        if 0 < t < np.inf:  # at least three quarters of its gap, or half the unit of the distance, are left to go
-            assert truth.at(t) >= min(Fraction(1, 4) * truth.f[0] * (1 - 99 * U), truth.f[0])
-
-
 @pytest.mark.parametrize(
     ("start", "end", "toi"),
     [
@@ -142,33 +128,6 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
     assert result.start.by_bodies() == {("sheet", "ground"): below} and result.start.num_crossing == 0
 
 
-def test_a_half_plane_is_met_in_the_plane():
-    points = np.array([[0.0, 1], [1, 2], [2, 1.5]])
-    bodies = [ccd.HalfSpace([5, 0], [1, 2]), (points, [[0, 1], [1, 2]])]
-    mesh, end = ccd.CollisionMesh.from_arrays(bodies, names=["slope", "rope"]), points - [0, 5.0]
-    result = ccd.mesh_ccd(mesh, points, end)
-    found = result.contacts[result.contacts.kind == VERTEX_PLANE]
-    for (vertex, plane), toi in zip(found.primitives.tolist(), found.toi.tolist(), strict=True):
-        truth = Truth(mesh, points, end, vertex, plane)
-        assert not truth.is_late(toi) and not truth.is_early(toi)
-    assert len(found) == 3 and found.points.shape == (3, 2) and found.bodies.tolist() == [[1, 0]] * 3
-    np.testing.assert_allclose(found.normal, np.tile([1, 2], (3, 1)) / 5**0.5, rtol=1e-15)
-    inside = ccd.find_intersections(mesh, end)
-    assert inside.kind.tolist() == [ccd.IntersectionKind.VERTEX_PLANE] * 3 and inside.points.tolist() == end.tolist()
-
-
-def test_contacts_with_planes_follow_those_of_points_and_are_left_out_by_kind():
-    points = np.array([[0, 0, 1.0], [1, 0, 1.0], [5, 5, 1]])
-    mesh = particles(points, GROUND, ccd.HalfSpace([0, 0, 0.5], UP), codimensional_points=True)
-    end = np.array([[1, 0, -1.0], [0, 0, -1.0], [5, 5, 0.7]])
-    contacts = ccd.mesh_ccd(mesh, points, end).contacts
-    assert contacts.kind.tolist() == [ccd.PairKind.POINT_POINT] + [VERTEX_PLANE] * 4
-    assert contacts.primitives.tolist() == [[0, 1], [0, 0], [0, 1], [1, 0], [1, 1]]
-    for kind in ("point_point", "vertex_plane"):
-        result = ccd.mesh_ccd(mesh, points, end, pair_kinds=[kind])
-        assert list(result.counts.num_searches) == [ccd.PairKind[kind.upper()]] == np.unique(result.contacts.kind)
-
-
 def test_bodies_that_only_the_ground_is_near_are_checked():
     """Bodies without self-collision, far from one another, are left out of the search, and not of this."""
     box = trimesh.creation.box()
@@ -195,19 +154,6 @@ def test_more_contacts_than_there_is_capacity_for():
     assert launched.flags == ccd.LaunchFlag.CONTACTS_OVERFLOW and launched.num_contacts == 3000
     assert len(launched.contacts) == 10 and launched.num_pairs[VERTEX_PLANE] == 3000
     np.testing.assert_array_equal(launched.vertex_toi, result.vertex_toi)
-
-
-@pytest.mark.parametrize("per", ["body", "vertex"])
-def test_what_rests_on_the_ground_may_stay_while_the_rest_moves(per):
-    """A stationary pair may touch; a strict search stops and names one that starts in contact and moves."""
-    start = np.array([[0.0, 0, 0], [2, 0, 0], [4, 0, 1]])  # rests, rises, and is far
-    mesh = ccd.CollisionMesh.from_arrays([*(([x], NO_FACES) for x in start), GROUND])
-    end = start + [[0, 0, 0], [0, 0, 1], [0, 0, -0.5]]
-    assert ccd.line_search(mesh, start, end, per=per).vertex_fraction.tolist() == [1, 1, 1]
-    found, launched = ccd.line_search(mesh, start, end, per=per, start_gap_fraction=None), end.copy()
-    assert found.vertex_fraction[1:].tolist() == [0, 1] and found.touching.primitives.tolist() == [[0, 0], [1, 0]]
-    ccd.CollisionPipeline(mesh, start_gap_fraction=None).launch_line_search(start, launched, per=per)
-    assert launched.tolist() == found.vertices.tolist() == [*start[:2].tolist(), end[2].tolist()]
 
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():
@@ -266,24 +212,6 @@ def test_a_floor_that_rises_meets_what_is_at_rest():
     assert launched.flags == ccd.LaunchFlag.INVALID_INPUT and launched.toi == 0
     with pytest.raises(ValueError, match=r"expected at most \d+ copies of a mesh with kinematic half-spaces"):
         mesh.replicate(100_000)
-
-
-def test_a_half_plane_rises_to_a_particle_with_a_radius():
-    bodies = [(np.zeros((1, 2)), []), ccd.HalfSpace([0, -1], [0, 1])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, kinematic=[1], codimensional_points=True, radius=[0.5, 0.0])
-    assert mesh.codimensional_points.tolist() == [0] and mesh.vertices.tolist() == [[0, 0], [0, -1]]
-    assert ccd.collision_free_step(mesh, mesh.vertices, [[0, 0], [0, 1]]) == pytest.approx(0.25, abs=1e-15)
-
-
-def test_a_vertex_and_a_plane_that_moves_share_what_is_between_them():
-    mesh, start = lift([8.9, 0.1, 0.5], [0.1, 0.3, 2.5], [0.0, 0.0, 2.0])
-    start = np.concatenate([start[:3], [[0.0, 0.0, 0.25]]])
-    bounds, (exact, _) = ccd.displacement_bounds(mesh, start, 4.0), exact_bounds(mesh, start, 4.0)
-    # of the first what is between it and the static wall, of the floor half of what is between it and the first
-    assert exact == pytest.approx([0.1, 1.125, 0.875, 0.125])
-    assert ((bounds <= exact) & (bounds >= exact - 1e-14)).all()
-    device = ccd.CollisionPipeline(mesh).launch_displacement_bounds(start, 4.0).bounds.numpy()
-    np.testing.assert_array_equal(device, bounds)
 
 
 def test_every_world_has_its_own_floor_that_moves():

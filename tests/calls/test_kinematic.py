@@ -96,29 +96,3 @@ def test_a_wall_that_sweeps_meets_a_ball_at_rest():
     assert ccd.mesh_ccd(mesh, start, end).toi == pytest.approx(0.445, abs=1e-12)
     assert ccd.collision_free_step(mesh, start, end) == ccd.mesh_ccd(mesh, start, end).toi
     assert not ccd.is_step_collision_free(mesh, start, end)
-
-
-@pytest.mark.parametrize("per", EVERY_PER)
-def test_what_shortening_helps_is_shortened_and_not_struck(per):
-    """A ball flies into the path of a wall, and would not be in it where it is: it stops a little before."""
-    mesh, start, end = wall_sweeps_over_a_ball(kinematic=["wall"])
-    ball = (mesh.vertex_body == 0)[:, None]
-    start, end = start + [0, 2.0, 0] * ball, end - [0, 0.9, 0] * ball  # beside the path
-    found, y = ccd.line_search(mesh, start, end, per=per), end.copy()
-    assert len(found.struck) == len(found.touching) == 0 and 0 < found.fraction < 1 and not found.is_limited
-    result = ccd.CollisionPipeline(mesh).launch_line_search(start, y, per=per).to_host()
-    assert result.flags == 0 and result.toi == np.inf and (y != start)[mesh.vertex_body == 0].any()
-    for reached in (found.vertices, y):
-        assert ccd.is_step_collision_free(mesh, start, reached)
-
-
-def test_what_is_at_rest_and_struck_does_not_keep_the_others_from_moving():
-    far = trimesh.creation.icosphere(subdivisions=1, radius=0.1).apply_translation([0, 9, 0])
-    mesh, start, end = wall_sweeps_over_a_ball(far, kinematic=["wall"])
-    end = end + [0, 1, 0] * (mesh.vertex_body == 2)[:, None]
-    found, y = ccd.line_search(mesh, start, end, per="scene"), end.copy()
-    assert found.fraction == 1.0 and np.array_equal(found.vertices, end) and found.num_rounds == 1
-    assert found.struck.toi.min() == pytest.approx(0.445, abs=1e-12)
-    result = ccd.CollisionPipeline(mesh).launch_line_search(start, y, per="scene").to_host()
-    assert np.array_equal(y, end) and result.flags == ccd.LaunchFlag.STRUCK
-    assert len(result.contacts) == len(found.struck)

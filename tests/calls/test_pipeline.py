@@ -104,18 +104,6 @@ def test_a_vertex_that_reaches_a_face_at_the_end_of_the_step_is_no_free_step(hei
     assert ccd.CollisionPipeline(mesh, precision=precision, **options).is_step_collision_free(start, end) is is_free
 
 
-def test_who_meets_itself_and_who_is_never_tested():
-    bodies = [(np.concatenate([TRIANGLE, TRIANGLE + [0, 0, 1]]), [[0, 1, 2], [3, 4, 5]])]
-    for self_collision in (True, False):
-        mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=self_collision)
-        result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices * [1, 1, -1])
-        assert result.hit == self_collision == any(result.counts.num_candidates.values())
-    walls = [wall(0.0), wall(), wall()]  # two of them in one place
-    mesh = ccd.CollisionMesh.from_trimesh(walls, static=[1, 2], self_collision=False)
-    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices)
-    assert result.counts.num_candidates[ccd.PairKind.VERTEX_FACE] == 0 and not result.hit
-
-
 def test_edges_that_touch_beside_axes_of_very_different_scale():
     # one axis of 2^700 beside two near 2^-535: products of the small ones underflow, and the large one magnifies that
     found = 0
@@ -174,36 +162,6 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision):
     assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=ACCURACY[precision])
     assert [len(contact.vertices) for contact in (result.first, meeting[0])] == [4, 2]
     assert repr(meeting[0]).startswith("Contact(point-point of body 1 and itself at (")
-
-
-def test_two_cables_cross_and_a_particle_passes_one_at_less_than_the_separation(precision):
-    along_y, along_z = ([[0, -1, 0], [0, 0.5, 0], [0, 1, 0]], [[2, 0, -1], [2, 0, 0.25], [2, 0, 1]])
-    segments = [[0, 1], [1, 2]]
-    mesh = ccd.CollisionMesh.from_arrays([(along_y, [], segments), (along_z, [], segments)], static=[0])
-    moves = (mesh.vertex_body == 1)[:, None]
-    result = answers(mesh, mesh.vertices, mesh.vertices - [4.0, 0, 0] * moves, precision=precision)
-    assert 0.5 - ACCURACY[precision] <= result.toi <= 0.5
-    (first,) = result.contacts[result.contacts.toi == result.toi]
-    assert first.primitives.tolist() == [0, 2] and first.kind == ccd.PairKind.EDGE_EDGE
-    np.testing.assert_allclose(np.abs(first.normal), [1, 0, 0], atol=1e-12)
-    assert (result.counts.num_codimensional_points, result.counts.num_codimensional_edges) == (0, 4)
-
-    cable, particle = np.array([[0, -1, 0], [0.1, 0.2, 0], [0, 1, 0.1]]), np.array([[-1.0, 0.5, 0.07]])
-    bodies = [(cable, [], segments), (particle, [])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], codimensional_points=True)
-    frames = mesh.vertices, mesh.vertices + [2.0, 0, 0] * (mesh.vertex_body == 1)[:, None]
-    assert not answers(mesh, *frames, precision=precision).hit
-    result = answers(mesh, *frames, precision=precision, minimum_separation=0.05, length_scale=1.0)
-    (exact,) = exact_tois("point-segment", *(x[None, [3, 1, 2]] for x in frames), separation=0.05)
-    assert not exact.late(result.toi) and exact.early_by(result.toi) < 10 * ACCURACY[precision]
-    (contact,) = result.contacts
-    assert contact.kind == ccd.PairKind.POINT_SEGMENT and contact.primitives.tolist() == [3, 1]
-    assert result.vertex_toi.tolist() == [np.inf, *[result.toi] * 3] and (result.body_toi == result.toi).all()
-    # away from the closest point of the cable, in whose box the particle is
-    u = contact.parameters[0]
-    gap = particle[0] + [2 * result.toi, 0, 0] - ((1 - u) * cable[1] + u * cable[2])
-    assert contact.normal == pytest.approx(gap / np.linalg.norm(gap), abs=1e-12) and contact.normal[0] < -0.8
-    assert contact.normal @ (cable[2] - cable[1]) == pytest.approx(0, abs=1e-12)
 
 
 def test_normal_of_points_that_start_within_the_separation():
@@ -277,26 +235,6 @@ def test_a_falling_point_meets_a_segment_at_its_height():
     path = trimesh.load_path(np.array([[0.0, 0], [1, 0], [1, 1]]))
     mesh = ccd.CollisionMesh.from_trimesh([path, path])
     assert mesh.dimension == 2 and mesh.num_edges == 4 and mesh.num_faces == 0
-
-
-@pytest.mark.parametrize("separation", [0.0, 0.02])
-def test_ends_of_segments_give_the_first_contact_of_two_segments(separation):
-    rng = np.random.default_rng(3)
-    start = rng.random((400, 4, 2))
-    end = start + 0.6 * rng.standard_normal((400, 1, 2)) * [[[1], [1], [-1], [-1]]] + 0.1 * rng.random((400, 4, 2))
-    start[:100, 3] = start[:100, 2] + 0.7 * (start[:100, 1] - start[:100, 0])  # parallel at the start
-    start[100:150, 1] = start[100:150, 0]  # a segment of no length
-    # the oracle's edges are those of space, and it knows nothing of points and segments here
-    flat = [np.pad(x, ((0, 0), (0, 0), (0, 1))) for x in (start, end)]
-    exact = exact_tois("edge-edge", *flat, separation=separation)
-    mesh = ccd.CollisionMesh.from_arrays([(SEGMENT, EDGE), (SEGMENT, EDGE)])
-    options = {"minimum_separation": separation, "tolerance": 1e-9, "length_scale": 1.0}
-    apart = [k for k, e in enumerate(exact) if not (e.hit and e.approx == 0.0)]
-    for k in apart:
-        toi = ccd.mesh_ccd(mesh, start[k], end[k], **options).toi
-        assert not exact[k].late(toi)
-        assert not exact[k].hit or toi == pytest.approx(exact[k].approx, abs=1e-4)  # the tolerance is one of length
-    assert len(apart) > 200 and sum(exact[k].hit for k in apart) > 60
 
 
 def test_pictures_of_a_mesh_in_the_plane(tmp_path):
@@ -389,14 +327,3 @@ def test_counts_and_timings_are_of_the_last_call_on_the_host():
     assert pipeline.collision_free_step(touching, touching + moves[:, None] * [1.0, 0, 0]) == 0.0
     counts = pipeline.counts
     assert counts.num_contacts == {} and sum(counts.num_candidates.values()) > 0 and counts.num_batches > 0
-
-
-@pytest.mark.parametrize(("dimension", "other"), [(2, 3), (3, 2)])
-def test_positions_of_the_other_dimension_are_named(dimension, other):
-    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3)[:, :dimension], FACE if dimension == 3 else EDGE)])
-    wrong = np.zeros((3, other))
-    for frames in ((wrong, wrong), (mesh.vertices, wrong)):
-        with pytest.raises(ValueError, match=rf"shape \(3, {other}\); expected \(3, {dimension}\)"):
-            ccd.mesh_ccd(mesh, *frames)
-    with pytest.raises(ValueError, match=rf"expected vec{dimension}f or vec{dimension}d .* \(n, {dimension}\)"):
-        ccd.CollisionPipeline(mesh).launch(wrong, wrong)

@@ -4,7 +4,7 @@ import inspect
 import math
 import pydoc
 import re
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from xml.etree import ElementTree
 
 import numpy as np
@@ -15,7 +15,6 @@ from scenes import crowd, named_cloth_and_ball, random_pairs
 import ccd_warp as ccd
 from ccd_warp import datasets, distributed
 from ccd_warp._display import point_text
-from ccd_warp._texts import text_completed_by
 
 PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, datasets, distributed) for name in part.__all__]
 INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
@@ -52,48 +51,6 @@ def test_a_method_of_a_pipeline_says_what_its_function_says():
         assert of_method.endswith(of_function[of_function.index("\n\nGuarantee:") :])
         assert described(function, "Raises") == ["ValueError", "TypeError"]
         assert described(method, "Raises") == ["ValueError"]  # a pipeline has its options
-
-
-def test_what_a_text_says_itself_comes_before_what_completes_it():
-    def whole(first, second, **options):
-        """All.
-
-        A paragraph.
-
-        Args:
-            first: One,
-                on two lines.
-            second: Two.
-            **options: More.
-
-        Raises:
-            ValueError: If bad.
-            TypeError: If wrong.
-
-        Guarantee: certain.
-        """
-
-    @text_completed_by(whole, without=("TypeError",))
-    def part(second, first):
-        """Some.
-
-        Args:
-            second: Its own.
-
-        Returns:
-            A number: 1.
-        """
-
-    arguments = "Args:\n    second: Its own.\n    first: One,\n        on two lines."
-    others = "Returns:\n    A number: 1.\n\nRaises:\n    ValueError: If bad.\n\nGuarantee: certain."
-    assert inspect.getdoc(part) == f"Some.\n\n{arguments}\n\n{others}"
-
-    @dataclass
-    class Row:
-        count: int
-
-    Row.__doc__ = None  # as under python -OO
-    assert text_completed_by(whole)(Row).__doc__ is None
 
 
 def test_help_of_every_call_fits_on_a_screen_or_two():

@@ -296,37 +296,6 @@ def test_many_positions_of_numpy_are_read_where_they_are():
 # --- what has nothing to do is left out: of graphs by a flag on the device, otherwise by the same flag ---
 
 
-@pytest.mark.parametrize("per", [None, "scene", "body", "vertex"])
-@pytest.mark.parametrize("height", [0.1, 1.0])
-@pytest.mark.parametrize("in_graph", [False, True])
-def test_what_is_left_out_changes_no_bit(per, height, in_graph, monkeypatch):
-    """The host takes its path for CUDA; what stands in for ``wp.capture_if`` looks at the flag as a replay does."""
-    mesh, start, end = sheet_over_ball()
-    end = start + height * (end - start)
-
-    def run():
-        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-        for _ in range(2):
-            y = end.copy()
-            result = pipeline.launch_line_search(start, y, per=per) if per else pipeline.launch(start, y)
-        names = ("toi", "world_toi", "body_toi", "vertex_toi", "flags", "num_pairs")
-        return [*(getattr(result, name).numpy().tobytes() for name in names), y.tobytes()]
-
-    expected, taken = run(), set()
-
-    def play_conditional(self, section, group):
-        is_taken = not in_graph or bool(group.condition.numpy()[0])
-        taken.add(is_taken)
-        if is_taken:
-            self._play_groups(section, group.groups)
-
-    monkeypatch.setattr(Execution, "is_cuda", True)
-    monkeypatch.setattr(Recording, "_play_conditional", play_conditional)
-    assert run() == expected
-    # nothing is moved or open here; passes after the first have something to do only where a contact was found
-    assert not in_graph or taken == ({False, True} if per and height > 0.5 else {False})
-
-
 def test_the_second_round_runs_in_a_graph_where_a_pair_is_open():
     """Of needles that cross each other: a graph of the CPU holds the branch."""
     options = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}
