@@ -27,7 +27,7 @@ from warp._src import build
 import ccd_warp as ccd
 
 BARE = {"ccd-warp", "numpy", "trimesh", "warp-lang", "pip", "setuptools"}
-_STIFFNESS, _BARRIER, _FRAMES, _ITERATIONS = 0.5, 1e-4, 20, 6
+_STIFFNESS, _STEPS = 0.2, 60
 COMMAND = Path(sysconfig.get_path("scripts"), "ccd-warp")
 
 
@@ -75,7 +75,7 @@ def sheet(cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def run_cloth_code() -> str:
-    """A cloth of springs by implicit Euler falls on a ball; CCD and the step are those of this package."""
+    """A cloth of springs falls on a ball and comes to rest there; CCD and the step are those of this package."""
     vertices, faces = sheet(12)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     bodies = [(vertices + [0, 0, 0.32], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
@@ -85,38 +85,22 @@ def run_cloth_code() -> str:
     i, j = mesh.edges[mesh.edges.max(axis=1) < len(vertices)].T
     rest = np.linalg.norm(vertices[i] - vertices[j], axis=1)
     moves = ~mesh.static[mesh.vertex_body, None]
-
-    def energy(x: np.ndarray, inertia: np.ndarray) -> tuple[float, np.ndarray]:
+    x, velocity, bounded = mesh.vertices.copy(), -0.01 * moves * [0, 0, 1], 0
+    for _ in range(_STEPS):
         side = x[i] - x[j]
         length = np.linalg.norm(side, axis=1)
-        gradient = x - inertia
         pull = (_STIFFNESS * (length - rest) / length)[:, None] * side
-        np.add.at(gradient, i, pull)
-        np.add.at(gradient, j, -pull)
-        # the code's own response, a barrier around the ball
-        away = np.linalg.norm(x, axis=1, keepdims=True)
-        inside = np.clip((away - 0.3) / 0.02, 1e-9, 1.0)
-        barrier = -((inside - 1) ** 2) * np.log(inside)
-        gradient += -_BARRIER / 0.02 * (2 * (inside - 1) * np.log(inside) + (inside - 1) ** 2 / inside) * x / away
-        value = 0.5 * np.sum((x - inertia)[: len(vertices)] ** 2) + 0.5 * _STIFFNESS * np.sum((length - rest) ** 2)
-        return value + _BARRIER * np.sum(barrier[: len(vertices)]), gradient * moves
-
-    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
-    for _ in range(_FRAMES):
-        before, inertia = x, x + velocity - [0, 0, 0.005] * moves
-        for _ in range(_ITERATIONS):
-            value, gradient = energy(x, inertia)
-            direction = -gradient / (1 + 12 * _STIFFNESS)  # by a bound of the diagonal
-            step = pipeline.collision_free_step(x, x + direction)
-            bounded += step < 1
-            assert step > 0, "the line search is stuck"
-            while energy(x + step * direction, inertia)[0] > value and step > 1e-9:
-                step /= 2
-            assert ccd.is_step_collision_free(mesh, x, x + step * direction)
-            x = x + step * direction
-        velocity = 0.95 * (x - before)
+        np.add.at(velocity, i, -pull)
+        np.add.at(velocity, j, pull)
+        velocity = 0.9 * (velocity - [0, 0, 2e-4]) * moves
+        step = pipeline.collision_free_step(x, x + velocity)
+        bounded += step < 1
+        assert step > 0, "the step is stuck"
+        velocity *= step
+        assert ccd.is_step_collision_free(mesh, x, x + velocity)
+        x = x + velocity
     lowest = np.linalg.norm(x[: len(vertices)], axis=1).min()
-    assert bounded and 0.3 < lowest < 0.32, (bounded, lowest)
+    assert bounded and 0.29 < lowest < 0.32, (bounded, lowest)
     assert ccd.mesh_ccd(mesh, x, x).first is None
     down = x - [0, 0, 0.5] * moves
     result = ccd.mesh_ccd(mesh, x, down)
@@ -133,8 +117,7 @@ def run_cloth_code() -> str:
         assert "minimum_separation" in str(error) and "\n" not in str(error)
     else:
         raise AssertionError("a misspelled option was accepted")
-    count = _FRAMES * _ITERATIONS
-    return f"{bounded} of {count} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
+    return f"{bounded} of {_STEPS} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
 
 
 class OfAnotherLibrary:

@@ -31,9 +31,8 @@ def read(tmp_path):
 
 
 def test_rows_in_any_order_and_format_are_poses_by_time(read):
-    objects = [
-        dict(zip(COLUMNS, [float(row.split(",")[0]), "arm", *pose], strict=True)) for row, pose in zip(ROWS, POSES)
-    ]
+    rows = [[time, "arm", *pose] for time, pose in zip((0.0, 0.5, 2.0), POSES, strict=True)]
+    objects = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
     for text, name in (
         ("\n".join(ROWS), "poses.csv"),
         ("\n".join([HEADER, "# a remark", "", *reversed(ROWS)]), "poses.csv"),
