@@ -85,7 +85,7 @@ def run_cloth_code() -> str:
     i, j = mesh.edges[mesh.edges.max(axis=1) < len(vertices)].T
     rest = np.linalg.norm(vertices[i] - vertices[j], axis=1)
     moves = ~mesh.static[mesh.vertex_body, None]
-    x, velocity, bounded = mesh.vertices.copy(), -0.01 * moves * [0, 0, 1], 0
+    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
     for _ in range(_STEPS):
         side = x[i] - x[j]
         length = np.linalg.norm(side, axis=1)
@@ -93,6 +93,9 @@ def run_cloth_code() -> str:
         np.add.at(velocity, i, -pull)
         np.add.at(velocity, j, pull)
         velocity = 0.9 * (velocity - [0, 0, 2e-4]) * moves
+        away = x / (radius := np.linalg.norm(x, axis=1, keepdims=True))  # the code's own response, a soft shell
+        inward = np.minimum(np.sum(velocity * away, axis=1, keepdims=True), 0)
+        velocity += (0.1 * (0.315 - radius) - inward) * away * moves * (radius < 0.315)
         step = pipeline.collision_free_step(x, x + velocity)
         bounded += step < 1
         assert step > 0, "the step is stuck"
