@@ -187,14 +187,6 @@ def test_report_names_toi_counts_and_stages(run):
         assert any(line.startswith(f"{name} ") for line in lines), name
 
 
-def test_vertices_in_no_face_change_no_length_and_no_toi(run):
-    """Below the floor at the end, far away, and no number."""
-    wanted = ("scene toi", "extents at the start", "largest displacement", "length scale")
-    reports = [run(line).out for line in (ON, "run stray_1.ply stray_2.ply --static floor.ply")]
-    plain, stray = ([line for line in _lines(report) if line.startswith(wanted)] for report in reports)
-    assert plain == stray and len(plain) == 4
-
-
 @pytest.mark.parametrize(
     "line, status",
     [(ON, 1), (RUN, 0), (f"{ON} --kinematic start.ply", 0), ("run crossing.ply crossing.ply", 1)]
@@ -320,15 +312,6 @@ def test_options_reach_the_library(run, options):
     assert {name: data["options"][name] for name in options} == options
 
 
-def test_radii_of_bodies_add_to_the_distance_that_is_kept(run):
-    found = []
-    for lengths in ("--minimum-distance 0.0375", "--radius 0.0125 --radius floor.ply=0.025"):
-        run(f"{ON} --output radii.json {lengths}")
-        found.append(_json("radii.json"))
-    assert found[0]["toi"] == found[1]["toi"] < EXACT_TOI
-    assert [body.get("radius") for each in found for body in each["bodies"]] == [None, None, 0.0125, 0.025]
-
-
 def test_a_ground_is_a_half_space_of_the_command_line(run):
     """It is named in the report and in every file of results, and no radius for all bodies is one for it."""
     planes = "--half-space ground=0,0,0,0,0,2 --half-space=-9,0,0,1,0,0 --radius 0.25 --no-self-collision"
@@ -346,21 +329,6 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
     assert {row["kind"] for row in _rows("ground.csv")} == {"vertex_plane"}
     (row,) = csv.DictReader(run(f"sequence start.ply end.ply {planes} --output - --quiet").out.splitlines())
     assert int(row["vertex_plane"]) == int(row["contacts"]) == data["counts"]["num_contacts"]["vertex_plane"]
-
-
-def test_contacts_of_the_first_frame_are_left_out(run):
-    line = f"{SHEET} --quiet --output ignored.json"
-    tois = [run(f"{line} {option}") and _json("ignored.json")["toi"] for option in ("", "--ignore-start-contacts")]
-    assert tois[0] == 0.0 and 0.499 < tois[1] <= 0.5
-    left_out = _json("ignored.json")["left_out"]
-    run(f"{line} --t-max 1e-9")
-    assert int(left_out.split(";")[-2].split()[0]) == len(_json("ignored.json")["contacts"])
-    shift = [1e-7, 0.0, 0.0]  # a rounding of float32 beside the wall, and into it
-    for k, offset in ((3, shift), (4, np.array([-2e-6, 0.0, -2.0]) + shift)):
-        with open(f"sheet_{k}.ply", "wb") as file:
-            file.write(ply(SQUARE + offset, [[0, 1, 2], [0, 2, 3]]))
-    run(line.replace("_1", "_3").replace("_2", "_4") + " --ignore-start-contacts")
-    assert 0.499 < _json("ignored.json")["toi"] <= 0.5
 
 
 @requires_data
@@ -545,13 +513,6 @@ def test_an_earlier_result_survives_a_full_disk(run, folder, name):
     after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file() and path.suffix != ".journal"}
     assert after == before
     run(f"{line} --t-max 0.9")
-
-
-def test_results_go_where_a_link_leads(run, folder):
-    (folder / "link.json").symlink_to(folder / "empty" / "result.json")
-    run(f"{ON} --quiet --output link.json")
-    assert (folder / "link.json").is_symlink() and (folder / "empty" / "result.json").stat().st_size > 1000
-    (folder / "empty" / "result.json").unlink()
 
 
 def test_a_fault_of_the_command_itself_does_not_look_like_a_contact(monkeypatch, capfd):

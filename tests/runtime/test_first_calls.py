@@ -53,14 +53,11 @@ CALLS = [
     *(of_pairs(kind, precision=precision) for precision in ("float64", "float32") for kind in PAIRS),
     of_pairs("edge_edge", method="bisection"),
     of_mesh("mesh_ccd", "vertex_toi"),
-    of_mesh("mesh_ccd", "vertex_toi", precision="float32"),
-    of_mesh("collision_free_step"),
+    of_mesh("collision_free_step", precision="float32"),
     of_mesh("find_candidates", "edge_edge"),
-    of_mesh("line_search", "vertices"),
     launch(),
-    launch(wp.vec3f),
+    launch(wp.vec3f, precision="float32"),
     launch(method="launch_line_search"),
-    launch(precision="float32"),
 ]
 
 
@@ -121,7 +118,6 @@ def call_in_children(num_forks, patience=120.0):
 
 IN_PROCESSES = {
     "20 threads, then forks": lambda: call_at_once(CALLS, 20) + call_in_children(20),
-    "4 threads": lambda: call_at_once(CALLS, 4),
     "nothing compiled": lambda: call_at_once(CALLS[:4], 8),  # one module of kernels, which takes seconds to compile
 }
 
