@@ -12,9 +12,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from exact import exact_tois
 from mesh_files import ply, zipped
-from published import DATA, requires_data, simulation_boxes, simulation_queries, simulation_step
 
 import ccd_warp as ccd
 from ccd_warp._cli import command
@@ -329,29 +327,6 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
     assert {row["kind"] for row in _rows("ground.csv")} == {"vertex_plane"}
     (row,) = csv.DictReader(run(f"sequence start.ply end.ply {planes} --output - --quiet").out.splitlines())
     assert int(row["vertex_plane"]) == int(row["contacts"]) == data["counts"]["num_contacts"]["vertex_plane"]
-
-
-@requires_data
-def test_published_cloth_step_has_every_published_contact_and_the_exact_toi(run):
-    frames = DATA / "simulation" / "cloth-funnel" / "frames"
-    run("run --quiet --output cloth.npz", frames / "227.ply", frames / "228.ply")
-    with np.load("cloth.npz") as file:
-        data = dict(file)
-    first_edge = len(data["vertex_toi"])
-    first_face = first_edge + len(data["edges"])
-    step, exact = simulation_step("cloth-funnel"), []
-    for number, (kind, offsets) in enumerate([("vertex-face", (0, first_face)), ("edge-edge", (first_edge,) * 2)]):
-        of_kind = data["contact_kind"] == number
-        found = {tuple(sorted(pair)) for pair in (data["contact_primitives"][of_kind] + offsets).tolist()}
-        truth = simulation_queries("cloth-funnel", kind).truth
-        published = {tuple(sorted(pair)) for pair in simulation_boxes("cloth-funnel", kind)[truth].tolist()}
-        assert len(published) == truth.sum() > 0 and published <= found
-        corners = data["contact_vertices"][of_kind]
-        exact += exact_tois(kind, step.vertices_t0[corners], step.vertices_t1[corners])
-    scene_toi = float(data["toi"])
-    assert not any(toi.late(scene_toi) for toi in exact)
-    # The default tolerance; the iteration goes on far below it on pairs like the first one here.
-    assert min((toi for toi in exact if toi.hit), key=lambda toi: toi.approx).early_by(scene_toi) <= 1e-6
 
 
 def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):

@@ -179,20 +179,20 @@ def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, bloc
 
 
 def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path, monkeypatch):
-    for name in ("edge-edge/0.csv", "vertex-face/tree.csv", "queries/7vf.csv"):
+    for name, kind in (
+        ("edge-edge/0.csv", "edge-edge"),
+        ("vertex-face/ree.csv", "vertex-face"),
+        ("7vf.csv", "vertex-face"),
+    ):
         path = _write(tmp_path, QUERY, name)
         monkeypatch.chdir(path.parent)
-        kind = "edge-edge" if name.startswith("edge") else "vertex-face"
         assert datasets.read_queries(path).kind == datasets.read_queries(path.name).kind == kind
     for kind in (ccd.PairKind.EDGE_EDGE, "edge_edge", "edge-edge"):
-        read = datasets.read_queries(str(path), kind=kind)
-        made = datasets.Queries("made", kind, read.points_t0, read.points_t1, read.truth, read.sources)
-        assert read.kind == datasets.Queries.joined("both", [read, made]).kind == "edge-edge"
+        assert datasets.read_queries(str(path), kind=kind).kind == "edge-edge"
         assert [(found.kind, len(found)) for found in datasets.find_queries(tmp_path, kind=kind)] == [("edge-edge", 1)]
-    unknown = _write(tmp_path, QUERY, "data.csv")
     with pytest.raises(ValueError, match=r"data\.csv: neither its folder .* says the kind .* kind= of read_queries"):
-        datasets.read_queries(unknown)
-    for kind in (ccd.PairKind.POINT_POINT, "point-point", 1, ["edge-edge"]):
+        datasets.read_queries(_write(tmp_path, QUERY, "data.csv"))
+    for kind in (ccd.PairKind.POINT_POINT, 1):
         with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
             datasets.find_queries(tmp_path, kind=kind)
 

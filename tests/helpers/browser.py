@@ -15,26 +15,10 @@ from pathlib import Path
 from typing import Any
 
 # Any of these will do: `apt-get install chromium` has the first.
-_NAMES = (
-    "chromium",
-    "chromium-browser",
-    "chromium-headless-shell",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome-headless-shell",
-)
-_ARGUMENTS = (
-    "--headless",
-    "--remote-debugging-pipe",
-    "--no-sandbox",  # it cannot run as root otherwise, as in most containers; the page is our own
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--force-color-profile=srgb",
-)
+_NAMES = "chromium chromium-browser chromium-headless-shell google-chrome google-chrome-stable".split()
+# Without a sandbox, as it cannot run as root otherwise, which it does in most containers; the page is our own.
+_ARGUMENTS = """--headless --remote-debugging-pipe --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars
+--disable-background-networking --disable-component-update --no-first-run --force-color-profile=srgb""".split()
 _SECONDS = 120.0  # for an answer; a start on a busy machine takes some seconds
 
 
@@ -140,13 +124,6 @@ class Page:
     def wait_for_frame(self) -> None:
         """Wait until the page has drawn what it was told."""
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
-
-    def press(self, key: str, *, count: int = 1) -> None:
-        """Press a key such as ArrowLeft, Tab or End where the focus is."""
-        code = {"Tab": 9, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
-        for _ in range(count):
-            for kind in ("keyDown", "keyUp"):
-                self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
 
     def picture(self, path: Path, *, clip: tuple[float, float, float, float]) -> None:
         """Write a part of the page, given by its left, top, width and height, as a PNG."""

@@ -3,7 +3,6 @@
 import io
 import os
 import sys
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -227,33 +226,6 @@ def test_a_contact_below_a_hundredth_of_the_picture_is_shown_close_up(monkeypatc
     without = panels_of(lambda: step, **FINE)
     share = [(np.abs(a - b).max(axis=2) > 40).mean() for a, b in zip(panels, without, strict=True)]
     assert share[0] == share[2] == 0.0 and share[1] > 0.04
-
-
-@requires_drawing
-def test_places_where_surfaces_cross_at_the_start_are_marked_there():
-    mesh, start, _ = balls()
-    start[mesh.vertex_body < 2] -= [0, 0, 0.7]
-    result, crossing = ccd.mesh_ccd(mesh, start, start), ccd.find_intersections(mesh, start)
-    assert crossing.num_crossing > 10
-    of_both = [replace(result, start=each) for each in (crossing, None)]
-    images = [viz.draw_step(mesh, start, start, each, size=(900, 300)).image.astype(int) for each in of_both]
-    is_marked = [(np.abs(image - [214, 0, 143]).max(axis=2) < 12) for image in images]
-    assert is_marked[0][:, :300].sum() > 60 and not is_marked[0][:, 300:].any() and not is_marked[1].any()
-    assert make_scene(mesh, start, start, of_both[0]).legend[-1][1] == "surfaces cross"
-
-
-@requires_drawing
-def test_colours_of_toi_read_in_grey():
-    from ccd_warp.viz._panel import _toi_colours
-
-    def lightness(rgb):
-        return np.asarray(rgb)[..., :3] @ [0.2126, 0.7152, 0.0722]
-
-    levels = lightness(_toi_colours()(np.linspace(0.0, 1.0, 32)))
-    bodies = [(np.eye(3), [[0, 1, 2]])] * 6  # one of each colour
-    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, body_pairs=np.zeros((6, 6), dtype=bool))
-    none = lightness(make_scene(*result_of(mesh, mesh.vertices, mesh.vertices)).pale_colours / 255.0)
-    assert (np.diff(levels) > 0.0).all() and levels[-1] < none.min() - 0.05
 
 
 @requires_drawing
