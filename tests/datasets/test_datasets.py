@@ -332,6 +332,7 @@ ZERO = _bad(0)
         ("step", ("y.ply", _step(faces=np.zeros((0, 3), np.int32))), r"faces has shape \(0, 3\); expected \(F, 3\)"),
         ("step", ("y.ply", _step(faces=np.array([[0, 1, 5]]))), "faces holds indices from 0 to 5; expected 0 to 4"),
         ("step", ("y.ply", _step(faces=np.array([[0, 1, -1]]))), "faces holds indices from -1 to 1; expected 0 to 4"),
+        ("step", ("vf.ply", STEP), r"end_path is .*vf\.ply, as start_path is; expected another file"),
         ("step", ("y.obj", STEP), r"end_path is .*y\.obj; expected a name that ends in \.ply"),
     ],
 )
