@@ -100,32 +100,17 @@ def test_a_rational_is_exact_or_refused(tmp_path_factory, n, k, factor):
         _refused(path, 1, ".* is not a float64")
 
 
-@pytest.mark.parametrize(
-    "rational, value",
-    [
-        ("3,4", 0.75),
-        ("-1," + str(2**100), -(2.0**-100)),
-        ("-007,04", -1.75),
-        ("-0,8", 0.0),
-        (f"{3**50},{4 * 3**49}", 0.75),
-        (f"2,{2**1075}", 2.0**-1074),
-        (f"{2**1100},{2**100}", 2.0**1000),
-        (f"1{'0' * 6000},2{'0' * 6000}", 0.5),  # more digits than int() takes
-        (f"-3{'0' * 9999},1{'0' * 9999}", -3.0),  # as many as may be
-    ],
-)
-def test_rational_of_any_form(tmp_path, rational, value):
-    assert (datasets.read_queries(_write(tmp_path, [f"1,2,{rational},0,1"] * 8)).points_t1[:, :, 1] == value).all()
-
-
 @pytest.mark.parametrize("limit", [None, 0])
-@pytest.mark.parametrize("rational", ["{0},1", "1,{0}", "-{0},1", "{0},{0}"])
+@pytest.mark.parametrize("rational", ["{0},1", "-1,{0}", "{0},{0}"])
 def test_numbers_of_millions_of_digits_are_refused_at_once(tmp_path, rational, limit):
     rows = [*QUERY[:3], f"1,2,{rational.format('7' * 10_000_000)},5,8", *QUERY[4:]]
     before = sys.get_int_max_str_digits()
     sys.set_int_max_str_digits(before if limit is None else limit)
     try:
         _refused(_write(tmp_path, rows), 4, ".* is too long; expected an integer of at most 10,000")
+        # of fewer, more than int() takes by itself, and digits in any form
+        for text, value in ((f"-3{'0' * 9999},1{'0' * 9999}", -3.0), ("-007,04", -1.75), ("-0,8", 0.0)):
+            assert datasets.read_queries(_write(tmp_path, [f"1,2,{text},0,1"] * 8)).points_t1[0, 0, 1] == value
     finally:
         sys.set_int_max_str_digits(before)
 
@@ -183,20 +168,20 @@ def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, bloc
 
 
 def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path, monkeypatch):
-    for name in ("edge-edge/0.csv", "vertex-face/tree.csv", "queries/7vf.csv"):
+    for name, kind in (
+        ("edge-edge/0.csv", "edge-edge"),
+        ("vertex-face/ree.csv", "vertex-face"),
+        ("7vf.csv", "vertex-face"),
+    ):
         path = _write(tmp_path, QUERY, name)
         monkeypatch.chdir(path.parent)
-        kind = "edge-edge" if name.startswith("edge") else "vertex-face"
         assert datasets.read_queries(path).kind == datasets.read_queries(path.name).kind == kind
     for kind in (ccd.PairKind.EDGE_EDGE, "edge_edge", "edge-edge"):
-        read = datasets.read_queries(str(path), kind=kind)
-        made = datasets.Queries("made", kind, read.points_t0, read.points_t1, read.truth, read.sources)
-        assert read.kind == datasets.Queries.joined("both", [read, made]).kind == "edge-edge"
+        assert datasets.read_queries(str(path), kind=kind).kind == "edge-edge"
         assert [(found.kind, len(found)) for found in datasets.find_queries(tmp_path, kind=kind)] == [("edge-edge", 1)]
-    unknown = _write(tmp_path, QUERY, "data.csv")
     with pytest.raises(ValueError, match=r"data\.csv: neither its folder .* says the kind .* kind= of read_queries"):
-        datasets.read_queries(unknown)
-    for kind in (ccd.PairKind.POINT_POINT, "point-point", 1, ["edge-edge"]):
+        datasets.read_queries(_write(tmp_path, QUERY, "data.csv"))
+    for kind in (ccd.PairKind.POINT_POINT, 1):
         with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
             datasets.find_queries(tmp_path, kind=kind)
 
@@ -206,11 +191,9 @@ def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path, monkeypatch)
 NO_INTEGERS = ["5.0", "5e0", "nan", "+5", "1_0", " ", "\t5", "- 5", "\r5", "٣", "", "-", "--5", "5-"]
 MALFORMED = [(f"1,2,3,4,{field},8", f"{re.escape(repr(field))} is not an integer") for field in NO_INTEGERS] + [
     ("", "is empty; expected 6 integers"),
-    ("1,2,3,4,5", "has 5 columns; expected 6"),
     ("1,2,3,4,5,8,1", "has 7 columns; expected 6 as on line 1"),
     ("1,2,3,4,5,x", "'x' is not an integer; expected decimal digits"),
     ("1,2,3,4 ,5,6", "'4 ' is not an integer"),
-    (" 1,2,3,4,5,6", "' 1' is not an integer"),
     ("1,2,3,4,5,8 ", "'8 ' is not an integer"),
     ("1,2,3,4,5,0", "denominator is 0; expected a positive integer"),
     ("1,2,3,4,5,-8", "denominator is -8; expected a positive integer"),
@@ -243,9 +226,7 @@ KNOWN, UNKNOWN = [f"{ROW},1"], [f"{ROW},0"]
         ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, "has 5 columns; expected 6 as on line 1"),
         (["xn,xd,yn,yd,zn,zd,truth", *QUERY], 1, "'xn' is not an integer"),
         ([ROW] * 7, 7, "the file ends after 7 rows; expected a multiple of 8, 8 a query"),
-        ([ROW] * 23, 23, "the file ends after 23 rows"),
         ([*KNOWN * 10, f"{ROW},01", *KNOWN * 5], 11, "truth is '01'; expected 0 or 1"),
-        ([*KNOWN * 10, f"{ROW},", *KNOWN * 5], 11, "truth is ''; expected 0 or 1"),
         ([*KNOWN * 8, *UNKNOWN * 5, *KNOWN * 3], 14, "truth is 1 and 0 on line 9; expected one truth on the 8 rows"),
         (bytes(range(256)) * 10, 1, r"has \d+ columns"),
     ],
@@ -254,23 +235,21 @@ def test_rows_that_are_no_queries_are_refused(tmp_path, blocks, rows, line, mess
     _refused(_write(tmp_path, rows), line, message)
 
 
-def test_progress_counts_every_byte_on_stderr(tmp_path, capsys, monkeypatch):
+def test_progress_is_one_bar_on_stderr(tmp_path, capsys, monkeypatch):
     pytest.importorskip("tqdm")
     path = _write(tmp_path, QUERY * 20, end="\r\n")
     _write(tmp_path, QUERY, "0ee.csv")
-    assert len(datasets.read_queries(path, progress=True)) == 20
-    shown = capsys.readouterr()
-    assert shown.out == "" and "100%" in shown.err and "queries" in shown.err
-    assert len(datasets.find_queries(tmp_path, progress=True)) == 2
-    assert capsys.readouterr().err.count("\n") == 1  # one bar
-    datasets.read_queries(path)
-    assert capsys.readouterr().err == ""
+    for read, place in ((datasets.read_queries, path), (datasets.find_queries, tmp_path)):
+        with monkeypatch.context() as patch:
+            read(place, progress=True)
+            shown = capsys.readouterr()
+            assert shown.out == "" and "100%" in shown.err and shown.err.count("\n") == 1
+            patch.setitem(sys.modules, "tqdm", None)
+            with pytest.raises(ImportError, match=r"^[^\n]*pip install 'ccd-warp\[bench\]'[^\n]*$"):
+                read(place, progress=True)
     with pytest.raises(FileNotFoundError, match=r"1vf\.csv"):
         datasets.read_queries(tmp_path / "1vf.csv", progress=True)
-    monkeypatch.setitem(sys.modules, "tqdm", None)
-    for read, place in ((datasets.read_queries, path), (datasets.find_queries, tmp_path)):
-        with pytest.raises(ImportError, match=r"^[^\n]*pip install 'ccd-warp\[bench\]'[^\n]*$"):
-            read(place, progress=True)
+    assert capsys.readouterr().err == ""
 
 
 # ---- Sets, truth, boxes, steps ---------------------------------------------------------------------------------------
@@ -311,13 +290,17 @@ def _set(label, n, kind="edge-edge", truth=True):
 def test_joined_sets_keep_their_order_and_ids():
     parts = [_set("a", 2), _set("b", 0, truth=False), _set("c", 3)]
     whole = datasets.Queries.joined("all", parts)
-    assert whole.name == "all" and whole.kind == "edge-edge" and len(whole) == 5
+    assert (whole.name, whole.kind, len(whole)) == ("all", "edge-edge", 5)
     assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"]
-    assert _same_bits(whole.points_t0, np.concatenate([part.points_t0 for part in parts]))
     assert _same_bits(whole.points_t1, np.concatenate([part.points_t1 for part in parts]))
     assert whole.truth.tolist() == [True, False, True, False, True]
-    assert whole.sources == (("a", 2), ("b", 0), ("c", 3))
-    assert datasets.Queries.joined("x", [_set("a", 1, truth=False)] * 2).truth is None
+    for parts, message in (
+        ([_set("a", 1), _set("b", 1, "vertex-face")], r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"),
+        ([], r"parts of x are of the kinds \[\]; expected one or more parts"),
+        ([_set("a", 1), _set("b", 1, truth=False)], "parts of x: the truth of b is not known, that of others is"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            datasets.Queries.joined("x", parts)
 
 
 def _bad(value):
@@ -337,20 +320,19 @@ ZERO = _bad(0)
     "write, given, message",
     [
         ("queries", (_bad(np.nan), ZERO), r"points_t0\[1, 2, 0\] is nan; expected finite coordinates"),
-        ("queries", (ZERO, _bad(-np.inf)), r"points_t1\[1, 2, 0\] is -inf; expected finite coordinates"),
         ("queries", (ZERO[:, :3], ZERO), r"of shape \(3, 3, 3\); expected float64 of shape \(n, 4, 3\)"),
         ("queries", (ZERO.astype(np.float32), ZERO), "points_t0 is float32"),
         ("queries", (ZERO, ZERO[1:]), r"points_t1 has shape \(2, 4, 3\); expected \(3, 4, 3\) like points_t0"),
         ("queries", (ZERO, ZERO, np.ones(2, bool)), r"truth is bool of shape \(2,\); expected bool of shape \(3,\)"),
         ("truth", (np.ones((2, 2), bool),), r"truth is .*; expected bool of shape \(n,\)"),
         ("boxes", (np.ones((3, 2)),), r"ids is .*; expected integers of shape \(n, 2\)"),
-        ("boxes", (np.ones((2, 3), int),), r"ids is .*; expected integers of shape \(n, 2\)"),
         ("boxes", (np.array([[0, -1]]),), "ids holds -1; expected integers from 0"),
         ("step", ("y.ply", _step(vertices_t1=np.zeros((4, 3)))), r"has shape \(4, 3\); expected \(5, 3\)"),
         ("step", ("y.ply", _step(vertices_t0=np.full((5, 3), np.nan))), r"vertices_t0\[0\] is .*; expected finite"),
         ("step", ("y.ply", _step(faces=np.zeros((0, 3), np.int32))), r"faces has shape \(0, 3\); expected \(F, 3\)"),
         ("step", ("y.ply", _step(faces=np.array([[0, 1, 5]]))), "faces holds indices from 0 to 5; expected 0 to 4"),
         ("step", ("y.ply", _step(faces=np.array([[0, 1, -1]]))), "faces holds indices from -1 to 1; expected 0 to 4"),
+        ("step", ("vf.ply", STEP), r"end_path is .*vf\.ply, as start_path is; expected another file"),
         ("step", ("y.obj", STEP), r"end_path is .*y\.obj; expected a name that ends in \.ply"),
     ],
 )
@@ -360,32 +342,6 @@ def test_what_is_no_data_is_not_written(tmp_path, write, given, message):
     with pytest.raises(ValueError, match=message):
         getattr(datasets, f"write_{write}")(path, *given)
     assert path.read_text() == f"{ROW}\n" * 8 and os.listdir(tmp_path) == [path.name]
-
-
-def test_sets_that_do_not_join_are_refused():
-    for parts, message in (
-        ([_set("a", 1), _set("b", 1, "vertex-face")], r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"),
-        ([], r"parts of x are of the kinds \[\]; expected one or more parts"),
-        ([_set("a", 1), _set("b", 1, truth=False)], "parts of x: the truth of b is not known, that of others is"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            datasets.Queries.joined("x", parts)
-    with pytest.raises(ValueError, match="sources count 2 queries; expected 3 like points_t0"):
-        datasets.Queries("x", "edge-edge", _points(3), _points(3), None, (("a", 2),))
-
-
-def test_write_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
-    path = _write(tmp_path, QUERY)
-
-    def fail(*paths):
-        raise OSError("no")
-
-    monkeypatch.setattr("os.replace", fail)  # after the last query
-    with pytest.raises(OSError, match="no"):
-        datasets.write_queries(path, ZERO, ZERO)
-    assert path.read_text() == f"{ROW}\n" * 8 and os.listdir(tmp_path) == [path.name]
-    with pytest.raises(FileNotFoundError, match="nowhere"):
-        datasets.write_queries(tmp_path / "nowhere" / "ee.csv", ZERO, ZERO)
 
 
 LISTS = {

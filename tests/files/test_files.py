@@ -185,15 +185,3 @@ def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path, kind, suffi
     if is_solid:
         with pytest.raises(ValueError, match=f"holds cells of the type {kind}; expected triangles and quads"):
             ccd.read_frames(*paths)
-
-
-def test_quadratic_cells_among_others_in_xdmf(tmp_path):
-    data = {"Topology": [4, 0, 1, 2, 36, 0, 2, 3, 4, 5, 6], "Geometry": VERTICES[:7].ravel().tolist()}
-    items = "".join(
-        f'<{tag} Type="{kind}"><DataItem DataType="{number}" Dimensions="{shape}" Format="XML">'
-        f"{' '.join(map(repr, data[tag]))}</DataItem></{tag}>"
-        for tag, kind, number, shape in (("Topology", "Mixed", "Int", "11"), ("Geometry", "XYZ", "Float", "7 3"))
-    )
-    with pytest.warns(RuntimeWarning, match="quadratic ones"):
-        found = read(tmp_path / "a.xdmf", f"<Xdmf><Domain><Grid>{items}</Grid></Domain></Xdmf>".encode())
-    assert found[1].tolist() == [[0, 1, 2], [0, 2, 3]]

@@ -31,9 +31,8 @@ def read(tmp_path):
 
 
 def test_rows_in_any_order_and_format_are_poses_by_time(read):
-    objects = [
-        dict(zip(COLUMNS, [float(row.split(",")[0]), "arm", *pose], strict=True)) for row, pose in zip(ROWS, POSES)
-    ]
+    rows = [[time, "arm", *pose] for time, pose in zip((0.0, 0.5, 2.0), POSES, strict=True)]
+    objects = [dict(zip(COLUMNS, row, strict=True)) for row in rows]
     for text, name in (
         ("\n".join(ROWS), "poses.csv"),
         ("\n".join([HEADER, "# a remark", "", *reversed(ROWS)]), "poses.csv"),
@@ -58,25 +57,18 @@ def test_rows_in_any_order_and_format_are_poses_by_time(read):
     [
         ([*ROWS, "3,arm,1,2,x,0,0,0,1"], "line 4, column pz is 'x'; expected a finite number"),
         ([HEADER, ROWS[0], "1,arm,1,2,3,0,0,nan,1"], "line 3, column qz is 'nan'; expected a finite number"),
-        ([ROWS[0], "1_0,arm,1,2,3,0,0,0,1"], "line 2, column t is '1_0'"),
         ([ROWS[0], "1,arm,1,2,3,0,0,0,0"], "line 2, columns qx qy qz qw are all 0; expected a quaternion"),
         ([ROWS[0], "1,arm,1,2,3,0,0,1"], "line 2 has 8 columns; expected t, body, px"),
-        ([ROWS[0], "1,,1,2,3,0,0,0,1"], "line 2, column body is ''; expected a name or an index"),
         ([ROWS[0], "1,leg,1,2,3,0,0,0,1"], "holds no pose of body leg at t = 0"),
         (["0,leg,1,2,3,0,0,0,1", "1,leg,1,2,3,0,0,0,1"], "holds leg, and no body is called so; expected one of base"),
-        (["0,2,1,2,3,0,0,0,1", "1,2,1,2,3,0,0,0,1"], "column body holds 2, and no body is called so"),
         ([*ROWS, *(row.replace("arm", "1") for row in ROWS)], "column body holds arm and 1, which are one body"),
         ([*ROWS, "0,arm,1,2,3,0,0,0,1"], "line 4 is another pose of body arm at t = 0, after line 1"),
         (ROWS[:1], "holds poses at t = 0 alone; expected two times or more"),
-        ([HEADER], "holds no poses"),
         ([*ROWS, '"0,arm'], "line 4: unexpected end of data"),
         (["0,arm\udcff"], "no text in UTF-8 at byte 5"),
         ('[{"t": 0,\n "body"}]', "line 2, column 8: no JSON"),
-        ('{"t": 0}', "holds no list"),
         ('[{"t": 0}]', "row 1 has t; expected t, body"),
         (json.dumps([ROW_1 | {"qx": None}]), "row 1, column qx is None; expected a finite number"),
-        (json.dumps([ROW_1 | {"t": True}]), "row 1, column t is True"),
-        (json.dumps([ROW_1 | {"body": []}]), "row 1, column body is []"),
     ],
 )
 def test_a_damaged_table_is_refused_with_line_and_column(read, rows, message):
