@@ -157,14 +157,23 @@ def refused_calls(mesh, x, y):
     yield ["rank 0: displacement_bounds: search_radius is 0"], lambda: pipeline.displacement_bounds(x, RANK)
     # ranks that would wait for each other
     for calls in (("mesh_ccd", "collision_free_step"), ("line_search", "find_candidates")):
-        yield [f"rank 0 calls {calls[0]}", f"and rank 1 {calls[1]}"], lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y)
-    yield ["rank 0 calls find_intersections and rank 1 find_proximity"], by_rank(
-        lambda: pipeline.find_intersections(x), lambda: pipeline.find_proximity(x, 0.1)
-    )
+        yield (
+            [f"rank 0 calls {calls[0]}", f"and rank 1 {calls[1]}"],
+            lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y),
+        )
+    searches = by_rank(lambda: pipeline.find_intersections(x), lambda: pipeline.find_proximity(x, 0.1))
+    yield ["rank 0 calls find_intersections", "and rank 1 find_proximity"], searches
     for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
         given = {name: by_rank(*values)}
         yield [f"{name}={v!r}" for v in values], lambda given=given: pipeline.line_search(x, y, **given)
-    yield ["of pipeline 2"], lambda: several.mesh_ccd(x, y)
+    yield ["of pipeline"], lambda: several.mesh_ccd(x, y)
+    turning, at = DistributedPipeline(made(rigid=[0])()), [[0.0, 0, 0, 0, 0, 0, 1]]
+    for count, share, words in (
+        (1, by_rank(1.0, 0.5), "motion differs between ranks"),
+        (2, 1.0, "2 rows for 1 rigid body"),
+    ):
+        motion = ccd.RigidMotion(at * count, twist=[[0.1, 0, 0, 0, 0, 0.3]] * count).shortened(share)
+        yield [words], lambda motion=motion: turning.mesh_ccd(TRIANGLE, TRIANGLE, motion=motion)
 
 
 def refused_meshes():
@@ -193,8 +202,9 @@ def refused_meshes():
     masked = {"vertices": np.ma.array([[0, 1]], mask=True)}
     yield ["exclude_pairs['vertices'] is a masked array"], made(exclude_pairs=masked)
     yield [f"rank {LAST}: faces holds index 3"], made(faces=FACE + (RANK == LAST))
-    yield ["bodies gives vertex id 0 body 1 and the next, 7, body 0"], made(
-        faces=NO_FACES, vertex_ids=np.array([0, 7, 9]), bodies=np.array([1, 0, 0])
+    yield (
+        ["bodies gives vertex id 0 body 1 and the next, 7, body 0"],
+        made(faces=NO_FACES, vertex_ids=np.array([0, 7, 9]), bodies=np.array([1, 0, 0])),
     )
     columns = 2 if RANK == LAST else 3
     yield [f"vertices has 2 columns on rank {LAST} and 3 on rank 0"], made(TRIANGLE[:, :columns], None)

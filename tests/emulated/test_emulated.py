@@ -182,6 +182,7 @@ def test_counters_of_all_kinds_are_read_at_once(ground, self_collision, most):
     _, start, end = crowd(60, 0.15)
     bodies = [(x, np.arange(len(x)).reshape(-1, 3)) for x in np.split(start, 4)]
     mesh = ccd.CollisionMesh.from_arrays([*bodies, *ground], self_collision=[self_collision] * 4 + [True] * len(ground))
+
     def counted(array):
         caller = sys._getframe(1)
         if caller.f_globals.get("__name__", "").startswith("ccd_warp"):

@@ -55,16 +55,24 @@ def sheets():
 
 def needles():
     """Needles that cross each other, each in a world of its own: many take more iterations than a first round has."""
-    start, end = (x.reshape(-1, 3) for x in FAMILIES["needle_against_needle"]("edge-edge", 24, np.random.default_rng(0)))
+    start, end = (
+        x.reshape(-1, 3) for x in FAMILIES["needle_against_needle"]("edge-edge", 24, np.random.default_rng(0))
+    )
     edges, world = np.arange(96).reshape(-1, 2), np.repeat(np.arange(24), 4)
     return ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), int), edges)], vertex_world=world), start, end
 
 
-_LISTS = {"bodies": [(0, 2)], "vertices": [(0, 130), (7, 250), (3, 20)], "vertex_face": [(v, v % 20) for v in range(90)]}
+_LISTS = {
+    "bodies": [(0, 2)],
+    "vertices": [(0, 130), (7, 250), (3, 20)],
+    "vertex_face": [(v, v % 20) for v in range(90)],
+}
 # Scenes so large that threads share them in many parts, batches are many and a device takes several turns.
 LARGE = {
     "crowd": StepCase(lambda: crowd(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
-    "static": StepCase(lambda: crowd(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000),
+    "static": StepCase(
+        lambda: crowd(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000
+    ),
     "one place": StepCase(lambda: crowd(60, 30, dust=150, static=[0]), {}, 400_000),
 }
 # Those in which a GPU has what a warp, a block or a few threads must not lose.
@@ -158,9 +166,14 @@ def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
     for dtype in PRECISIONS:
         x, moves = start.astype(dtype), (end - start).astype(dtype)
         y = (x.astype(float) + moves.astype(float)).astype(dtype)
-        host = {name: ccd.mesh_ccd(mesh, x.astype(float), z, precision=precision_of(scene), **case.options, **motion)
-                for name, z in (("to", y.astype(float)), ("by", x.astype(float) + moves.astype(float)))}
-        launched = [("to", pipeline.launch(x, y, **motion)), ("to", pipeline.launch(on_device(x, dtype), on_device(y, dtype), **motion))]
+        host = {
+            name: ccd.mesh_ccd(mesh, x.astype(float), z, precision=precision_of(scene), **case.options, **motion)
+            for name, z in (("to", y.astype(float)), ("by", x.astype(float) + moves.astype(float)))
+        }
+        launched = [
+            ("to", pipeline.launch(x, y, **motion)),
+            ("to", pipeline.launch(on_device(x, dtype), on_device(y, dtype), **motion)),
+        ]
         for name, result in launched if motion else [*launched, ("by", None)]:
             result = result or pipeline.launch(on_device(x, dtype), displacements=on_device(moves, dtype))
             assert_shared_bits(result.to_host(), host[name], ".toi", ".vertex_toi", ".body_toi", ".contacts.points")
@@ -259,7 +272,9 @@ every_pair = pytest.mark.parametrize(
         (kind, name, precision)
         for k, kind in enumerate(KINDS)
         for n, name in enumerate(PAIR_OPTIONS)
-        for precision in (PRECISIONS if n == 0 else PRECISIONS[(n + k) % 2 :][:1] if n < 5 else PRECISIONS[:1] * (k < 2))
+        for precision in (
+            PRECISIONS if n == 0 else PRECISIONS[(n + k) % 2 :][:1] if n < 5 else PRECISIONS[:1] * (k < 2)
+        )
     ],
 )
 
@@ -319,7 +334,9 @@ def digest_of_lanes():
         results = [asked("steps", scene) for scene in (*range(8), "kinds")]
         for kind in KINDS:
             name, *points = points_of(kind, 8)
-            for options in ("default", "separation", "distance")[: 3 if precision == "float64" and "point" not in kind else 2]:
+            for options in ("default", "separation", "distance")[
+                : 3 if precision == "float64" and "point" not in kind else 2
+            ]:
                 results.append(pairs(name, *points, precision, PAIR_OPTIONS[options]))
         for result in results:
             for name, array in sorted(result.items()):
