@@ -24,7 +24,7 @@ import warp as wp
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests" / "helpers"))
-from cuda_modules import cuda_modules
+from cuda_modules import cuda_modules  # noqa: E402
 
 PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "numpy", "pytest", "pytest-xdist", "hypothesis")
 FOLDERS = ("ccd_warp", "kernels", "benchmarks", "tests", "examples")

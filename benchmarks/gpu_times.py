@@ -3,8 +3,7 @@
     python benchmarks/gpu_times.py [--device cuda:0] [--quick] [--only launches queries first] [--output gpu_times.json]
 
 Each line of the output is a measurement, written when it is done; what is begun is said before, so that a process that
-is killed has named it. Scenes that do not fit the time are named. Ends with 1 if the broad phases, or the device and the
-CPU, do not give the same bits. docs/cuda.md says what may be expected.
+is killed has named it. Ends with 1 if a broad phase or the device changes a bit. docs/cuda.md says what to expect.
 """
 
 from __future__ import annotations

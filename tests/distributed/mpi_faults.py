@@ -215,11 +215,17 @@ def refused_meshes():
     yield ["vertices_t0 has shape (3, 3); expected (3, 2)"], lambda: in_plane.mesh_ccd(TRIANGLE, TRIANGLE)
 
 
-def together():
+def begun():
+    """A mesh, its part on this rank with a pipeline, and where its vertices are at both ends."""
     mesh, start, end = falling()
     mesh = whole_mesh(mesh)
     cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
-    pipeline, one = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh)
+    return mesh, cut, DistributedPipeline(cut.mesh), start, end
+
+
+def together():
+    mesh, cut, pipeline, start, end = begun()
+    one = ccd.CollisionPipeline(mesh)
     x, y = cut.local(start), cut.local(end)
     compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
     for parts, call in (*refused_calls(cut.mesh, x, y), *refused_meshes()):
@@ -261,10 +267,7 @@ def together():
 
 
 def killed():
-    mesh, start, end = falling()
-    mesh = whole_mesh(mesh)
-    cut = Cut(COMM, mesh, np.arange(mesh.num_faces) % SIZE, np.random.default_rng(RANK))
-    pipeline = DistributedPipeline(cut.mesh)
+    _, cut, pipeline, start, end = begun()
     for k in range(1_000_000):
         if k == 3 and RANK == LAST:
             os.kill(os.getpid(), signal.SIGKILL)

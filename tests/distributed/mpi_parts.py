@@ -24,7 +24,7 @@ _KEPT += "radius planes"
 
 
 def whole_mesh(mesh):
-    """The same mesh with faces in the order in which the ranks number them, each once, and the lists that ranks take."""
+    """The same mesh with faces in the order in which ranks number them, each once, and the lists that they take."""
     faces = mesh.faces.astype(np.int64)
     ordered = np.sort(faces, axis=1)
     order = np.lexsort((*faces.T[::-1], *ordered.T[::-1]))

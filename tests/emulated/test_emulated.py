@@ -15,20 +15,17 @@ import warp as wp
 from ccd_warp.kernels.step.minima import CANDIDATES
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-
-import ccd_warp as ccd
-from ccd_warp._engine import stages
-from emulated.build import compiler, sanitizer_library
-from emulated.device import MULTIPROCESSORS, Emulation, emulation
 from laws.calls import on_device
 from laws.outputs import different, outputs_of
 from laws.test_other_ways import kept
 
-pytestmark = [
-    pytest.mark.emulated,
-    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
-    OF_ROUNDING,
-]
+import ccd_warp as ccd
+from ccd_warp._engine import stages
+from emulated import MARKS
+from emulated.build import sanitizer_library
+from emulated.device import MULTIPROCESSORS, Emulation, emulation
+
+pytestmark = [*MARKS, OF_ROUNDING]
 
 
 def assert_equal_on_both(case, call, num_multiprocessors=4):

@@ -23,13 +23,10 @@ from ccd_warp._engine.mesh.topology import PrimitiveSet
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of
-from emulated.build import compiler
+from emulated import MARKS
 from emulated.device import emulation
 
-pytestmark = [
-    pytest.mark.emulated,
-    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
-]
+pytestmark = MARKS
 
 # Around every multiple of half a warp and of a warp.
 COUNTS = [0, 1, 2, *(16 * k + d for k in (1, 2, 3, 4, 8) for d in (-1, 0, 1))]

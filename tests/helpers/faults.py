@@ -271,7 +271,7 @@ def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def wrong_after_events(scenario: Scenario, every: int | None = None) -> list[str]:
-    """A fault before an event, and directly after one that changes something: every so many of the lines, or all events."""
+    """A fault before an event, and after one that changes something: every so many of the lines, or all events."""
     truth, counted = truth_of(scenario), _counted(scenario, Event())
     wrong: list[str] = []
     for k, n in enumerate(sorted(counted.sites.values())[::every] if every else range(1, counted.count + 1)):

@@ -1,4 +1,4 @@
-"""Recorded launches that stay packed: their parts, other arguments, graphs, and versions of Warp that pack otherwise."""
+"""Recorded launches that stay packed: parts, other arguments, graphs, and versions of Warp that pack otherwise."""
 
 import gc
 import weakref
