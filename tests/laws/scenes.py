@@ -140,7 +140,7 @@ class _Drawing:
         is_flat = family not in ("slivers", "parallel", "arcs") and self.flip(0.25)
         self.dimension = 2 if is_flat else 3
         self.is_on_grid = family == "touching" or (family in ("any", "in plane", "worlds") and self.flip(0.4))
-        self.size = 2.0 ** rng.choice([-10, -3, 0, 0, 0, 4, 10])
+        self.size = float(2.0 ** rng.choice([-10, -3, 0, 0, 0, 4, 10]))
 
     def flip(self, share: float) -> bool:
         return bool(self.rng.random() < share)

@@ -200,7 +200,7 @@ PLANTED = [
         "kernels/boxes/hash_grid.py",
         "if covered[0] <= PARTS and covered[1] <= 1 and covered[2] <= 1:",
         "if covered[0] <= PARTS and covered[1] <= 1 and covered[2] <= 2:",
-        ("kernels/search/test_broad_phase.py::test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one",),
+        ("kernels/search/test_candidates.py::test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one",),
     ),
     Fault(
         "the radius of the first vertex for that of a primitive",
@@ -252,21 +252,21 @@ PLANTED = [
         "kernels/boxes/box_groups.py",
         "            high = wp.max(high, vertex_group[v])\n",
         "            high = low\n",
-        ("kernels/search/test_broad_phase.py::test_bodies_that_may_not_meet_in_one_place",),
+        ("kernels/search/test_candidates.py::test_bodies_that_may_not_meet_in_one_place",),
     ),
     Fault(
         "the next partner in the own block lost",
         "kernels/search/search_lanes.py",
         "mask = mask & lanes_after(query_lane)",
         "mask = mask & lanes_after(query_lane + 1)",
-        ("kernels/search/test_candidates.py::test_random_soup",),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "a tie of quantized coordinates taken for an overlap",
         "kernels/search/search_lanes.py",
         "mask = mask & ~boxes_apart(search, q, block, mask & tied)",
         "mask = mask & ~(boxes_apart(search, q, block, mask & tied) & _NONE)",
-        ("kernels/search/test_candidates.py::test_sizes_over_many_orders_of_magnitude",),
+        ("kernels/search/test_candidates.py::test_numbers_of_any_size",),
     ),
     Fault(
         "a corner that no direction across a side looks at",
@@ -362,7 +362,7 @@ PLANTED = [
         "ccd_warp/_engine/host/candidates.py",
         "if is_cut and not self._is_sorted:",
         "if False:",
-        ("kernels/search/test_candidate_order.py::test_blocks_of_boxes_that_exceed_the_memory_limit",),
+        ("kernels/search/test_candidates.py::test_blocks_of_boxes_that_exceed_the_memory_limit_keep_the_order",),
     ),
     Fault(
         "neighbours by one end of an edge",

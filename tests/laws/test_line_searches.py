@@ -1,0 +1,102 @@
+"""What a line search leaves of the way is free, exactly; what parts or slides, and what nothing is near, goes whole."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from slides import SLIDERS, slides_of
+
+import ccd_warp as ccd
+from laws.calls import EVERY_PER
+from laws.test_searches import rows_of
+from laws.test_truth import SEEDS, near_pairs, scene_of
+from laws.truth import NAMES, PLANE, PlaneTruth, distances_at, first_times, sizes
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+SAFETY = 0.9
+
+
+def holds_of(scene, mesh, start, pairs):
+    """How near each vertex was at the start to anything within its distance, as a vertex or as an end of an edge."""
+    holds = np.full(mesh.num_vertices, np.inf)
+    for kind, _, corners, distances in near_pairs(scene, start, start, pairs):
+        if len(corners) and scene.options["start_gap_fraction"] == "hold":
+            apart = distances_at(NAMES[kind], start[corners], start[corners], 0 * distances, scene.is_euclidean)
+            is_near = apart <= distances
+            holders = corners[:, :1] if kind in (0, 2) else corners
+            np.minimum.at(holds, holders[is_near], apart[is_near, None])
+    return holds
+
+
+def near_on_the_way(scene, start, end, pairs, holds, is_asked):
+    """When pairs come nearer than they keep, of those that are asked for by their corners: (kind, *pair) to time."""
+    found = {}
+    for kind, of_kind, corners, distances in near_pairs(scene, start, end, pairs, holds):
+        x, y, at = start[corners], end[corners], is_asked(corners)
+        # the margin of what is held, and what a fraction of the gap loses in rounding
+        lost = 1.2e-13 * (sizes(x, y) + np.abs(x).max(initial=0.0) / 8)
+        if isinstance(scene.options["start_gap_fraction"], float):
+            lost = 1e-3 * distances + 2.0**-16 * sizes(x, y)
+        if at.any():
+            keep = np.where(distances < scene.distance + pairs.radii(kind, of_kind), distances - lost, distances)[at]
+            times = first_times(NAMES[kind], x[at], y[at], np.maximum(keep, 0.0), scene.is_euclidean, 1.0)
+            found |= {(kind, *pair): t for pair, t in zip(of_kind[at].tolist(), times, strict=True) if t.hit}
+    return found
+
+
+def enters(scene, mesh, start, end, pairs, vertex, plane):
+    """Whether a vertex ends nearer to a plane than it keeps."""
+    truth, fraction = PlaneTruth(mesh, start, end, vertex, plane), scene.options["start_gap_fraction"]
+    distance = scene.distance + float(pairs.radii(PLANE, np.array([[vertex, plane]]))[0])
+    if fraction is None:
+        return truth.is_late(np.inf, distance, scene.is_euclidean, 1.0)
+    share = 1 if fraction == "hold" else Fraction(fraction)
+    keep = min(truth.f[0], Fraction(distance) * Fraction(truth.length(scene.is_euclidean)), share * max(truth.f[0], 0))
+    return truth.f[1] < keep - (truth.terms + abs(keep)) / 2**30
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_left_of_the_way_is_free(seed):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    options, holds = scene.without_end(), holds_of(scene, mesh, start, pairs)
+    is_free = ~(mesh.static | mesh.kinematic)[mesh.vertex_body]
+    shares = {"scene": 0 * mesh.vertex_body, "world": mesh.vertex_world, "body": mesh.vertex_body}
+    for n, per in enumerate(EVERY_PER):
+        options["precision"] = ("float64", "float32")[(seed + n) % 2]
+        result = ccd.line_search(mesh, start, end, per=per, safety=SAFETY, **options)
+        left, fraction = result.vertices, result.vertex_fraction
+        moved = (left != start).any(axis=1)
+        by_itself = moved & is_free
+        assert not near_on_the_way(scene, start, left, pairs, holds, lambda c, m=by_itself: m[c].any(axis=1))
+        struck = near_on_the_way(
+            scene, start, left, pairs, holds, lambda c, m=moved, i=by_itself: m[c].any(axis=1) & ~i[c].any(axis=1)
+        )
+        assert struck.keys() <= {*rows_of(result.struck)}
+        for v, k in pairs.with_planes[by_itself[pairs.with_planes[:, 0]]].tolist():
+            assert not enters(scene, mesh, start, left, pairs, v, k), (v, k)
+        assert not moved[result.touching.vertices].any()
+        # what is one is moved as one, to where its fraction says
+        scale = np.abs([start, end]).max(initial=0.0)
+        assert np.abs(left - start - fraction[:, None] * (end - start)).max(initial=0.0) <= 4e-16 * scale
+        assert (fraction[~is_free] == 1).all() and result.fraction == fraction[is_free].min(initial=1.0)
+        group = shares.get(per, np.arange(len(start)))
+        assert all(len({*fraction[is_free & (group == g)].tolist()}) <= 1 for g in {*group.tolist()})
+        step = ccd.mesh_ccd(mesh, start, end, **options)
+        if step.toi == np.inf:
+            assert np.array_equal(left, end)
+        elif step.toi > 0:  # it goes as far as the first contact allows, and no farther
+            assert SAFETY * step.toi >= fraction[is_free].min(initial=0.0)
+    whole = ccd.collision_free_step(mesh, start, end, **options)
+    reached = near_on_the_way(scene, start, end, pairs, holds, lambda c: (start[c] != end[c]).any(axis=(1, 2)))
+    assert not [key for key, time in reached.items() if time.late(whole)]
+
+
+@pytest.mark.parametrize("norm", ["radius", "minimum_distance", "minimum_separation"])
+@pytest.mark.parametrize("slider", SLIDERS)
+def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm):
+    for seed, case in enumerate(
+        ({}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0})
+    ):
+        pipeline, start, end = slides_of(seed, 1000, slider, norm, **case)
+        reached = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
+        assert np.array_equal(reached, end), case
