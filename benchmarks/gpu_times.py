@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import sys
 import time
@@ -243,6 +244,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--output", type=Path, default=Path("gpu_times.json"), help="a line for each measurement")
     given = parser.parse_args(arguments)
     wp.config.log_level = wp.LOG_WARNING
+    if folder := os.environ.get("CCD_WARP_CUBINS"):  # of gpu_pack.py
+        wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
     wp.init()
     if given.device not in (names := [device.alias for device in wp.get_devices()]):
         print(f"error: device is {given.device!r}; expected one of {', '.join(names)}", file=sys.stderr)

@@ -66,14 +66,14 @@ def test_block_of_the_page_by_task_prints_on_ranks_what_the_page_says(tmp_path):
 @needs_ranks
 @pytest.mark.parametrize("num_ranks", [2, pytest.param(3, marks=pytest.mark.long)])
 def test_an_error_of_one_rank_is_that_of_all_and_nobody_hangs(num_ranks):
-    done = run_ranks(num_ranks, FOLDER / "mpi_faults.py", "together")
+    done = run_ranks(num_ranks, FOLDER / "mpi_program.py", "together")
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("has seen the errors of the others") == num_ranks
 
 
 @needs_ranks
 def test_the_others_end_when_a_rank_is_killed():
-    assert run_ranks(3, FOLDER / "mpi_faults.py", "killed", seconds=600, aborts=False).returncode != 0
+    assert run_ranks(3, FOLDER / "mpi_program.py", "killed", seconds=600, aborts=False).returncode != 0
 
 
 def test_without_mpi4py_the_error_names_the_extra(monkeypatch):

@@ -45,24 +45,6 @@ def crowd(num_faces, size, seed=43, speed=0.1):
     return mesh, start, start + speed * rng.standard_normal(start.shape)
 
 
-@pytest.mark.parametrize("max_pairs", [1, 37, 300])
-def test_pairs_beyond_the_capacity_stop_the_scene(max_pairs):
-    """Which pairs find a place depends on the order of threads, and with it whose toi is 0; nothing is late."""
-    mesh, start, end = crowd(60, 0.2)
-    worlds = mesh.replicate(4)
-    ends = np.concatenate([start + share * (end - start) for share in (0.0, 0.1, 1.0, 2.0)])
-    truth = kept(("capacity", len(start)), lambda: outputs_of(ccd.mesh_ccd(worlds, np.tile(start, (4, 1)), ends)))
-    with emulation(num_multiprocessors=MULTIPROCESSORS):
-        pipeline = ccd.CollisionPipeline(mesh.replicate(4), max_pairs=max_pairs)
-        result = outputs_of(pipeline.launch(on_device(np.tile(start, (4, 1))), on_device(ends)))
-    assert result[".flags"] == ccd.LaunchFlag.PAIRS_OVERFLOW and result[".toi"] == 0
-    for name in (".vertex_toi", ".body_toi", ".world_toi"):
-        assert (result[name] <= truth[name]).all()
-    stopped = result[".world_flags"] == ccd.LaunchFlag.PAIRS_OVERFLOW
-    assert stopped.any() and (result[".world_toi"][stopped] == 0).all()
-    assert np.array_equal(result[".world_toi"][~stopped], truth[".world_toi"][~stopped])
-
-
 def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
     def contacts(max_contacts):
         mesh, start, end = crowd(40, 0.15)
