@@ -24,10 +24,9 @@ import warp as wp
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.append(str(ROOT / "tests" / "helpers"))
-from cuda_modules import cuda_modules
+from cuda_modules import cuda_modules  # noqa: E402
 
 PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "numpy", "pytest", "pytest-xdist", "hypothesis")
-FOLDERS = ("ccd_warp", "kernels", "benchmarks", "tests", "examples")
 RUN = """#!/bin/sh
 # The tests on the GPU; further options are those of pytest, or: sh run.sh times [OPTION …]
 cd "$(dirname "$0")" && export PYTHONPATH="$PWD/site:$PWD" CCD_WARP_CUBINS="$PWD/cubins"
@@ -85,11 +84,12 @@ def pack(out: Path, packages: list[str], limit: int) -> list[str]:
             with zipfile.ZipFile(wheel) as inside:
                 for name in inside.namelist():
                     archive.writestr(f"site/{name}", inside.read(name))
-        for folder in [*(ROOT / name for name in FOLDERS), out / "cubins"]:
-            for path in sorted(folder.rglob("*")):
-                if path.is_file() and "__pycache__" not in path.parts:
-                    archive.write(path, path.relative_to(folder.parent))
-        archive.write(ROOT / "pyproject.toml", "pyproject.toml")
+        tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        for name in tracked.splitlines():
+            archive.write(ROOT / name, name)
+        for path in sorted((out / "cubins").rglob("*.*")):
+            if path.is_file() and path.suffix != ".cu":
+                archive.write(path, path.relative_to(out))
         archive.writestr("run.sh", RUN)
     parts = {}
     with (out / "all.zip").open("rb") as file:

@@ -3,14 +3,14 @@
     python benchmarks/gpu_times.py [--device cuda:0] [--quick] [--only launches queries first] [--output gpu_times.json]
 
 Each line of the output is a measurement, written when it is done; what is begun is said before, so that a process that
-is killed has named it. Scenes that do not fit the time are named. Ends with 1 if the broad phases, or the device and the
-CPU, do not give the same bits. docs/cuda.md says what may be expected.
+is killed has named it. Ends with 1 if a broad phase or the device changes a bit. docs/cuda.md says what to expect.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import sys
 import time
@@ -105,7 +105,9 @@ def fitting(pipeline: ccd.CollisionPipeline, *arrays: wp.array) -> ccd.LaunchRes
     return result
 
 
-def answers_of(pipeline: ccd.CollisionPipeline, result: ccd.LaunchResult, ends: tuple[np.ndarray, ...]) -> dict[str, bytes]:
+def answers_of(
+    pipeline: ccd.CollisionPipeline, result: ccd.LaunchResult, ends: tuple[np.ndarray, ...]
+) -> dict[str, bytes]:
     """The bits that no broad phase and no device may change."""
     found = {name: getattr(result, name).numpy().tobytes() for name in ("toi", "vertex_toi", "num_pairs", "flags")}
     return found | {name: pairs.tobytes() for name, pairs in vars(pipeline.find_candidates(*ends).sorted()).items()}
@@ -125,7 +127,12 @@ def launches(clock: Clock, scenes: dict[str, Callable[[], Any]]) -> Iterator[dic
             arrays = [wp.array(x, dtype=wp.vec3d, device=device) for x in ends]
             result = fitting(pipeline, *arrays)
             launch = partial(pipeline.launch, *arrays)
-            row: dict[str, Any] = {"scene": name, "device": device, "broad_phase": broad_phase, "launch": own.events(launch)}
+            row: dict[str, Any] = {
+                "scene": name,
+                "device": device,
+                "broad_phase": broad_phase,
+                "launch": own.events(launch),
+            }
             with wp.ScopedCapture(device=device) as capture:
                 launch()
             row["replay"] = own.events(partial(wp.capture_launch, capture.graph))
@@ -181,7 +188,12 @@ def queries(clock: Clock, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:
                         with launched_with(block_dim):
                             seconds = clock.events(call)
                             kernels = sum(clock.kernels(call).values())  # without what the host does in between
-                        row: dict[str, Any] = {"queries": count, "kind": kind, "touching": touching, "precision": precision}
+                        row: dict[str, Any] = {
+                            "queries": count,
+                            "kind": kind,
+                            "touching": touching,
+                            "precision": precision,
+                        }
                         row |= {"block_dim": block_dim, "seconds": seconds, "kernels": kernels}
                         yield row | {"queries_a_second": count / (kernels or seconds)}
 
@@ -225,11 +237,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--device", default="cuda:0", help="Warp device (cuda:0); cpu rehearses")
     parser.add_argument("--quick", action="store_true", help="small scenes and few queries")
-    parser.add_argument("--only", nargs="+", choices=("launches", "queries", "first"), default=["launches", "queries", "first"])
+    parser.add_argument(
+        "--only", nargs="+", choices=("launches", "queries", "first"), default=["launches", "queries", "first"]
+    )
     parser.add_argument("--minutes", type=float, default=8.0, help="after which nothing is begun (8)")
     parser.add_argument("--output", type=Path, default=Path("gpu_times.json"), help="a line for each measurement")
     given = parser.parse_args(arguments)
     wp.config.log_level = wp.LOG_WARNING
+    if folder := os.environ.get("CCD_WARP_CUBINS"):  # of gpu_pack.py
+        wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
     wp.init()
     if given.device not in (names := [device.alias for device in wp.get_devices()]):
         print(f"error: device is {given.device!r}; expected one of {', '.join(names)}", file=sys.stderr)

@@ -203,9 +203,7 @@ def check_worlds(mesh: CollisionMesh) -> None:
     differs[mesh.unused_vertices] = False
     for vertex in np.flatnonzero(differs)[:1].tolist():
         body = int(mesh.vertex_body[vertex])
-        raise ValueError(
-            _of_worlds(body_label(body, mesh.names), int(first[body]), int(mesh.vertex_world[vertex]))
-        )
+        raise ValueError(_of_worlds(body_label(body, mesh.names), int(first[body]), int(mesh.vertex_world[vertex])))
 
 
 def check_worlds_of(bodies: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:

@@ -40,7 +40,7 @@ def pytest_addoption(parser):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_cmdline_main(config):
-    """Processes of `pytest -n` get stretches of files, as fixtures and kernels of a file are made once, and share them."""
+    """`pytest -n` gives each process a stretch of the tests, as a file's fixtures are made once, and lets it steal."""
     if getattr(config.option, "numprocesses", None) and config.option.dist == "no":
         config.option.dist = "worksteal"
 

@@ -3,40 +3,40 @@
 import time
 
 import numpy as np
-from laws.outputs import different
+from laws.calls import EVERY_PER
+from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
 from ccd_warp.distributed import DistributedMesh, DistributedPipeline
 
 SCALARS = ["collision_free_step", "is_step_collision_free"]
-SEARCHES = [f"line_search {per}" for per in ("scene", "world", "body", "vertex")]
-CALLS = ["mesh_ccd", "find_candidates", "find_proximity", "displacement_bounds", "find_intersections", *SCALARS, *SEARCHES]
+SEARCHES = [f"line_search {per}" for per in EVERY_PER]
+OF_STARTS = ["find_proximity", "displacement_bounds", "find_intersections"]
+CALLS = ["mesh_ccd", "find_candidates", *OF_STARTS, *SCALARS, *SEARCHES]
 # Of each result: what each rank has of its own vertices, what all have, and the lists of which each has some rows.
 _LOCAL = {"mesh_ccd": ["vertex_toi"], "line_search": ["vertices", "vertex_fraction"]}
-_SAME = {
-    "mesh_ccd": ["toi", "body_toi", "world_toi"],
-    "line_search": ["fraction", "num_rounds", "is_limited"],
-}
+_SAME = {"mesh_ccd": ["toi", "body_toi", "world_toi"], "line_search": ["fraction", "num_rounds", "is_limited"]}
 _LISTS = {"mesh_ccd": ["contacts"], "line_search": ["touching", "struck"]}
-_COLUMNS = ("kind", "primitives", "toi", "parameters", "normal", "status", "gap", "width", "points", "vertices", "bodies")
-_COLUMNS += ("distance", "direction", "features", "edge_parameter", "world", "is_crossing", *map(str, ccd.Candidates.__annotations__))
+_KEPT = (
+    "vertices body_vertex_range static kinematic rigid self_collision body_pairs exclusion_rings vertex_world names "
+)
+_KEPT += "radius planes"
 
 
 def whole_mesh(mesh):
-    """The same mesh with faces in the order in which the ranks number them, each once, and with what lists ranks take."""
+    """The same mesh with faces in the order in which ranks number them, each once, and the lists that they take."""
     faces = mesh.faces.astype(np.int64)
     ordered = np.sort(faces, axis=1)
     order = np.lexsort((*faces.T[::-1], *ordered.T[::-1]))
     is_first = np.ones(len(order), dtype=bool)
     is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
-    kept = "vertices body_vertex_range static kinematic rigid self_collision body_pairs exclusion_rings vertex_world names radius planes"
     return ccd.CollisionMesh(
         faces=mesh.faces[order[is_first]],
         given_edges=mesh.edges[mesh.codimensional_edges],
         with_codimensional_points=_has(mesh, mesh.codimensional_points),
         with_inner_vertices=_has(mesh, mesh.inner_vertices),
         exclude_pairs={name: pairs for name, pairs in mesh.exclude_pairs.items() if name in ("vertices", "bodies")},
-        **{name: getattr(mesh, name) for name in kept.split()},
+        **{name: getattr(mesh, name) for name in _KEPT.split()},
     )
 
 
@@ -119,36 +119,33 @@ def wait_for_all(comm):
 def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
     """Make one call on all ranks and in one process, and compare every bit."""
     name, _, per = call.partition(" ")
-    size = cut.mesh.length_scale
-    more = {"find_proximity": [0.05 * size], "displacement_bounds": [0.1 * size], "find_candidates": [0.01 * size]}.get(name, [])
-    options = {"per": per} if per else {}
+    share = {"find_proximity": 0.05, "displacement_bounds": 0.1, "find_candidates": 0.01}.get(name)
+    given = ({"per": per} if per else {}) | ({} if motion is None else {"motion": motion})
 
     def made(of, *positions):
-        if name in ("find_proximity", "displacement_bounds", "find_intersections"):
-            return getattr(of, name)(positions[0], *more)
-        return getattr(of, name)(*positions, *more, **options, **({} if motion is None else {"motion": motion}))
+        more = () if share is None else (share * cut.mesh.length_scale,)
+        return getattr(of, name)(*positions[: 1 if name in OF_STARTS else 2], *more, **given)
 
-    found = made(pipeline, cut.local(start), cut.local(end))
-    expected = made(one, start, end) if comm.Get_rank() == 0 else None
+    found, is_root = made(pipeline, cut.local(start), cut.local(end)), comm.Get_rank() == 0
+    expected = made(one, start, end) if is_root else None
     wait_for_all(comm)
     expected = comm.bcast(expected)
     ours, theirs, lists = {}, {}, [(name, found, expected)] * hasattr(found, "to_root")
-    if name == "displacement_bounds" or name in SCALARS:
-        ours[name], theirs[name] = found, expected[cut.rows] if name == "displacement_bounds" else expected
+    if name in (*SCALARS, "displacement_bounds"):
+        ours[name], theirs[name] = found, expected if name in SCALARS else expected[cut.rows]
     for key in _LOCAL.get(name, []) + _SAME.get(name, []):
         ours[key], value = getattr(found, key), getattr(expected, key)
         theirs[key] = value[cut.rows] if key in _LOCAL[name] else value
     if name == "line_search" and motion is not None:
         ours["poses"], theirs["poses"] = (result.motion.poses_t1 for result in (found, expected))
-    lists += [(key, getattr(found, key), getattr(expected, key)) for key in _LISTS.get(name, [])]
-    for key, part, whole in lists:
-        part, whole = part.to_root(), whole.sorted() if name == "find_candidates" else whole
-        for column in _COLUMNS if comm.Get_rank() == 0 else ():
-            if hasattr(whole, column) and hasattr(part, column):
-                values = np.asarray(getattr(whole, column))
-                ours[f"{key} {column}"] = np.asarray(getattr(part, column))
-                values = 2 * values.astype(np.int64) + 5 if column == "vertices" else values
-                theirs[f"{key} {column}"] = values.astype(ours[f"{key} {column}"].dtype)
-        assert comm.Get_rank() > 0 or sum(k.startswith(key) for k in ours) >= 4, key
+    for key, part, whole in lists + [
+        (key, getattr(found, key), getattr(expected, key)) for key in _LISTS.get(name, [])
+    ]:
+        part, whole = part.to_root(), outputs_of(whole, key)
+        for column, values in outputs_of(part, key).items() if is_root else ():
+            if column in whole:
+                rows = 2 * whole[column].astype(np.int64) + 5 if column.endswith("vertices") else whole[column]
+                ours[column], theirs[column] = values, rows.astype(values.dtype)
+        assert not is_root or sum(column.startswith(key) for column in ours) >= 5, key
     assert different(*({k: np.asarray(v) for k, v in each.items()} for each in (ours, theirs))) == [], call
     wait_for_all(comm)

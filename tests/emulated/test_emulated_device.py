@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from emulated.build import compiler
+from emulated import MARKS
 from emulated.device import emulation
 
-pytestmark = [
-    pytest.mark.emulated,
-    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
-]
+pytestmark = MARKS
 
 
 @wp.func_native(

@@ -23,16 +23,14 @@ from ccd_warp._engine.mesh.topology import PrimitiveSet
 from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of
-from emulated.build import compiler
+from emulated import MARKS
 from emulated.device import emulation
 
-pytestmark = [
-    pytest.mark.emulated,
-    pytest.mark.skipif(compiler() is None, reason="no C++ compiler found: apt-get install g++, or set CXX"),
-]
+pytestmark = MARKS
 
 # Around every multiple of half a warp and of a warp.
 COUNTS = [0, 1, 2, *(16 * k + d for k in (1, 2, 3, 4, 8) for d in (-1, 0, 1))]
+Ints, Int64s, Floats, Rows = wp.array[wp.int32], wp.array[wp.int64], wp.array[wp.float64], wp.array2d[wp.int64]
 INFINITY_BITS = np.float64(np.inf).view(np.int64)
 FALL = [[0, 0, 1], [0, 0, 1], [0, 0, 0], [0, 0, 0]]  # of the first edge of two
 # A count that 32 bits do not hold, and whose lowest 32 are plausible.
@@ -49,15 +47,7 @@ def launch(kernel, dim, inputs, outputs=(), **options):
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def meet(
-    values: wp.array[wp.int64],
-    least: wp.array[wp.int64],
-    least_int: wp.array[wp.int32],
-    flags: wp.array[wp.int32],
-    rows: wp.array2d[wp.int64],
-    counter: wp.array[wp.int32],
-    first: wp.array[wp.int64],
-):
+def meet(values: Int64s, least: Int64s, least_int: Ints, flags: Ints, rows: Rows, counter: Ints, first: Int64s):
     i = wp.tid()
     atomic_min_int64(least, 1, values[i])
     atomic_min_int32(least_int, 1, wp.int32(values[i]))
@@ -79,13 +69,7 @@ def test_threads_that_meet_on_one_place_lose_nothing():
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def claim_lanes(
-    counts: wp.array[wp.int32],
-    is_set: wp.array2d[wp.int32],
-    rows: wp.array2d[wp.int64],
-    owner: wp.array[wp.int32],
-    least: wp.array2d[wp.float32],
-):
+def claim_lanes(counts: Ints, is_set: wp.array2d[wp.int32], rows: Rows, owner: Ints, least: wp.array2d[wp.float32]):
     """The threads of a half warp claim places for those of its sixteen lanes that are set."""
     thread = wp.tid()
     half = thread / 16
@@ -123,13 +107,7 @@ def test_half_warps_claim_one_place_for_each_of_their_lanes():
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def agree(
-    times: wp.array[wp.float64],
-    of_float64: wp.array[wp.float64],
-    of_float32: wp.array[wp.float32],
-    said: wp.array[wp.int32],
-    item: wp.array[wp.int32],
-):
+def agree(times: Floats, of_float64: Floats, of_float32: wp.array[wp.float32], said: Ints, item: Ints):
     thread = wp.tid()
     of_float64[thread] = latest(times[thread])
     of_float32[thread] = latest(wp.float32(times[thread]))

@@ -271,7 +271,7 @@ def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
 
 
 def wrong_after_events(scenario: Scenario, every: int | None = None) -> list[str]:
-    """A fault before an event, and directly after one that changes something: every so many of the lines, or all events."""
+    """A fault before an event, and after one that changes something: every so many of the lines, or all events."""
     truth, counted = truth_of(scenario), _counted(scenario, Event())
     wrong: list[str] = []
     for k, n in enumerate(sorted(counted.sites.values())[::every] if every else range(1, counted.count + 1)):
@@ -290,3 +290,11 @@ def wrong_after_interrupts(scenario: Scenario, seed: int, num_samples: int) -> l
         n = 1 + int((k + rng.random()) * count / num_samples)
         wrong += inject(scenario, Interrupt(n, int(10 ** rng.uniform(0.5, 3.0)) if k % 3 == 2 else 0), truth)
     return wrong
+
+
+arrays_of = outputs_of
+
+
+def difference(ours: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> str:
+    """What differs in a bit, in words, or nothing."""
+    return "\n".join(different(ours, truth))

@@ -9,9 +9,9 @@ from ccd_warp.kernels.atomics import atomic_min_int64, claim, claim_int, set_bit
 
 from ccd_warp._runtime.launch import Execution, load
 
-NUM_ROUNDS = 2_000
-COUNT = 3_000_000
+NUM_ROUNDS, COUNT = 2_000, 3_000_000
 MOST_SPINS = wp.constant(1_000_000)  # about a millisecond, should one thread have to wait for a core
+pytestmark = pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="two threads on one core do not meet")
 
 
 @wp.func_native("return *(volatile long long*)values.data;")
@@ -51,31 +51,27 @@ def count_up(count: int, rows: wp.array2d[wp.int64], counter: wp.array[wp.int32]
         claim_int(counter, 0)
 
 
-two_cores = pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="two threads on one core do not meet")
+def run(kernel, inputs):
+    """A launch on each of the threads, with the arguments that it has there."""
+    load(kernel, wp.get_device("cpu"))
+    tasks = [lambda own=own: wp.launch(kernel, dim=1, inputs=own, device="cpu") for own in inputs]
+    Execution(wp.get_device("cpu"), len(tasks)).run(tasks)
 
 
-@two_cores
 def test_no_minimum_and_no_flag_is_lost_between_threads():
-    device = wp.get_device("cpu")
     values = np.random.default_rng(0).integers(0, 2**62, (2, NUM_ROUNDS))
-    barrier = wp.zeros((2, 8), dtype=wp.int64, device=device)
-    minima = wp.full(NUM_ROUNDS, value=2**62, dtype=wp.int64, device=device)
-    flags = wp.zeros(NUM_ROUNDS, dtype=wp.int32, device=device)
-    load(in_step, device)
-    inputs = [NUM_ROUNDS, barrier, wp.array(values, dtype=wp.int64, device=device), minima, flags]
-    tasks = [lambda t=t: wp.launch(in_step, dim=1, inputs=[t, *inputs], device=device) for t in range(2)]
-    Execution(device, 2).run(tasks)
+    minima = wp.full(NUM_ROUNDS, value=2**62, dtype=wp.int64, device="cpu")
+    flags, barrier = (
+        wp.zeros(shape, dtype=t, device="cpu") for shape, t in ((NUM_ROUNDS, wp.int32), ((2, 8), wp.int64))
+    )
+    inputs = [NUM_ROUNDS, barrier, wp.array(values, dtype=wp.int64, device="cpu"), minima, flags]
+    run(in_step, [[thread, *inputs] for thread in range(2)])
     np.testing.assert_array_equal(minima.numpy(), values.min(axis=0))
     assert (flags.numpy() == 3).all()
 
 
-@two_cores
 def test_no_count_is_lost_between_threads():
-    device = wp.get_device("cpu")
-    rows = wp.zeros((2, 8), dtype=wp.int64, device=device)
-    counter = wp.zeros(1, dtype=wp.int32, device=device)
-    load(count_up, device)
-    tasks = [lambda: wp.launch(count_up, dim=1, inputs=[COUNT, rows, counter], device=device)] * 4
-    Execution(device, 4).run(tasks)
+    rows, counter = wp.zeros((2, 8), dtype=wp.int64, device="cpu"), wp.zeros(1, dtype=wp.int32, device="cpu")
+    run(count_up, [[COUNT, rows, counter]] * 4)
     assert rows.numpy().tolist() == [[0] * 8, [4 * COUNT] + [0] * 7]
     assert counter.numpy()[0] == 4 * COUNT

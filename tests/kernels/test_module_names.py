@@ -6,6 +6,8 @@ import sys
 import textwrap
 from pathlib import Path
 
+import pytest
+
 SCRIPT = """
     import warp as wp
 
@@ -31,6 +33,7 @@ SCRIPT = """
 """
 
 
+@pytest.mark.emulated
 def test_what_was_built_before_does_not_change_the_name_of_a_module():
     """Else a second run would compile modules again that the first has compiled under other names.
 

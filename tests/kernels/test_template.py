@@ -10,29 +10,21 @@ from ccd_warp.kernels.pair import patch
 from ccd_warp.kernels.template import specialised
 
 
-def test_plain_import_is_the_specialisation_for_one_pair_in_float64():
+def test_there_is_one_specialisation_for_each_set_of_the_parameters_on_which_a_file_depends():
     assert specialised("pair.patch") is patch is specialised("pair.patch", real=wp.float64, width=1)
-
-
-def test_each_set_of_parameters_is_made_once():
     single = specialised("pair.patch", real=wp.float32)
     assert single is specialised("pair.patch", width=1, real=wp.float32)
     assert single.Corners is not patch.Corners and single.Vec3 is specialised("pair.simd", real=wp.float32).Vec3
+    assert specialised("pair.patch", norm="thick", dimension=2) is patch
+    assert specialised("atomics", real=wp.float32) is atomics  # imports no parameter
+    with pytest.raises(ValueError, match=r"pair\.patch is asked for with breadth; expected parameters"):
+        specialised("pair.patch", breadth=8)
 
 
-def test_what_a_template_imports_is_specialised_alike():
+def test_what_a_template_imports_is_specialised_alike_and_has_its_own_parameters():
     lanes = specialised("pair.lane_advance", real=wp.float32, width=8, norm="euclidean", with_facets=False)
     assert lanes.Corners is specialised("pair.patch", real=wp.float32, width=8).Corners
     assert lanes.length is specialised("pair.support", real=wp.float32, width=8, norm="euclidean").length
-    assert lanes.with_facets is False
-
-
-def test_parameters_on_which_a_file_does_not_depend_change_nothing():
-    assert specialised("pair.patch", norm="thick", dimension=2) is patch
-    assert specialised("atomics", real=wp.float32) is atomics  # imports no parameter
-
-
-def test_every_template_has_its_own_parameters_and_no_other():
     outcome = specialised("narrow_phase.pair_outcome", width=8)
     # the solver of a single pair has no lanes, whatever those of the rounds
     assert outcome.solver is specialised("pair.solver") and outcome.simd is specialised("pair.simd", width=8)
@@ -46,11 +38,6 @@ def test_a_plain_import_shares_its_code_with_specialisations():
         assert code is function.func.__code__
 
 
-def test_a_parameter_that_is_not_known_is_refused():
-    with pytest.raises(ValueError, match=r"pair\.patch is asked for with breadth; expected parameters"):
-        specialised("pair.patch", breadth=8)
-
-
 @pytest.mark.parametrize("was_enabled", [True, False])
 def test_the_garbage_collector_is_off_while_something_is_made_and_then_as_it_was(was_enabled):
     @once
@@ -60,14 +47,10 @@ def test_the_garbage_collector_is_off_while_something_is_made_and_then_as_it_was
             raise InterruptedError
         return once(lambda: gc.isenabled())(), gc.isenabled()
 
-    assert gc.isenabled()
     try:
-        if not was_enabled:
-            gc.disable()
+        (gc.enable if was_enabled else gc.disable)()
         with pytest.raises(InterruptedError):
             made(True)
-        assert gc.isenabled() == was_enabled
-        assert made(False) == (False, False)
-        assert gc.isenabled() == was_enabled
+        assert gc.isenabled() == was_enabled and made(False) == (False, False) and gc.isenabled() == was_enabled
     finally:
         gc.enable()

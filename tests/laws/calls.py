@@ -298,7 +298,9 @@ def batches(case: StepCase, precision: str, *, is_limited: bool = True, with_ord
         given, least = {**case.options, "precision": precision} if is_step else case.only(*_OF_SEARCH), 1
         for times in (1, 2):
             while True:
-                pipeline = ccd.CollisionPipeline(mesh, **given, **({"memory_limit": times * least} if is_limited else {}))
+                pipeline = ccd.CollisionPipeline(
+                    mesh, **given, **({"memory_limit": times * least} if is_limited else {})
+                )
                 try:
                     result = call(pipeline, start, end, case.size)
                     break

@@ -15,9 +15,11 @@ _NOT_COMPARED = {"timings", "num_boxes", "num_sorted_sets", "num_searches", "num
 # What contacts know beside their fields.
 _OF_CONTACTS = ("points", "vertices", "weights", "bodies", "world")
 # What is compared of results that are no plain fields.
+_OF_PAIRS = ("kind", "primitives", "parameters", "points", "vertices")
 _NAMES: dict[type, tuple[str, ...]] = {
-    ccd.Proximities: ("kind", "primitives", "parameters", "distance", "direction", "features", "points"),
-    ccd.Intersections: ("kind", "primitives", "parameters", "edge_parameter", "points", "is_crossing"),
+    ccd.Proximities: (*_OF_PAIRS, "distance", "direction", "features"),
+    ccd.Intersections: (*_OF_PAIRS, "edge_parameter", "bodies", "world", "is_crossing"),
+    ccd.RigidMotion: ("poses_t0", "poses_t1"),
 }
 
 Outputs = dict[str, np.ndarray]
@@ -42,7 +44,9 @@ def outputs_of(value: Any, name: str = "") -> Outputs:
     elif is_dataclass(value):
         parts = {field.name: getattr(value, field.name) for field in fields(value)}
     else:
-        return {name: np.array(value)}
+        array = np.array(value)
+        assert array.dtype != object, f"{name} is {value!r}; expected a value whose bits can be compared"
+        return {name: array}
     if isinstance(value, ccd.Contacts):
         parts |= {key: getattr(value, key) for key in _OF_CONTACTS}
     found: Outputs = {}

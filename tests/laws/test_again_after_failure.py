@@ -1,7 +1,7 @@
-"""A call that fails half-way, or is interrupted, and is made again answers what it answers on fresh objects, bit by bit.
+"""A call that fails half-way, or is interrupted, and is made again answers what it does on fresh objects, bit by bit.
 
-What fails: a use of Warp or of threads, before it is carried out or after (`helpers/faults.py`); an interrupt between two
-bytecodes, or at a random time, as by Ctrl-C in a notebook.
+What fails: a use of Warp or of threads, before it is carried out or after (`helpers/faults.py`); or an interrupt comes,
+between two bytecodes, or at a random time, as by Ctrl-C in a notebook.
 """
 
 import signal
@@ -134,8 +134,8 @@ SCENARIOS |= {
 }
 
 
-# Every run of the tests has each scenario with one of the two kinds of faults; as the calls are an odd number, each call
-# that is the first with one, and that comes later with the other.
+# Every run of the tests has each scenario with one of the two kinds of faults: as the calls are an odd number, one that
+# is the first with one, and one that comes later with the other.
 @pytest.mark.parametrize("name", marked(list(SCENARIOS), list(SCENARIOS)[::2]))
 def test_a_call_that_fails_at_any_use_of_warp_is_made_again(name):
     assert wrong_after_events(SCENARIOS[name], every=2) == []
@@ -159,7 +159,7 @@ _LONG = {"method": "bisection", "tolerance": 1e-15, "max_iterations": 100_000, "
 
 
 class Ctrl_C:
-    """Interrupts after some seconds, as a signal does that another process sends; perhaps twice, a millisecond apart."""
+    """Interrupts after some seconds, as a signal of another process does; perhaps twice, a millisecond apart."""
 
     def __init__(self, seconds, is_twice):
         self.seconds, self.gap, self.left = seconds, 1e-3 if is_twice else 0.0, 1 + is_twice

@@ -1,7 +1,5 @@
 """What is asked in other units, of bodies in another order, for a larger distance or a shorter step answers alike."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from expected_warnings import OF_ROUNDING
@@ -94,7 +92,8 @@ def test_bodies_in_another_order_have_the_same_bits(seed):
         places = np.argsort(rows), np.argsort(bodies)
         results.append({
             "vertices": result.vertex_toi[places[0]], "bodies": result.body_toi[places[1]], "worlds": result.world_toi,
-            "contacts": np.array(sorted(zip(result.contacts.toi, result.contacts.kind, strict=True))), "bounds": bounds[places[0]],
+            "contacts": np.array(sorted(zip(result.contacts.toi, result.contacts.kind, strict=True))),
+            "bounds": bounds[places[0]],
         })  # fmt: skip
     assert different(*results) == []
 

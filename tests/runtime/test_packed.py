@@ -1,86 +1,52 @@
-"""A recorded launch that stays packed: its parts, other arguments, and versions of Warp that pack otherwise."""
+"""Recorded launches that stay packed: parts, other arguments, graphs, and versions of Warp that pack otherwise."""
 
+import gc
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.step.contacts import NO_CONTACT, reset_first
 
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.packed import PackedLaunch
+from ccd_warp._runtime.parts import new_parts
+from ccd_warp._runtime.repeated import RepeatedLaunches
 
 RANGES = [(0, 3), (3, 5), (5, 9), (9, 10)]
 
 
-def packed(ranges=RANGES):
-    """A launch over so many numbers that marks each; and the numbers, all 0."""
-    values = wp.zeros(ranges[-1][1], dtype=wp.int32, device="cpu")
-    command = wp.launch(reset_first, dim=len(values), inputs=[0, values], device="cpu", record_cmd=True)
-    return PackedLaunch(command, ranges), values
+def packed():
+    """A launch over ten numbers that marks each; and the numbers, all 0."""
+    values = wp.zeros(10, dtype=wp.int32, device="cpu")
+    command = wp.launch(reset_first, dim=10, inputs=[0, values], device="cpu", record_cmd=True)
+    return PackedLaunch(command, RANGES), values
 
 
 def marked(values):
     return np.flatnonzero(values.numpy() == int(NO_CONTACT)).tolist()
 
 
-def test_launches_are_packed_with_this_version_of_warp():
+def test_parts_cover_their_ranges_with_other_arguments_too_and_a_graph_has_all():
     launch, values = packed()
-    assert len(launch.parts()) == len(RANGES)
-    assert marked(values) == []  # packing runs nothing
-
-
-@pytest.mark.parametrize("chosen", [[0], [1], [3, 0], [2, 1]])
-def test_parts_cover_their_ranges(chosen):
-    launch, values = packed()
-    for k in chosen:
-        launch.parts()[k]()
-    assert marked(values) == sorted(item for k in chosen for item in range(*RANGES[k]))
-
-
-def test_parts_run_at_once():
-    ranges = [(k, k + 1) for k in range(64)]
-    launch, values = packed(ranges)
-    with ThreadPoolExecutor(4) as pool:
-        for _ in range(50):
-            values.zero_()
-            list(pool.map(lambda part: part(), launch.parts()))
-            assert marked(values) == list(range(64))
-
-
-@pytest.mark.parametrize("is_packed", [False, True])
-def test_other_arguments(is_packed):
-    launch, values = packed()
-    if is_packed:
-        launch.parts()
+    assert len(launch.parts()) == len(RANGES) and marked(values) == []  # packing runs nothing
+    launch.parts()[3]()
+    launch.parts()[0]()
+    assert marked(values) == [0, 1, 2, 9]
     others = wp.zeros_like(values)
     launch.bind(1, others)
     launch.parts()[1]()
-    assert (marked(values), marked(others)) == ([], [3, 4])
-    launch.launch()
-    assert (marked(values), marked(others)) == ([], list(range(10)))
-
-
-def test_a_launch_into_a_graph_is_whole():
-    launch, values = packed()
-    launch.parts()
+    assert (marked(values), marked(others)) == ([0, 1, 2, 9], [3, 4])
     with wp.ScopedCapture(device="cpu") as capture:
         launch.launch()
-    values.zero_()
+    others.zero_()
     wp.capture_launch(capture.graph)
-    assert marked(values) == list(range(10))
+    assert marked(others) == list(range(10))
 
 
-def test_arrays_are_freed_with_the_launch():
-    launch, values = packed()
-    launch.parts()[0]()
-    is_alive = weakref.ref(values)
-    del launch, values
-    assert is_alive() is None
-
-
-@pytest.mark.parametrize("error", [AttributeError, TypeError, None])
+@pytest.mark.parametrize("error", [AttributeError, TypeError, None, "packed as now"])
 def test_a_version_of_warp_that_packs_otherwise_launches_the_whole(error, monkeypatch):
+    """And arrays are freed with the launch."""
     launch, values = packed()
     real = wp.Launch.launch
 
@@ -90,14 +56,50 @@ def test_a_version_of_warp_that_packs_otherwise_launches_the_whole(error, monkey
         elif error is not None:  # it needs more than the stand-in for the kernel has; or it does not call it
             raise error("hooks")
 
-    monkeypatch.setattr(wp.Launch, "launch", otherwise)
-    (whole,) = launch.parts()
-    whole()
-    assert marked(values) == list(range(10))
+    if error != "packed as now":
+        monkeypatch.setattr(wp.Launch, "launch", otherwise)
+    for part in (parts := launch.parts()):
+        part()
+    assert (len(parts) == 1) == (error != "packed as now") and marked(values) == list(range(10))
     others = wp.zeros_like(values)
     launch.bind(1, others)
     launch.parts()[0]()
-    assert marked(others) == list(range(10))
+    assert marked(others) == list(range(10))[: None if len(parts) == 1 else 3]
     is_alive = weakref.ref(others)
-    del launch, others, whole
+    del launch, others, parts, part
     assert is_alive() is None
+
+
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_each_launch_has_its_own_arguments_and_items_and_a_graph_those_of_its_capture(num_threads):
+    repeated = RepeatedLaunches(Execution(wp.get_device("cpu"), num_threads))
+
+    def launched(size, count):
+        values = wp.zeros(size, dtype=wp.int32, device="cpu")
+        repeated.launch(reset_first, count, [], [values])
+        return values
+
+    for size, count in ((10, 10), (5, 3), (5000, 5000), (4, 0), (10, 10)):
+        assert marked(launched(size, count)) == list(range(count))
+    with wp.ScopedCapture(device="cpu") as capture:
+        values = launched(10, 10)
+    values.zero_()
+    others = launched(8, 8)
+    others.zero_()
+    wp.capture_launch(capture.graph)
+    assert (marked(values), marked(others)) == (list(range(10)), [])
+
+
+def test_parts_and_their_gradients_do_not_overlap_and_stay_while_one_is_held():
+    parts = new_parts({"a": 3, "b": 1, "c": 4}, wp.get_device("cpu"))
+    for k, part in enumerate(parts.values()):
+        assert part.requires_grad and not part.numpy().any() and not part.grad.numpy().any()
+        part.fill_(k + 1.0)
+        part.grad.fill_(-k - 1.0)
+    last = parts["c"]
+    views = [x.numpy() for x in (parts["a"], last, last.grad)]
+    del parts, part
+    gc.collect()
+    wp.zeros(16, dtype=wp.float64, device="cpu")  # would take what is free
+    for view, value in zip(views, (1.0, 3.0, -3.0), strict=True):
+        np.testing.assert_array_equal(view, value)

@@ -8,16 +8,11 @@ import pytest
 from ccd_warp._runtime.threads import run, run_aside, run_beside
 
 
-@pytest.mark.parametrize("num_tasks", [0, 1, 3])
-@pytest.mark.parametrize("is_long", [False, True])
-@pytest.mark.parametrize("num_threads", [1, 2])
+@pytest.mark.parametrize(
+    ("num_tasks", "is_long", "num_threads"), [(0, True, 2), (1, True, 2), (3, False, 2), (3, True, 1)]
+)
 def test_no_task_is_left_out(num_tasks, is_long, num_threads):
-    results = run([lambda k=k: k * k for k in range(num_tasks)], num_threads, is_long=is_long)
-    assert results == [k * k for k in range(num_tasks)]
-
-
-@pytest.mark.parametrize("num_tasks", [0, 1, 3])
-def test_job_within_a_job(num_tasks):
+    assert run([lambda k=k: k * k for k in range(num_tasks)], num_threads, is_long=is_long) == [0, 1, 4][:num_tasks]
     done = []
 
     def outer():
@@ -28,17 +23,10 @@ def test_job_within_a_job(num_tasks):
     assert done.count("task") == 2 * num_tasks
 
 
-def test_what_is_done_aside_is_done_on_a_thread_that_stays():
-    """Warp's compiler keeps its precompiled header for each thread."""
-    threads = []
-    for _ in range(3):
-        run_aside(lambda: threads.append(threading.get_ident()))
-    assert len(set(threads)) == 1 and threading.get_ident() not in threads
-
-
 @pytest.mark.parametrize("failing", range(3))
-def test_tasks_beside_each_other_have_all_ended_when_one_has_raised(failing):
-    running = []
+def test_what_is_done_aside_has_a_thread_that_stays_and_tasks_beside_each_other_all_end(failing):
+    """Warp's compiler keeps its precompiled header for each thread."""
+    running, threads = [], set()
 
     def task(k):
         running.append(k)
@@ -47,6 +35,9 @@ def test_tasks_beside_each_other_have_all_ended_when_one_has_raised(failing):
         if k == failing:
             raise ValueError(str(k))
 
+    for _ in range(3):
+        run_aside(lambda: threads.add(threading.get_ident()))
+    assert len(threads) == 1 and threading.get_ident() not in threads
     with pytest.raises(ValueError, match=str(failing)):
         run_aside(lambda: run_beside([lambda k=k: task(k) for k in range(3)]))
     assert running == []
