@@ -174,7 +174,7 @@ def of_body(mesh, body):
 def checked(pairs, truth=None, in_plane=False, **options):
     """How much too early tois are of pairs of which none is missed or late, how many are false; and the result."""
     mesh, start, end, motion, of_pairs = step_of(pairs, in_plane)
-    result = ccd.mesh_ccd(mesh, start, end, motion=motion, **of_pairs, **options)
+    result = ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **of_pairs, **options)
     lo, hi = answers(pairs if truth is None else truth)
     toi = result.world_toi
     assert (toi <= hi).all()
@@ -242,7 +242,7 @@ def test_tois_are_continuous_where_a_turn_vanishes():
     for share in shares:
         slow = replace(pairs, twist=pairs.twist * [1, 1, 1, share, share, share])
         mesh, start, end, motion, options = step_of(slow)
-        tois.append(ccd.mesh_ccd(mesh, start, end, motion=motion, **options).world_toi)
+        tois.append(ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **options).world_toi)
     ends = [[x for k in range(100) for side in (0, 1) for x in slow.at(k, side, t)] for t in (0.0, 1.0)]
     tois.append(ccd.mesh_ccd(mesh, *np.array(ends), **options).world_toi)
     touches = np.isfinite(tois).all(axis=0)

@@ -214,7 +214,8 @@ def step_of(pairs: Pairs, in_plane: bool = False):
         None if x is None else x[:, sides].reshape(-1, x.shape[2])
         for x in (pairs.poses, pairs.ends, pairs.twist, pairs.pivot if pairs.path == "linear" else None)
     )
-    motion = ccd.RigidMotion(poses, ends, path=pairs.path, pivot=pivot, twist=twist)
+    motion = {"poses_t0": poses, "poses_t1": ends, "path": pairs.path, "pivot": pivot, "twist": twist}
+    motion = {name: x for name, x in motion.items() if x is not None}
     options = {"pair_kinds": [pairs.kind.replace("-", "_")]}
     return mesh, mesh.vertices, end, motion, options | ({"minimum_distance": pairs.distance} if pairs.distance else {})
 
