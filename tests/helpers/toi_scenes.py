@@ -56,7 +56,7 @@ def random_scene(seed):
 
 def array(values, dtype=wp.vec3d, requires_grad=True):
     """An array on the CPU that requires a gradient."""
-    return wp.array(values, dtype=dtype, device="cpu", requires_grad=requires_grad)
+    return wp.array(values, dtype=dtype, requires_grad=requires_grad)
 
 
 def taped(call):

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from ccd_warp import _motion_worlds
 from laws.moving import Moves
 from laws.outputs import different, outputs_of
 from laws.scenes import drawn
-from laws.truth import UNITS
+from laws.truth import PLANE, UNITS
 from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of, turned, unit
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -30,6 +31,7 @@ def motion_of(mesh, rng, num_worlds=None):
     size, middle = np.ptp(mesh.vertices, axis=0).max(), mesh.vertices.mean(axis=0)
     centre = np.array([mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
     shape = centre.shape if num_worlds is None else (num_worlds, *centre.shape)
+    centre = np.broadcast_to(centre, shape)
     turns = [np.append(0.3 * rng.standard_normal(shape), np.ones((*shape[:-1], 1)), axis=-1) for _ in range(2)]
     place = centre - turned(unit(turns[0]), centre) + 0.05 * size * rng.standard_normal(shape)
     shift = rng.choice([0.5, 1.0, 2.0]) * (middle - centre) + 0.1 * size * rng.standard_normal(shape)
@@ -168,13 +170,48 @@ def of_body(mesh, body):
     return mesh.faces[mesh.face_body == body] - begin, mesh.edges[mesh.edge_body == body] - begin
 
 
+@pytest.mark.parametrize("primitives", [1 << 19, 100, 1])
+@pytest.mark.parametrize("large", [10**9, 0])
+def test_worlds_of_one_mesh_have_the_bits_of_copies(primitives, large, monkeypatch):
+    """However many are searched at a time, and by parts that may touch."""
+    monkeypatch.setattr(_motion_worlds, "_PRIMITIVES", primitives)
+    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
+    num_hit = 0
+    for seed in (seed for seed in SEEDS if scene_of(seed).mesh.num_worlds == 1):
+        scene = scene_of(seed)
+        options = {
+            **scene.drawn.options,
+            "motion": ccd.RigidMotion(**motion_of(scene.mesh, np.random.default_rng(1), 5)),
+        }
+        result = ccd.mesh_ccd(*scene.step, **options)
+        copies, ends = scene.mesh.replicate(5), [np.tile(x, (5, 1)) for x in scene.step[1:]]
+        expected = ccd.mesh_ccd(copies, *ends, **options)
+        assert np.array_equal(result.vertex_toi, expected.vertex_toi.reshape(5, -1))
+        assert np.array_equal(result.world_toi, expected.world_toi) and result.toi == expected.toi
+        first, other = in_order(result.contacts, scene.mesh), in_order(expected.contacts, copies)
+        names = ("kind", "toi", "parameters", "normal", "status", "gap", "points", "relative_velocity", "world")
+        assert [name for name in names if not np.array_equal(getattr(first, name), getattr(other, name))] == []
+        assert np.array_equal(first.vertices, other.vertices % scene.mesh.num_vertices)
+        step = ccd.collision_free_step(*scene.step, **options)
+        assert step == ccd.collision_free_step(copies, *ends, **options)
+        num_hit += np.isfinite(result.toi)
+    assert num_hit > 5
+
+
+def in_order(contacts, mesh):
+    """By world, kind and primitives, where half-spaces that stand are one of all copies."""
+    keys = np.column_stack([contacts.world, contacts.kind, contacts.vertices % (mesh.num_vertices // mesh.num_worlds)])
+    keys = np.column_stack([keys, np.where(contacts.kind == PLANE, contacts.normal[:, 0], 0.0), contacts.normal[:, 1]])
+    return contacts[np.lexsort(keys.T[::-1])]
+
+
 # --- pairs of hostile families, a world each ---
 
 
 def checked(pairs, truth=None, in_plane=False, **options):
     """How much too early tois are of pairs of which none is missed or late, how many are false; and the result."""
     mesh, start, end, motion, of_pairs = step_of(pairs, in_plane)
-    result = ccd.mesh_ccd(mesh, start, end, motion=motion, **of_pairs, **options)
+    result = ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **of_pairs, **options)
     lo, hi = answers(pairs if truth is None else truth)
     toi = result.world_toi
     assert (toi <= hi).all()
@@ -242,7 +279,7 @@ def test_tois_are_continuous_where_a_turn_vanishes():
     for share in shares:
         slow = replace(pairs, twist=pairs.twist * [1, 1, 1, share, share, share])
         mesh, start, end, motion, options = step_of(slow)
-        tois.append(ccd.mesh_ccd(mesh, start, end, motion=motion, **options).world_toi)
+        tois.append(ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **options).world_toi)
     ends = [[x for k in range(100) for side in (0, 1) for x in slow.at(k, side, t)] for t in (0.0, 1.0)]
     tois.append(ccd.mesh_ccd(mesh, *np.array(ends), **options).world_toi)
     touches = np.isfinite(tois).all(axis=0)

@@ -189,7 +189,7 @@ def question_of(pairs: Pairs) -> list:
 answers = kept(_solve, trajectories, sys.modules[__name__], question_of=question_of)
 
 
-_SPACE = {
+SPACE = {
     1: lambda x: (x, np.zeros((0, 3), int)),
     2: lambda x: (x, np.zeros((0, 3), int), [[0, 1]]),
     3: lambda x: (x, [[0, 1, 2]]),
@@ -200,7 +200,7 @@ _PLANE = {count: lambda x, e=[[0, 1]][: count - 1]: (x[:, :2], np.reshape(e, (-1
 def step_of(pairs: Pairs, in_plane: bool = False):
     """Mesh, positions at both ends, motion and options of one call; ``world_toi`` is the toi of each pair."""
     n, sides = len(pairs), slice(0, 1 if pairs.cloth is not None else 2)
-    make = _PLANE if in_plane else _SPACE
+    make = _PLANE if in_plane else SPACE
     mesh = ccd.CollisionMesh.from_arrays(
         [make[x.shape[1]](x[k]) for k in range(n) for x in pairs.points],
         rigid=range(0, 2 * n, 3 - sides.stop),
@@ -214,7 +214,8 @@ def step_of(pairs: Pairs, in_plane: bool = False):
         None if x is None else x[:, sides].reshape(-1, x.shape[2])
         for x in (pairs.poses, pairs.ends, pairs.twist, pairs.pivot if pairs.path == "linear" else None)
     )
-    motion = ccd.RigidMotion(poses, ends, path=pairs.path, pivot=pivot, twist=twist)
+    motion = {"poses_t0": poses, "poses_t1": ends, "path": pairs.path, "pivot": pivot, "twist": twist}
+    motion = {name: x for name, x in motion.items() if x is not None}
     options = {"pair_kinds": [pairs.kind.replace("-", "_")]}
     return mesh, mesh.vertices, end, motion, options | ({"minimum_distance": pairs.distance} if pairs.distance else {})
 

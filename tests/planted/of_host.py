@@ -84,35 +84,35 @@ PLANTED = [
         "kernels/pair/arcs.py",
         "return (eighth_up * h * h) * amplitude",
         "return (eighth_up * h * h * half * half) * amplitude",
-        ("kernels/pair/test_arcs.py::test_random_pairs",),
+        ("laws/test_bodies_that_turn.py::test_random_pairs",),
     ),
     Fault(
         "no sagitta of the first primitive",
         "kernels/pair/arcs.py",
         "return simd.square_root(of_a) * across_axes(arcs.spin_a) + simd",
         "return simd",
-        ("kernels/pair/test_arcs.py::test_random_pairs",),
+        ("laws/test_bodies_that_turn.py::test_random_pairs",),
     ),
     Fault(
         "vertices on arcs without rounding",
         "kernels/pair/arcs.py",
         "return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))",
         "return point_error * size",
-        ("kernels/pair/test_arcs.py::test_hostile_pairs",),
+        ("laws/test_bodies_that_turn.py::test_hostile_pairs",),
     ),
     Fault(
         "a time of the slice for one of the step",
         "kernels/pair/windows.py",
         "return (simd.spread(turns.t_begin) + turns.t_length * t) * step_down",
         "return (simd.spread(turns.t_begin) + t) * step_down",
-        ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first",),
+        ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first_with_its_gap",),
     ),
     Fault(
         "a frame whose spin does not change what is left",
         "kernels/pair/frames.py",
         "return of_u + omega * (e + h * (of_u + omega * apart)) + two * omega * apart",
         "return of_u",
-        ("kernels/pair/test_arcs.py::test_a_common_spin_is_no_motion",),
+        ("laws/test_bodies_that_turn.py::test_a_common_spin_reaches_no_limit",),
     ),
     Fault(
         "boxes of slices without their sagittas",
@@ -126,14 +126,14 @@ PLANTED = [
         "kernels/narrow_phase/arc_planes.py",
         "amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along",
         "amplitude = _ZERO",
-        ("calls/test_rigid.py::test_cube_that_falls_and_tumbles_lands_on_an_edge",),
+        ("calls/test_rigid.py::test_square_in_the_plane_and_cube_in_space_land_on_a_corner",),
     ),
     Fault(
         "a later slice that forgets the contacts before",
         "ccd_warp/_engine/device/arc_step.py",
         "counts = self._no_count, self._flag.array",
         "counts = self.result.contacts.count, self._flag.array",
-        ("calls/test_tumbling.py::test_launches_find_what_the_host_does",),
+        ("laws/test_bodies_that_turn.py::test_steps_launches_and_candidates_say_what_the_list_of_contacts_does",),
     ),
     # --- parts that may touch ---
     Fault(
@@ -228,7 +228,7 @@ PLANTED = [
         "ccd_warp/_engine/host/step.py",
         "return near is not None and not near.any()",
         "return near is not None and not near.all()",
-        ("calls/test_rigid.py",),
+        ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first_with_its_gap",),
     ),
     # --- search ---
     Fault(
