@@ -94,7 +94,7 @@ def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
     for folder, suffixes in {
         "ccd_warp": {".py", ".typed"},
         "kernels": {".py"},
-        "benchmarks": {".py", ".md", ".csv"},
+        "benchmarks": {".py", ".csv"},
         "docs": {".py", ".md", ".png", ".css"},
         "examples": {".py"},
         "tests": {".py"},
