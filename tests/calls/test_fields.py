@@ -73,14 +73,6 @@ PLAIN = {
 # Which of the former each program and page reads. Before a name is added here, the reader is compared with the test of
 # its meaning. Names are all that is searched for, so some of these belong to other things.
 READ = {
-    "benchmarks/distributed_simulation.py": "bounds primitives",
-    "benchmarks/file_judge.py": "points",
-    "benchmarks/fuzz.py": "gap parameters primitives",
-    "benchmarks/gpu_check/calls.py": "body_fraction bounds primitives",
-    "benchmarks/rigid_arm.py": "bodies",
-    "benchmarks/rigid_arm_scene.py": "bodies",
-    "benchmarks/rigid_dice.py": "bodies",
-    "benchmarks/virtual_mesh.py": "bodies primitives",
     "docs/at_one_time.md": "bodies direction distance edge_parameter features is_crossing normal parameters points "
     "primitives weights",
     "docs/bodies.md": "bodies distance normal point primitives struck",
