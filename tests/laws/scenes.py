@@ -1,0 +1,340 @@
+"""Scenes that are drawn by a seed: small ones, with any features that a step can have."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+import ccd_warp as ccd
+from laws.calls import StepCase
+
+# Of those without a motion. Half of the scenes are of no family, and have coordinates at random or on a grid.
+FAMILIES = ("touching", "slivers", "parallel", "far", "in plane", "close", "dust", "worlds")
+_SEARCH = ("broad_phase", "num_threads", "pair_kinds")
+_GRID = 16
+
+
+@dataclass(frozen=True)
+class Scene(StepCase):
+    """A drawn step: what the calls take, and what laws ask besides.
+
+    Attributes:
+        family: What its numbers are like: "any", one of `FAMILIES`, or "arcs".
+        size: A power of two that all lengths are in proportion to.
+        make_motion: The motion of the rigid bodies, anew; None but for "arcs".
+    """
+
+    family: str = "any"
+    size: float = 1.0
+    make_motion: Callable[[], ccd.RigidMotion] | None = None
+
+    @property
+    def is_euclidean(self) -> bool:
+        """Whether the distance is Euclidean, as it is wherever there are radii."""
+        return "minimum_separation" not in self.options
+
+    @property
+    def distance(self) -> float:
+        """The distance at which pairs touch, without their radii, exactly as the options say it."""
+        if self.is_euclidean:
+            return self.options.get("minimum_distance", 0.0)
+        return self.options["minimum_separation"] * self.options["length_scale"]
+
+    @property
+    def delta(self) -> float:
+        """The tolerance as a length."""
+        return self.options["tolerance"] * self.options["length_scale"]
+
+    @property
+    def of_search(self) -> dict[str, Any]:
+        """Options of searches."""
+        return {name: self.options[name] for name in _SEARCH if name in self.options}
+
+    def without_end(self) -> dict[str, Any]:
+        """Options of line searches."""
+        return {name: value for name, value in self.options.items() if name != "t_max"}
+
+
+def drawn(seed: int, family: str | None = None) -> Scene:
+    """The scene of a seed, of the family that its number has, or a given one."""
+    if family is None:
+        family = FAMILIES[seed // 2 % len(FAMILIES)] if seed % 2 else "any"
+    return _Drawing(np.random.default_rng([seed, *family.encode()]), family).scene()
+
+
+def with_static_at_rest(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """The end positions, with static bodies where they start."""
+    return np.where(mesh.static[mesh.vertex_body][:, None], start, end)
+
+
+# --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
+
+_TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+
+
+def _mixed(rng):
+    """Two faces, two cables and particles, apart from each other."""
+    x = np.repeat(rng.uniform(-0.6, 0.6, (5, 1, 3)), 3, axis=1) + rng.normal(0, 0.3, (5, 3, 3))
+    return x.reshape(-1, 3), np.arange(6).reshape(2, 3), np.array([[6, 7], [7, 8], [9, 10], [10, 11]])
+
+
+def _fan(rng):
+    """Faces around a vertex, which has three neighbours or more."""
+    count = rng.integers(3, 7)
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1) * rng.uniform(0.5, 1, (count, 1))
+    k = np.arange(count)
+    faces = np.stack([0 * k, 1 + k, 1 + (k + 1) % count], axis=1)[rng.integers(0, 2) :]
+    return np.concatenate([[[0, 0, rng.choice([0.0, 0.7])]], rim]), faces, np.zeros((0, 2), int)
+
+
+def _sheet(rng):
+    """A square of eight faces, flat or not."""
+    x = np.stack([*np.mgrid[-1:2, -1:2], np.zeros((3, 3))], axis=-1).reshape(-1, 3) * 0.8
+    x[:, 2] += rng.choice([0.0, 0.2]) * rng.standard_normal(9)
+    a = np.array([0, 1, 3, 4])
+    faces = np.concatenate([np.stack([a, a + 3, a + 1], 1), np.stack([a + 1, a + 3, a + 4], 1)])
+    return x, faces[rng.permutation(8)[rng.integers(0, 4) :]], np.zeros((0, 2), int)
+
+
+def _tetrahedron(rng):
+    """A closed surface, sometimes with a face twice, a face with a vertex twice, and a cable at a corner."""
+    faces, cable = np.concatenate([_TETRAHEDRON, [[2, 1, 0]], [[3, 3, 1]]]), np.array([[0, 4]])
+    return 0.6 * rng.standard_normal((6, 3)), faces[: rng.choice([4, 4, 5, 6])], cable[: rng.integers(0, 2)]
+
+
+def _cable(rng):
+    """A cable, its vertices in a row."""
+    k = np.arange(rng.integers(2, 6))
+    x = np.cumsum(0.5 * rng.standard_normal((len(k), 3)), axis=0)
+    return x - x.mean(axis=0), np.zeros((0, 3), int), np.stack([k[:-1], k[1:]], axis=1)
+
+
+def _particles(rng):
+    """Points alone."""
+    return rng.uniform(-0.8, 0.8, (rng.integers(1, 7), 3)), np.zeros((0, 3), int), np.zeros((0, 2), int)
+
+
+def _in_plane(rng):
+    """A chain, a polygon, segments or points."""
+    count = int(rng.integers(3, 9))
+    k = np.arange(count)
+    chain = np.stack([k, (k + 1) % count], axis=1)
+    edges = [chain, chain[:-1], rng.permutation(count)[: count // 2 * 2].reshape(-1, 2)[1:], chain[:0]]
+    angle = 2 * np.pi * k / count
+    x = np.stack([np.cos(angle), np.sin(angle)], axis=1) * rng.uniform(0.3, 1, (count, 1))
+    return x, None, edges[rng.integers(0, 4)]
+
+
+_IN_SPACE = (_mixed, _mixed, _fan, _sheet, _tetrahedron, _tetrahedron, _cable, _particles)
+
+
+class _Drawing:
+    """What is drawn for one scene, part after part."""
+
+    def __init__(self, rng: np.random.Generator, family: str) -> None:
+        self.rng, self.family = rng, family
+        is_flat = family not in ("slivers", "parallel", "arcs") and self.flip(0.25)
+        self.dimension = 2 if is_flat else 3
+        self.is_on_grid = family == "touching" or (family in ("any", "in plane", "worlds") and self.flip(0.4))
+        self.size = float(2.0 ** rng.choice([-10, -3, 0, 0, 0, 4, 10]))
+
+    def flip(self, share: float) -> bool:
+        return bool(self.rng.random() < share)
+
+    def scene(self) -> Scene:
+        bodies = self.bodies()
+        shapes = len(bodies)
+        self.add_half_spaces(bodies)
+        names = {"codimensional_points": [self.flip(0.8) for _ in bodies]}
+        self.add_roles(names, len(bodies), shapes)
+        self.add_filters(names, len(bodies), shapes)
+        options = self.options()
+        bare = ccd.CollisionMesh.from_arrays(bodies, **names)
+        if "minimum_separation" not in options and self.flip(0.5) and bare.num_vertices != len(bodies):
+            radius = self.rng.random(bare.num_vertices) * self.rng.integers(0, 2, bare.num_vertices)
+            radius *= self.rng.choice([0.01, 0.1]) * (bare.vertex_body < shapes)
+            names["radius"] = np.round(radius * 2.0**24) * (2.0**-24 * self.size)  # their sums are exact
+        if self.flip(0.2) or self.family == "worlds":
+            names["vertex_world"] = self.rng.integers(0, min(4, bare.num_vertices), len(bodies))[bare.vertex_body]
+        copies = int(self.rng.integers(2, 6)) if self.family == "worlds" and bare.num_vertices < 30 else 1
+        lists = self.listed(bare) if self.flip(0.3) else {}
+
+        def make_mesh() -> ccd.CollisionMesh:
+            mesh = ccd.CollisionMesh.from_arrays(bodies, **names, exclude_pairs=lists)
+            return mesh.replicate(copies) if copies > 1 else mesh
+
+        mesh = make_mesh()
+        start, end = self.positions(mesh)
+        motion = None
+        if self.family == "arcs":
+            rows = mesh.rigid[mesh.vertex_body][:, None]
+            start, end = (np.where(rows, mesh.vertices, x) for x in (start, end))
+            motion = self.motion(mesh)
+        return Scene(lambda: (make_mesh(), start, end), options, 10_000, False, self.family, self.size, motion)
+
+    # --- the mesh ---
+
+    def bodies(self) -> list:
+        """Two to four bodies around the corners of a cube, so that many start apart."""
+        rng, found = self.rng, []
+        count = int(rng.integers(2, 5))
+        corners = np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)][:: 4 // self.dimension + 1])
+        corners = rng.permutation(corners if self.dimension == 3 else np.unique(corners[:, :2], axis=0))
+        for n in range(count):
+            pool = _IN_SPACE if self.family != "dust" else (_cable, _particles, _mixed)
+            x, faces, edges = (_in_plane if self.dimension == 2 else pool[rng.integers(len(pool))])(rng)
+            turn = np.linalg.qr(rng.standard_normal((self.dimension, self.dimension)))[0]
+            x = x if self.flip(0.3) else x @ turn
+            if self.family == "slivers":
+                axis = rng.standard_normal(3)
+                axis /= np.linalg.norm(axis)
+                x = x - (1 - 10.0 ** -rng.uniform(2, 12)) * np.outer(x @ axis, axis)
+            if self.family == "parallel":
+                axis = np.array([1.0, 0.7, 0.2]) / np.linalg.norm([1.0, 0.7, 0.2])
+                x = np.outer(x @ axis, axis) + 10.0 ** -rng.uniform(1, 9) * x
+            spread = rng.choice([0.3, 0.7])
+            x = rng.choice([0.3, 0.3, 0.3, 0.01, 3.0], p=[0.3, 0.3, 0.25, 0.1, 0.05]) * x
+            x = x + spread * (corners[n % len(corners)] + 0.2 * rng.standard_normal(self.dimension))
+            found.append((self.size * x, edges) if faces is None else (self.size * x, faces, edges))
+        return found
+
+    def add_half_spaces(self, bodies) -> None:
+        """Half-spaces below most of the scene, of normals of any length."""
+        for _ in range(int(self.rng.integers(1, 3)) if self.flip(0.35) else 0):
+            normal = self.rng.standard_normal(self.dimension) + 2 * np.eye(self.dimension)[-1]
+            point = self.size * (self.rng.uniform(-0.1, 0.4, self.dimension) - 0.5 * normal / np.linalg.norm(normal))
+            if self.is_on_grid:
+                normal, point = np.round(2 * normal), self.on_grid(point)
+                normal[-1] += not normal.any()
+            bodies.append(ccd.HalfSpace(point, normal * 10.0 ** self.rng.integers(-3, 4)))
+
+    def add_roles(self, names, count, shapes) -> None:
+        """Which bodies are static or kinematic, or turn."""
+        static = [int(self.rng.integers(shapes))] if self.flip(0.4) else []
+        if self.family == "arcs":
+            names["rigid"] = [b for b in range(shapes) if b not in static][:2] or [0]
+            static = [b for b in static if b not in names["rigid"]]
+        names["static"] = static
+        if self.flip(0.3):
+            taken = {*static, *names.get("rigid", [])}
+            names["kinematic"] = [b for b in range(count) if b not in taken and self.flip(0.4)]
+
+    def add_filters(self, names, count, shapes) -> None:
+        """What may not meet, by bodies and by rings of edges."""
+        if self.flip(0.4):
+            names["self_collision"] = [self.flip(0.5) and b < shapes for b in range(count)]
+        if self.flip(0.3):
+            allowed = self.rng.random((count, count)) < 0.7
+            names["body_pairs"] = allowed & allowed.T | np.eye(count, dtype=bool)
+        if self.flip(0.2):
+            names["exclusion_rings"] = int(self.rng.integers(2, 4))
+
+    def listed(self, mesh) -> dict[str, np.ndarray]:
+        """Excluded pairs of every kind."""
+        in_plane, points = self.dimension == 2, mesh.codimensional_points
+        vertices, edges, faces = map(np.arange, (mesh.num_vertices, mesh.num_edges, mesh.num_faces))
+        indices = {
+            "vertices": (vertices, vertices),
+            "bodies": (np.arange(mesh.num_bodies),) * 2,
+            "vertex_face": (vertices, faces),
+            "edge_edge": (edges, edges),
+            "vertex_plane": (vertices, np.arange(len(mesh.planes))),
+            "point_segment": (vertices, edges) if in_plane else (points, mesh.codimensional_edges),
+            "point_point": (points, points),
+        }
+        found = {}
+        for key, (first, second) in indices.items():
+            possible = len(first) * len(second)
+            if possible and self.flip(0.5):
+                most = {"bodies": 1, "vertices": 0.02 * possible}.get(key, 0.5 * possible)
+                pairs = self.rng.integers(0, (len(first), len(second)), (1 + int(most * self.rng.random()), 2))
+                pairs = np.stack([first[pairs[:, 0]], second[pairs[:, 1]]], axis=1)
+                found[key] = pairs if first is not second else pairs[pairs[:, 0] != pairs[:, 1]]
+        return found
+
+    # --- positions and options ---
+
+    def on_grid(self, x):
+        return np.round(x / self.size * _GRID) * (self.size / _GRID)
+
+    def positions(self, mesh) -> tuple[np.ndarray, np.ndarray]:
+        """Where all vertices are at both ends: bodies move as a whole and deform, and what is hostile is put in."""
+        rng, size = self.rng, self.size
+        start = mesh.vertices.copy()
+        body, middle = mesh.vertex_body, start.mean(axis=0)
+        num = np.maximum(np.bincount(body, minlength=mesh.num_bodies), 1)[:, None]
+        towards = -np.stack([np.bincount(body, x, mesh.num_bodies) for x in (start - middle).T], axis=1) / num
+        speed = rng.choice([0.05, 0.3, 1.0]) if self.family != "close" else 0.05
+        throw = speed * size * rng.standard_normal(towards.shape)
+        throw += rng.choice([0.0, 0.7, 0.7, 1.5]) * towards * (self.family != "close")
+        end = start + throw[body] + rng.choice([0.0, 0.1, 0.5]) * speed * size * rng.standard_normal(start.shape)
+        points = mesh.codimensional_points
+        if len(points) > 3 and self.flip(0.4):  # head-on, and onto a place where another rests
+            a, b, c, d = points[rng.permutation(len(points))[:4]]
+            end[a], end[b], end[c], end[d] = start[b], start[a], start[d], start[d]
+        if self.family == "in plane" and self.dimension == 3:
+            start[:, 2], end[:, 2] = (
+                0.5 * size - 0.5 * x[:, 0] + 0.25 * x[:, 1] for x in map(self.on_grid, (start, end))
+            )
+            start[:, :2], end[:, :2] = self.on_grid(start)[:, :2], self.on_grid(end)[:, :2]
+        if self.is_on_grid and self.family != "in plane":
+            start, end = self.on_grid(start), self.on_grid(end)
+        if self.family == "touching":
+            start, end = self.stacked(mesh, start, end)
+        if self.family == "far":
+            start, end = (x + size * 1e6 * rng.choice([-1, 0, 1], self.dimension) for x in (start, end))
+        return start, with_static_at_rest(mesh, start, end)
+
+    def stacked(self, mesh, start, end):
+        """Each body begins or ends where it just touches the one before, along the last axis, and slides or parts."""
+        body = mesh.vertex_body
+        for b in range(1, mesh.num_bodies):
+            own, below = body == b, body == b - 1
+            if own.any() and below.any():
+                rise = start[below, -1].max() - start[own, -1].min()
+                start[own, -1] += rise
+                end[own] = start[own] + self.on_grid(self.size * self.rng.uniform(-0.3, 0.3, self.dimension))
+                way = self.rng.integers(0, 3)  # slides, parts, or comes from above
+                drop = self.size / _GRID * self.rng.integers(1, 5)
+                if way == 0:
+                    end[own, -1] = start[own, -1]
+                    end[below, -1] = start[below, -1]
+                elif way == 2:
+                    end[own, -1] = start[own, -1] + (end[below, -1].max() - start[below, -1].max())
+                    start[own, -1] += drop
+        return start, end
+
+    def options(self) -> dict[str, Any]:
+        rng = self.rng
+        options = {
+            "tolerance": float(rng.choice([1e-6, 1e-6, 1e-3])),
+            "length_scale": self.size,
+            "broad_phase": str(rng.choice(["tree", "hash"])),
+            "num_threads": int(rng.integers(1, 4)),
+            "t_max": float(rng.choice([1.0, 1.0, 0.625, 0.3])),
+            "start_gap_fraction": (None, "hold", "hold", 0.5)[rng.integers(0, 3 if self.family == "arcs" else 4)],
+        }
+        share = float(rng.choice([0.0, 0.0, 2.0**-7, 2.0**-5])) if self.family != "close" else 2.0**-4
+        name = "minimum_distance" if self.flip(0.5) else "minimum_separation"
+        options[name] = share if name == "minimum_separation" else share * self.size
+        if self.flip(0.1):
+            options["pair_kinds"] = ["vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane"]
+            options["pair_kinds"] = [kind for kind in options["pair_kinds"] if self.flip(0.6)] or ["edge_edge"]
+        return options
+
+    def motion(self, mesh) -> Callable[[], ccd.RigidMotion]:
+        """Bodies that turn, by less than a slice or by several, on screws or about pivots."""
+        rng, size, bodies = self.rng, self.size, np.flatnonzero(mesh.rigid)
+        middle = mesh.vertices.mean(axis=0)
+        way = np.array([middle - mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
+        turned = np.append(0.3 * rng.standard_normal((len(bodies), 3)), np.ones((len(bodies), 1)), axis=1)
+        poses = np.hstack([0.05 * size * rng.standard_normal(way.shape), turned])
+        shift = rng.choice([0.3, 1.0]) * way + 0.1 * size * rng.standard_normal(way.shape)
+        twist = np.hstack([shift, rng.choice([0.05, 0.5, 4.0]) * rng.standard_normal(way.shape)])
+        path = str(rng.choice(["linear", "screw"]))
+        pivot = way if path == "linear" and self.flip(0.5) else None
+        return lambda: ccd.RigidMotion(poses, twist=twist, path=path, pivot=pivot)

@@ -1,0 +1,58 @@
+"""What is found at one time, and which boxes overlap, in drawn scenes: as brute force over all pairs finds it."""
+
+import numpy as np
+import pytest
+from laws.test_truth import SEEDS, kinds_of, scene_of
+from laws.truth import candidates, displacement_bounds, intersections, proximities
+
+import ccd_warp as ccd
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+
+def rows_of(found):
+    """What was found, as (kind, first, second) in order."""
+    return [(k, *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_candidates_are_the_pairs_whose_boxes_overlap(seed):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    for inflation in (0.0, 0.25 * scene.size, scene.size / 50):
+        expected = candidates(pairs, start, end, inflation)
+        for broad_phase in ("tree", "hash"):
+            options = scene.of_search | {"broad_phase": broad_phase}
+            found = [*vars(ccd.find_candidates(mesh, start, end, inflation, **options).sorted()).values()]
+            for kind, pairs_found, expected_pairs in zip(ccd.PairKind, found, expected, strict=True):
+                is_asked = kind in kinds_of(scene)
+                assert [*map(tuple, pairs_found.tolist())] == (expected_pairs if is_asked else []), kind
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_is_near_and_how_far_vertices_may_move(seed):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    distance, kept = scene.size / 16, scene.size / 128
+    for x in (start, end):
+        found = ccd.find_proximity(mesh, x, distance, **scene.of_search)
+        near = {key: row for key, row in proximities(pairs, x, distance).items() if key[0] in kinds_of(scene)}
+        rows = rows_of(found)
+        must = {key for key, (exact, radii, _) in near.items() if exact <= distance + radii}
+        may = {key for key, (exact, radii, size) in near.items() if exact <= distance + radii + 2e-15 * size}
+        assert rows == sorted({*rows}) and must <= {*rows} <= may
+        exact, radii, size = np.array([near[row] for row in rows]).reshape(-1, 3).T
+        # 1e-15 of the size is what is promised; points add the roundings of positions and weights
+        assert (np.abs(found.distance - exact) <= 1e-15 * size).all()
+        between = found.points[:, 0] - found.points[:, 1] - (found.distance - radii)[:, None] * found.direction
+        assert (np.linalg.norm(between, axis=1) <= 4e-15 * (size + np.abs(x).max())).all()
+        if "pair_kinds" not in scene.options:
+            bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.of_search)
+            expected, largest = displacement_bounds(pairs, x, distance, kept)
+            expected[~pairs.takes_part & ~np.isin(np.arange(len(x)), mesh.planes.vertices)] = np.inf
+            assert (bounds <= expected).all() and (bounds >= expected - 2e-15 * largest).all()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_intersects(seed):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    for x in (start, end):
+        assert rows_of(ccd.find_intersections(mesh, x)) == intersections(pairs, x)

@@ -1,0 +1,183 @@
+"""What a step finds in a drawn scene is what exact arithmetic over all pairs finds: nothing missed, late, or too early."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from laws.scenes import drawn
+from laws.truth import (
+    NAMES,
+    PLANE,
+    UNITS,
+    Pairs,
+    PlaneTruth,
+    boxes_come_near,
+    distances_at,
+    first_times,
+    sizes,
+)
+
+import ccd_warp as ccd
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+SEEDS = range(160)
+STATUS = ccd.CCDStatus
+LIMITS = [STATUS.ITERATION_LIMIT, STATUS.RESOLUTION_LIMIT, STATUS.ROUNDING_LIMIT]
+INFINITY = np.inf
+
+
+@cache
+def scene_of(seed):
+    """A drawn scene, its mesh and positions, and the pairs that may meet."""
+    scene = drawn(seed)
+    mesh, start, end = scene.make()
+    return scene, mesh, start, end, Pairs(mesh)
+
+
+def kinds_of(scene):
+    """The kinds of pairs that a scene asks for."""
+    names = scene.options.get("pair_kinds") or [kind.name.lower() for kind in ccd.PairKind]
+    return [ccd.PairKind[name.upper()] for name in names]
+
+
+def near_pairs(scene, start, end, pairs, keeps=None):
+    """Kind, pairs, corners and distances of all pairs of two primitives that come near their distances.
+
+    Distances are those of the scene; with a fraction of the gap at the start these are reduced to it; ``keeps`` tells
+    the least hold of the vertices of pairs, which reduces them as well.
+    """
+    fraction = scene.options["start_gap_fraction"]
+    for kind, of_kind in enumerate(pairs.of_kinds):
+        if ccd.PairKind(kind) not in kinds_of(scene):
+            continue
+        corners, distances = pairs.corners(kind, of_kind), scene.distance + pairs.radii(kind, of_kind)
+        at = boxes_come_near(start[corners], end[corners], 2 if kind == 1 else 1, distances)
+        of_kind, corners, distances = of_kind[at], corners[at], distances[at]
+        if isinstance(fraction, float) and len(corners) and distances.any():
+            gaps = distances_at(NAMES[kind], start[corners], end[corners], np.zeros(len(corners)), scene.is_euclidean)
+            distances = np.minimum(distances, fraction * gaps)
+        if keeps is not None:
+            distances = np.minimum(distances, keeps[corners].min(axis=1, initial=INFINITY))
+        yield kind, of_kind, corners, distances
+
+
+def exact_contacts(scene, start, end, pairs, t_max):
+    """The exact time of each pair of two primitives that comes within its distance: (kind, first, second) to time."""
+    found = {}
+    is_reduced = isinstance(scene.options["start_gap_fraction"], float)
+    for kind, of_kind, corners, distances in near_pairs(scene, start, end, pairs):
+        if is_reduced:  # to at most a fraction, which rounding makes less
+            distances = np.maximum(0.999 * distances - 2.0**-16 * sizes(start[corners], end[corners]), 0.0)
+        if len(corners):
+            times = first_times(NAMES[kind], start[corners], end[corners], distances, scene.is_euclidean, t_max)
+            found |= {(kind, *pair): time for pair, time in zip(of_kind.tolist(), times, strict=True) if time.hit}
+    return found
+
+
+def check_gaps(scene, start, end, pairs, contacts, unit):
+    """At its toi the gap of a contact is no more than its distance, the tolerance and rounding, and as it is told."""
+    fraction = scene.options["start_gap_fraction"]
+    for kind in range(4):
+        chosen = contacts[(contacts.kind == kind) & ~np.isin(contacts.status, LIMITS)]
+        if not len(chosen):
+            continue
+        corners = pairs.corners(kind, chosen.primitives)
+        x, y, distances = start[corners], end[corners], scene.distance + pairs.radii(kind, chosen.primitives)
+        is_euclidean = scene.is_euclidean and bool(distances.any())
+        gaps = distances_at(NAMES[kind], x, y, chosen.toi, is_euclidean)
+        if isinstance(fraction, float):
+            at_start = distances_at(NAMES[kind], x, y, np.zeros(len(x)), is_euclidean)
+            distances = np.minimum(distances, fraction * at_start)
+        rounding = 128 * unit * sizes(x, y)
+        assert (gaps <= distances + scene.delta + rounding).all()
+        if not isinstance(fraction, float):
+            assert (gaps <= distances + chosen.gap + 1e-15 * sizes(x, y)).all()
+        assert (chosen.gap <= scene.delta + rounding).all()
+
+
+def check_places(scene, mesh, start, end, contacts, unit):
+    """The points of a contact are those of its primitives, and its normal is along the gap between them."""
+    of_pairs = contacts[contacts.kind != PLANE]
+    x, y, t = start[of_pairs.vertices], end[of_pairs.vertices], of_pairs.toi[:, None, None]
+    gap = np.einsum("mk,mkd->md", of_pairs.weights, (1 - t) * x + t * y)
+    assert np.allclose(of_pairs.weights.sum(axis=1), 0, atol=1e-14)
+    length, limit = np.linalg.norm(gap, axis=1, keepdims=True), np.abs([start, end]).max(initial=0.0) * 2.0**-44
+    is_clear = length[:, 0] > scene.delta + 2**14 * unit * sizes(x, y) + limit
+    assert (np.abs(gap - length * of_pairs.normal)[is_clear] <= 1e-3 * length[is_clear]).all()
+    lengths = np.linalg.norm(contacts.normal, axis=1)
+    assert np.all((np.abs(lengths - 1) < 1e-12) | (lengths == 0))
+    assert np.array_equal(of_pairs.bodies, mesh.vertex_body[of_pairs.vertices[:, [0, 3]]])
+
+
+def check_planes(scene, mesh, start, end, pairs, found):
+    """Vertices meet planes in time, and no earlier than roundings explain."""
+    if PLANE not in kinds_of(scene):
+        return
+    fraction, t_max = scene.options["start_gap_fraction"], scene.options["t_max"]
+    distances = scene.distance + pairs.radii(PLANE, pairs.with_planes)
+    for (v, k), distance in zip(pairs.with_planes.tolist(), distances.tolist(), strict=True):
+        truth, toi = PlaneTruth(mesh, start, end, v, k), found.get((int(PLANE), v, k), INFINITY)
+        if isinstance(fraction, float):
+            distance = min(distance, fraction * truth.gap(scene.is_euclidean))
+        assert not truth.is_late(toi, distance * (1 - 1e-9), scene.is_euclidean, t_max), (v, k)
+        assert toi == INFINITY or not truth.is_early(toi, distance), (v, k)
+
+
+def check_minima(mesh, result, pairs):
+    """The least toi of each vertex, body and world, and which contact has it."""
+    contacts = result.contacts
+    rows = np.column_stack([contacts.kind, contacts.primitives])
+    assert np.array_equal(rows, np.unique(rows, axis=0))
+    vertex, body = np.full(mesh.num_vertices, INFINITY), np.full(mesh.num_bodies, INFINITY)
+    of_vertex, of_body = np.full(len(vertex), -1), np.full(len(body), -1)
+    world = np.full(mesh.num_worlds, INFINITY)
+    for n, ((kind, *pair), toi) in enumerate(zip(rows.tolist(), contacts.toi.tolist(), strict=True)):
+        corners = {*pairs.corners(kind, np.array(pair))[0].tolist()}
+        touched = {int(mesh.vertex_body[v]) for v in corners}
+        if kind == PLANE:
+            touched.add(int(mesh.planes.bodies[pair[1]]))
+        for table, first, indices in ((vertex, of_vertex, corners), (body, of_body, touched)):
+            for i in indices:
+                if toi < table[i]:
+                    table[i], first[i] = toi, n
+        k = mesh.vertex_world[min(pairs.corners(kind, np.array(pair))[0])]
+        world[k] = min(world[k], toi)
+    for found, expected in (
+        (result.vertex_toi, vertex),
+        (result.body_toi, body),
+        (result.world_toi, world),
+        (result.vertex_contact, of_vertex),
+        (result.body_contact, of_body),
+    ):
+        np.testing.assert_array_equal(found, expected)
+    assert result.toi == contacts.toi.min(initial=INFINITY)
+    counts = [result.counts.num_contacts.get(kind, 0) for kind in ccd.PairKind]
+    assert counts == np.bincount(contacts.kind, minlength=5).tolist()
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_contacts_of_a_step(seed, precision):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    result = ccd.mesh_ccd(mesh, start, end, precision=precision, **scene.options)
+    contacts = result.contacts
+    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
+    found = dict(zip(map(tuple, keys), contacts.toi.tolist(), strict=True))
+    truth = exact_contacts(scene, start, end, pairs, scene.options["t_max"])
+    assert truth.keys() <= found.keys()
+    assert not [key for key, time in truth.items() if time.late(found[key])]
+    allowed = {(kind, *pair) for kind, of_kind in enumerate(pairs.of_kinds) for pair in of_kind.tolist()}
+    allowed |= {(int(PLANE), *pair) for pair in pairs.with_planes.tolist()}
+    assert found.keys() <= {key for key in allowed if ccd.PairKind(key[0]) in kinds_of(scene)}
+    assert ((contacts.toi >= 0) & (contacts.toi <= scene.options["t_max"])).all()
+    at_start = np.isin(contacts.status, [STATUS.INITIAL_CONTACT, STATUS.ROUNDING_LIMIT])
+    assert (at_start <= (contacts.toi == 0)).all()
+    check_gaps(scene, start, end, pairs, contacts, UNITS[precision])
+    check_places(scene, mesh, start, end, contacts, UNITS[precision])
+    check_planes(scene, mesh, start, end, pairs, found)
+    check_minima(mesh, result, pairs)
+    is_free = ccd.is_step_collision_free(mesh, start, end, precision=precision, **scene.options)
+    assert is_free == (result.toi == INFINITY)
+    step = ccd.collision_free_step(mesh, start, end, precision=precision, **scene.options)
+    least = min(result.toi, scene.options["t_max"])
+    assert step == least or (scene.options["start_gap_fraction"] == "hold" and step > least)
