@@ -38,20 +38,9 @@ Rows = Iterator[dict]
 class Sizes:
     """How much is measured.
 
-    Attributes:
-        max_queries: Largest number of queries in a set; a larger set is sampled.
-        tolerances: Tolerances of the sweep.
-        generated: Queries of each generated set, and of each family in the set of hard cases.
-        sweep: Effort of a point of the sweep.
-        case_queries: Queries of a family and kind of hard cases.
-        cases: Effort of a family and kind.
-        batches: Sizes of batches.
-        rounds: Interleaved repeats of everything else.
-        step_seconds: Time of the rounds of a scene.
-        step_rounds: Least rounds of a scene.
-        worlds: Numbers of worlds.
-        small_rounds: Rounds of a small scene, and of a single pair.
-        growth: Faces of the scenes of growing size.
+    ``generated`` are the queries of each generated set, and of each family in the set of hard cases; ``case_queries``
+    those of a family and kind; ``rounds`` the repeats of everything that has no effort of its own; ``small_rounds``
+    those of a small scene and a single pair; ``growth`` the faces of the scenes of growing size.
     """
 
     max_queries: int
