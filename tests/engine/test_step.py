@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import scenes
 import trimesh
-from ccd_warp.benchmarks.gpu_check.steps import crowd as crowd_with_particles
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
@@ -293,9 +292,15 @@ def test_least_memory_limit_that_is_named_works():
 def test_kind_without_pairs_needs_no_memory():
     """All pairs fit the limit, though not as they were divided among the kinds before, and one kind has none."""
     excluded = {"vertex_face": [[0, 1], [2, 20], [5, 9]], "edge_edge": [[0, 9], [3, 40]], "bodies": [[0, 0]]}
-    step = crowd_with_particles(600, exclude_pairs=excluded)
-    limited = ccd.mesh_ccd(step.mesh, step.start, step.end, memory_limit=16 << 20)  # first, while nothing is allocated
-    expected = ccd.mesh_ccd(step.mesh, step.start, step.end)
+    rng, count = np.random.default_rng(5), 1_800
+    edges = np.stack([np.arange(0, 30, 3), np.arange(4, 34, 3)], axis=1)
+    faces = np.arange(count).reshape(-1, 3) % (count - 9)
+    places = [np.repeat(rng.random((600, 3)), 3, axis=0) + 0.08 * rng.standard_normal((count, 3)) for _ in range(2)]
+    bodies = [(at, faces, edges) for at in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, exclude_pairs=excluded)
+    frames = mesh.vertices, mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    limited = ccd.mesh_ccd(mesh, *frames, memory_limit=16 << 20)  # first, while nothing is allocated
+    expected = ccd.mesh_ccd(mesh, *frames)
     assert expected.counts.num_after_cull[ccd.PairKind.POINT_POINT] == 0
     np.testing.assert_array_equal(limited.vertex_toi, expected.vertex_toi)
     np.testing.assert_array_equal(limited.contacts.primitives, expected.contacts.primitives)
