@@ -295,7 +295,7 @@ PLANTED = [
         "kernels/narrow_phase/planes.py",
         "v.error = _VALUE * (wp.abs(a) + wp.abs(b) + wp.abs(c)) + _ABSOLUTE",
         "v.error = _ABSOLUTE",
-        ("calls/test_half_spaces.py::test_random_vertices_meet_planes_in_time_and_no_earlier",),
+        ("calls/test_half_spaces.py::test_hostile_vertices_and_planes_are_never_late",),
     ),
     Fault(
         "a normal along the velocity",
