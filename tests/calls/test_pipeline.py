@@ -14,6 +14,7 @@ from scenes import FACE, NO_FACES, TRIANGLE, crowd, crowd_in_plane, stacked
 import ccd_warp as ccd
 
 SEGMENT, EDGE, NO_EDGES = np.array([[-1.0, 0], [1, 0]]), [[0, 1]], np.zeros((0, 2), dtype=int)
+CABLES = [([[0, -1, 0], [0, 1, 0]], [], EDGE), ([[2, 0, -1], [2, 0, 1]], [], EDGE)]
 ACCURACY = {"float64": 1e-9, "float32": 1e-5}
 
 
@@ -74,7 +75,11 @@ def test_bullet_through_wall(precision):
         ([(SEGMENT, EDGE), (SEGMENT + [0, 1], EDGE)], [[0, 1], [0, 1], [0, 1], [0, 1]], np.inf),  # together
         ([(SEGMENT, [[0, 1], [1, 0], [0, 0]])], [[3, 1], [0, 0]], np.inf),  # an edge alone, given three times
         ([(TRIANGLE, FACE), (TRIANGLE, FACE)], np.zeros((6, 3)), 0.0),  # in one place
-        ([(TRIANGLE, FACE), (TRIANGLE, FACE), (TRIANGLE + 9, FACE)], np.zeros((9, 3)), 0.0),
+        (
+            [([[0, -1, 0], [0, 1, 0]], [], EDGE), ([[2, 0, -1], [2, 0, 1]], [], EDGE)],
+            [[0, 0, 0]] * 2 + [[-4, 0, 0]] * 2,
+            0.5,
+        ),
         ([(TRIANGLE[[0, 0, 0]], FACE)] * 2, np.zeros((6, 3)), 0.0),  # of no extent
         ([(NO_FACES * 1.0, NO_FACES), (TRIANGLE, FACE)], np.ones((3, 3)), np.inf),  # beside an empty body
         ([(NO_FACES * 1.0, NO_FACES)], np.ones((0, 3)), np.inf),
@@ -143,25 +148,21 @@ def test_particles_meet_a_moving_sheet_and_each_other(precision):
     particles = np.array([[0.5, 0.5, 0.25], [-0.75, 0.5, 0.25], [0.5, 1.0, -0.5], [-1.0, 1.0, -0.5], [0.5, 9.0, 9.0]])
     bodies = [(wall(0.0).vertices, wall(0.0).faces), (particles, [])]
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=[False, True])
-    start, end = mesh.vertices, mesh.vertices.copy()
-    end[:4, 0] += 1.0  # the sheet comes towards +x, through the first particle after 1/2 - separation
-    end[5, 0] -= 1.0
-    options = {"minimum_separation": 0.0625, "length_scale": 1.0, "precision": precision}
+    start, options = mesh.vertices, {"minimum_separation": 0.0625, "length_scale": 1.0, "precision": precision}
+    # the sheet comes towards +x, through two particles after 1/2 - separation; no particle is in the way of another
+    moves = np.outer([1, 1, 1, 1, 0, -1, 0, 0, 0], [1.0, 0, 0])
+    toi = answers(mesh, start, start + moves, **options).vertex_toi
+    assert toi[4:] == pytest.approx([0.4375, np.inf, 0.4375, np.inf, np.inf], abs=ACCURACY[precision])
+    end = start.copy()
+    end[[4, 6]] = particles[[1, 3]]  # through the sheet, to where another was, and where another stays
+    end[5] = [-1.75, 0.5, 0.25]
     result = answers(mesh, start, end, **options)
-    # two particles lie in the way of the sheet, and no particle in the way of another
-    expected = pytest.approx([0.4375, np.inf, 0.4375, np.inf, np.inf], abs=ACCURACY[precision])
-    assert result.vertex_toi[4:] == expected and {*result.contacts.kind.tolist()} == {ccd.PairKind.VERTEX_FACE}
-    end[:4] = start[:4]
-    end[4] = particles[1]  # through the sheet, to where the second has just left
-    end[6] = particles[3]  # through the sheet, into the stationary fourth
-    result = answers(mesh, start, end, **options)
-    meeting = result.contacts[result.contacts.kind == ccd.PairKind.POINT_POINT]
-    assert meeting.primitives.tolist() == [[6, 7]] and np.allclose(meeting.normal, [[1, 0, 0]], atol=1e-12)
-    assert meeting.toi == pytest.approx((1.5 - 0.0625) / 1.5, abs=ACCURACY[precision])
+    (meeting,) = result.contacts[result.contacts.kind == ccd.PairKind.POINT_POINT]
+    assert meeting.primitives.tolist() == [6, 7] and np.allclose(meeting.normal, [1, 0, 0], atol=1e-12)
+    assert [meeting.toi, result.toi] == pytest.approx([1.4375 / 1.5, 0.4375 / 1.5], abs=ACCURACY[precision])
     assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_codimensional_points == 5
-    assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=ACCURACY[precision])
-    assert [len(contact.vertices) for contact in (result.first, meeting[0])] == [4, 2]
-    assert repr(meeting[0]).startswith("Contact(point-point of body 1 and itself at (")
+    assert [len(contact.vertices) for contact in (result.first, meeting)] == [4, 2]
+    assert repr(meeting).startswith("Contact(point-point of body 1 and itself at (")
 
 
 def test_normal_of_points_that_start_within_the_separation():
@@ -188,36 +189,34 @@ def test_vertices_of_nothing_meet_only_with_a_flag(flag):
         assert (ccd.PairKind.POINT_POINT in result.counts.num_searches) == flag
 
 
-def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists_of_their_own():
+@pytest.mark.parametrize("far", [np.nan, 0.5, 1e300])
+def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists_of_their_own(far):
     """In map coordinates; the rows that no primitive of a body has are anywhere, or not even numbers."""
     ball, offset = trimesh.creation.icosphere(subdivisions=1, radius=0.5), [4e6, 5e5, 0]
-    cable = [[0.6, 0.1, 0], [0.7, 0, 0.5], [0.8, 0, 0.9]], np.zeros((0, 3), int), [[0, 1], [1, 2]]
-    own = [(ball.vertices, ball.faces), (ball.vertices * 0.5 + [0.1, 0, 1], ball.faces), cable]
-    own = [(np.array(x) + offset, *primitives) for x, *primitives in own]
-    first, ground = np.cumsum([0, *(len(x) for x, *_ in own)]), ccd.HalfSpace([4e6, 5e5, -0.6], [0, 0.1, 1])
-    alone = ccd.CollisionMesh.from_arrays([*own, ground])
-    rng, start = np.random.default_rng(0), alone.vertices
-    end = start + rng.standard_normal(start.shape) * 0.05 - [0, 0, 0.6] * (alone.vertex_body != 0)[:, None]
-    used = np.concatenate([b * first[-1] + np.arange(*first[b : b + 2]) for b in range(3)])
-    for far in (np.nan, 0.5, 1e300):
-        shared = [(np.full((first[-1], 3), far), *(np.array(p) + first[b] for p in own[b][1:])) for b in range(3)]
-        for b, (nodes, *_) in enumerate(shared):
-            nodes[first[b] : first[b + 1]] = own[b][0]
-        mesh = ccd.CollisionMesh.from_arrays([*shared, ground])
-        x, y = np.full((2, mesh.num_vertices, 3), far)
-        x[used], y[used] = start, end
-        found, expected = answers(mesh, x, y), answers(alone, start, end)
-        assert mesh.length_scale == alone.length_scale and len(expected.contacts) > 5
-        assert np.array_equal(found.vertex_toi[used], expected.vertex_toi)
-        assert np.isinf(found.vertex_toi[mesh.unused_vertices]).all() and len(mesh.unused_vertices)
-        for per in ("scene", "vertex"):
-            searched, of_alone = ccd.line_search(mesh, x, y, per=per), ccd.line_search(alone, start, end, per=per)
-            assert np.array_equal(searched.vertices[used], of_alone.vertices)
-        bounds = ccd.displacement_bounds(mesh, x, 0.3)
-        assert np.array_equal(bounds[used], ccd.displacement_bounds(alone, start, 0.3))
-        assert np.isinf(bounds[mesh.unused_vertices]).all()
-        copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
-        assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
+    own, count = [ball.vertices + offset, ball.vertices * 0.5 + [0.1, 0, 1] + offset], len(ball.vertices)
+    shared = [np.concatenate([own[0], np.full((count, 3), far)]), np.concatenate([np.full((count, 3), far), own[1]])]
+    bodies = zip(shared, (ball.faces, ball.faces + count), strict=True)
+    alone, mesh = (ccd.CollisionMesh.from_arrays(of) for of in ([(x, ball.faces) for x in own], bodies))
+    used, start = np.r_[:count, 3 * count : 4 * count], alone.vertices
+    end = start - [0, 0, 0.6] * (alone.vertex_body == 1)[:, None]
+    x, y = np.full((2, 4 * count, 3), far)
+    x[used], y[used] = start, end
+    found, expected = answers(mesh, x, y), answers(alone, start, end)
+    assert mesh.length_scale == alone.length_scale and expected.hit
+    assert np.array_equal(found.vertex_toi[used], expected.vertex_toi)
+    assert (
+        mesh.unused_vertices.tolist() == list(range(count, 3 * count))
+        and np.isinf(found.vertex_toi[count:-count]).all()
+    )
+    searched, of_alone = (ccd.line_search(*step, per="vertex") for step in ((mesh, x, y), (alone, start, end)))
+    assert np.array_equal(searched.vertices[used], of_alone.vertices)
+    bounds = ccd.displacement_bounds(mesh, x, 0.3)
+    assert (
+        np.array_equal(bounds[used], ccd.displacement_bounds(alone, start, 0.3))
+        and np.isinf(bounds[count:-count]).all()
+    )
+    copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
+    assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
 
 
 # --- in the plane ---

@@ -115,6 +115,16 @@ def test_sheet_that_lies_at_both_radii_touches_and_one_a_little_higher_does_not(
     assert len(ccd.find_intersections(mesh, start)) == 0  # which has no thickness
 
 
+@pytest.mark.parametrize("ends", [[1.0, 0.0], [0.0, 1.0]])
+def test_an_edge_is_as_thick_as_its_thicker_end_at_both(ends):
+    cable, beside = [[0.0, 0, 0], [4.0, 0, 0]], [[-0.9, 0, 0], [4.9, 0, 0]]
+    bodies = [(cable, NO_FACES, [[0, 1]]), (beside, NO_FACES)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=[*ends, 0, 0])
+    for broad_phase in ("tree", "hash"):
+        contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, broad_phase=broad_phase).contacts
+        assert contacts[contacts.kind == ccd.PairKind.POINT_SEGMENT].primitives.tolist() == [[2, 0], [3, 0]]
+
+
 # --- the guarantee ---
 
 
