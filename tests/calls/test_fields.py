@@ -135,16 +135,6 @@ def test_the_fraction_of_a_body_is_that_of_its_turn():
     assert np.allclose(found.motion.poses_t1, motion.at(fraction[1]), atol=1e-15)
 
 
-def test_struck_is_what_a_kinematic_body_meets_that_stays():
-    wall = 0.5 * TRIANGLE[:, [2, 0, 1]] - [1.0, 0.0, 0.0]
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (wall, FACE)], kinematic=[1])
-    end = mesh.vertices + [2.0, 0.0, 0.0] * (mesh.vertex_body == 1)[:, None]
-    found = ccd.line_search(mesh, mesh.vertices, end, per="vertex")
-    assert found.vertex_fraction.tolist() == [1.0] * 6 and np.array_equal(found.vertices, end)
-    assert {*found.struck.bodies.ravel().tolist()} == {0, 1} and found.struck.toi.max() < np.inf
-    assert found.struck.toi.min() < 0.5 and not len(found.touching)
-
-
 def test_an_edge_through_a_face_is_where_its_parameters_say_and_bounds_are_half_of_what_is_between():
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ([[0.1, 0.2, -1.0], [0.1, 0.2, 3.0]], NO_FACES, [[0, 1]])])
     found = ccd.find_intersections(mesh, mesh.vertices)

@@ -15,7 +15,7 @@ import ccd_warp as ccd
 
 SEGMENT, EDGE, NO_EDGES = np.array([[-1.0, 0], [1, 0]]), [[0, 1]], np.zeros((0, 2), dtype=int)
 CABLES = [([[0, -1, 0], [0, 1, 0]], [], EDGE), ([[2, 0, -1], [2, 0, 1]], [], EDGE)]
-ACCURACY = {"float64": 1e-9, "float32": 1e-5}
+FALLING = [(TRIANGLE, FACE), ([[0.1, 0.2, 1]], [])]
 
 
 def wall(x=5.0):
@@ -80,6 +80,9 @@ def test_bullet_through_wall(precision):
             [[0, 0, 0]] * 2 + [[-4, 0, 0]] * 2,
             0.5,
         ),
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -2]], 0.5),
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -1]], 1.0),  # which ends on the face
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -0.99]], np.inf),
         ([(TRIANGLE[[0, 0, 0]], FACE)] * 2, np.zeros((6, 3)), 0.0),  # of no extent
         ([(NO_FACES * 1.0, NO_FACES), (TRIANGLE, FACE)], np.ones((3, 3)), np.inf),  # beside an empty body
         ([(NO_FACES * 1.0, NO_FACES)], np.ones((0, 3)), np.inf),
@@ -91,22 +94,6 @@ def test_what_meets_when(bodies, moves, toi):
     result = answers(mesh, mesh.vertices, mesh.vertices + moves, tolerance=1e-9)
     assert result.toi <= toi and result.toi == pytest.approx(toi, abs=1e-6)
     assert result.counts.num_contacts_at_start == (len(result.contacts) if toi == 0 else 0)
-
-
-@pytest.mark.parametrize(
-    ("height", "options", "is_free"),
-    [
-        *((height, {}, height > 0) for height in (1.0, 0.25, 0.0, -1.0)),
-        *((-1.0, {"t_max": t_max}, t_max < 0.5) for t_max in (0.49, 0.5)),
-        (-1.0, {"t_max": 0.49, "minimum_separation": 0.1, "length_scale": 1.0}, False),
-    ],
-)
-def test_a_vertex_that_reaches_a_face_at_the_end_of_the_step_is_no_free_step(height, options, is_free, precision):
-    mesh, start = stacked(0.0, 1.0)
-    end = start.copy()
-    end[3, 2] = height
-    assert ccd.is_step_collision_free(mesh, start, end, precision=precision, **options) is is_free
-    assert ccd.CollisionPipeline(mesh, precision=precision, **options).is_step_collision_free(start, end) is is_free
 
 
 def test_edges_that_touch_beside_axes_of_very_different_scale():
@@ -141,52 +128,7 @@ def test_published_step(scene, precision):
     assert earliest - (1e-9 if precision == "float64" else 1e-2) <= result.toi <= earliest
 
 
-# --- cables and particles ---
-
-
-def test_particles_meet_a_moving_sheet_and_each_other(precision):
-    particles = np.array([[0.5, 0.5, 0.25], [-0.75, 0.5, 0.25], [0.5, 1.0, -0.5], [-1.0, 1.0, -0.5], [0.5, 9.0, 9.0]])
-    bodies = [(wall(0.0).vertices, wall(0.0).faces), (particles, [])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=[False, True])
-    start, options = mesh.vertices, {"minimum_separation": 0.0625, "length_scale": 1.0, "precision": precision}
-    # the sheet comes towards +x, through two particles after 1/2 - separation; no particle is in the way of another
-    moves = np.outer([1, 1, 1, 1, 0, -1, 0, 0, 0], [1.0, 0, 0])
-    toi = answers(mesh, start, start + moves, **options).vertex_toi
-    assert toi[4:] == pytest.approx([0.4375, np.inf, 0.4375, np.inf, np.inf], abs=ACCURACY[precision])
-    end = start.copy()
-    end[[4, 6]] = particles[[1, 3]]  # through the sheet, to where another was, and where another stays
-    end[5] = [-1.75, 0.5, 0.25]
-    result = answers(mesh, start, end, **options)
-    (meeting,) = result.contacts[result.contacts.kind == ccd.PairKind.POINT_POINT]
-    assert meeting.primitives.tolist() == [6, 7] and np.allclose(meeting.normal, [1, 0, 0], atol=1e-12)
-    assert [meeting.toi, result.toi] == pytest.approx([1.4375 / 1.5, 0.4375 / 1.5], abs=ACCURACY[precision])
-    assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_codimensional_points == 5
-    assert [len(contact.vertices) for contact in (result.first, meeting)] == [4, 2]
-    assert repr(meeting).startswith("Contact(point-point of body 1 and itself at (")
-
-
-def test_normal_of_points_that_start_within_the_separation():
-    cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
-    mesh = ccd.CollisionMesh.from_arrays([(cable, [], EDGE), (particles, [])], codimensional_points=True)
-    for motion in ([0, 0, 0], [0, 0.125, 0]):  # stationary, and sliding along the cable
-        end = mesh.vertices + np.array([[0, 0, 0]] * 2 + [motion] * 2)
-        contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.5, length_scale=1.0).contacts
-        assert contacts.kind.tolist() == [2, 2, 3] and (contacts.toi == 0).all()
-        across = [[1, 0, 0], [0.5**0.5, 0, 0.5**0.5], [0, -(0.8**0.5), -(0.2**0.5)]]
-        np.testing.assert_allclose(contacts.normal, across, atol=1e-12)
-
-
-@pytest.mark.parametrize("flag", [False, True])
-def test_vertices_of_nothing_meet_only_with_a_flag(flag):
-    in_plane = np.array([[0.0, 0], [0, 1], [5, 0], [6, 0], [0, 3], [0, 4]])
-    swapped = in_plane.copy()
-    swapped[[4, 5]] = in_plane[[5, 4]]
-    beside = np.concatenate([TRIANGLE, [[3, 0, 0], [3, 0, 1]]])
-    for body, end in (((in_plane, [[2, 3]]), swapped), ((beside, FACE), beside[[0, 1, 2, 4, 3]])):
-        mesh = ccd.CollisionMesh.from_arrays([body], codimensional_points=flag)
-        result = answers(mesh, mesh.vertices, end)
-        assert np.unique(result.contacts.kind).tolist() == [int(ccd.PairKind.POINT_POINT)] * flag
-        assert (ccd.PairKind.POINT_POINT in result.counts.num_searches) == flag
+# --- what a mesh may hold ---
 
 
 @pytest.mark.parametrize("far", [np.nan, 0.5, 1e300])
@@ -262,25 +204,6 @@ def test_default_separation_is_the_same_however_far_the_body_falls(height):
     flat = ccd.CollisionMesh.from_arrays([(np.zeros((3, 3)), FACE), (np.zeros((3, 3)), FACE)])
     assert flat.length_scale == 1.0
     assert answers(flat, start, end, minimum_separation=0.1).toi == pytest.approx(0.9 / height, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("method", "gap", "fraction", "falls_by"),
-    [
-        *((method, 0.125, None, 0.0) for method in ("clipping", "bisection")),
-        *((method, 0.125, 0.25, 0.75 * 0.125) for method in ("clipping", "bisection")),
-        ("clipping", 4.0, 0.25, 3.5),
-    ],
-)
-def test_body_closer_than_the_separation_comes_closer_by_the_fraction(precision, method, gap, fraction, falls_by):
-    # where faces stay parallel, bisection gets to its limit of iterations at a tolerance much finer
-    tolerance = 1e-6 if method == "clipping" else 1e-2
-    mesh, start = stacked(0.0, gap)
-    end = start - [0, 0, 4.0] * (mesh.vertex_body == 1)[:, None]
-    options = {"minimum_separation": 0.5, "length_scale": 1.0, "start_gap_fraction": fraction, "method": method}
-    found = answers(mesh, start, end, precision=precision, tolerance=tolerance, **options).toi
-    # float32 lowers that share by a rounding
-    assert found == pytest.approx(falls_by / 4.0, abs=2 * tolerance if precision == "float64" else max(tolerance, 1e-5))
 
 
 def test_bisection_is_early_by_its_tolerance_and_earlier_where_it_is_cut_short():

@@ -14,7 +14,6 @@ import trimesh
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from oracles import rows
 from scenes import FACE, TRIANGLE, crowd, leaning_stack, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
@@ -53,18 +52,6 @@ def test_hard_pairs_in_one_mesh_are_all_found(family, kind):
 
 
 # --- what is left out ---
-
-
-def test_kinds_that_are_not_asked_for_are_not_searched():
-    mesh, start, end = crowd(np.random.default_rng(7))
-    whole = ccd.mesh_ccd(mesh, start, end)
-    # faces have no boxes where edges alone are asked for, nor edges where faces are
-    numbers = {ccd.PairKind.VERTEX_FACE: mesh.num_vertices + mesh.num_faces, ccd.PairKind.EDGE_EDGE: mesh.num_edges}
-    for kind, num_boxes in numbers.items():
-        result = ccd.mesh_ccd(mesh, start, end, pair_kinds=[kind.name.lower()])
-        assert rows(result.contacts) == rows(whole.contacts[whole.contacts.kind == kind]) and result.hit
-        assert result.counts.num_searches.keys() == {kind} and result.counts.num_searches[kind] > 0
-        assert result.counts.num_boxes == num_boxes
 
 
 def test_boxes_of_static_bodies_are_made_once():
