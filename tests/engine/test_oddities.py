@@ -39,9 +39,7 @@ def test_a_vertex_that_blows_up_is_named_where_rounding_hides_all_gaps(size, pre
     place = f"vertex 32 (vertex 7 of sheet) is {size:.3g} from the others at the end"
     assert f"rounding hides the gaps of {len(result.contacts)} pairs at the start, with toi 0: {place}" in repr(result)
     for start in frames:  # a mesh that has warned once does not warn again
-        with pytest.warns(
-            RuntimeWarning, match=rf"is {size:.0e}".replace("+", "[+]") + " from the others at the"
-        ) as warned:
+        with pytest.warns(RuntimeWarning, match=r"is 1e\+\d\d from the others at the") as warned:
             assert ccd.collision_free_step(two_sheets(), start, frames[1], precision=precision) == 0.0
         assert warned[0].filename == __file__
 
