@@ -108,15 +108,6 @@ def test_bodies_that_stay_far_apart_have_the_stages_and_the_least_memory_of_othe
             getattr(ccd, name)(pipeline.mesh, far, far + 1.0, memory_limit=1)
 
 
-def test_shuffled_mesh_is_sorted_by_place():
-    """A mesh that is built of other positions than those of the step: only the order is computed again."""
-    box = trimesh.creation.box().subdivide_loop(iterations=4)
-    start, elsewhere = np.array(box.vertices), np.random.default_rng(20).random(box.vertices.shape)
-    result, other = (ccd.mesh_ccd(single(x, box.faces), start, start * 1.1) for x in (elsewhere, start))
-    assert result.counts.num_sorted_sets == 3 and other.counts.num_sorted_sets == 0
-    assert as_bytes(result) == as_bytes(other) and result.counts.num_candidates == other.counts.num_candidates
-
-
 # --- memory and threads ---
 
 
