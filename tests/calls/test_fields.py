@@ -27,11 +27,6 @@ def at_toi(step, contact):
     return (1 - contact.toi) * step[1] + contact.toi * step[2]
 
 
-def row_of(pairs, contact):
-    """The row of the pair of a contact."""
-    return int(np.flatnonzero((pairs.kind == contact.kind) & (pairs.primitives == contact.primitives).all(axis=1))[0])
-
-
 def one_of_each_kind(pairs):
     """A row of every kind of pair."""
     return [int(np.flatnonzero(pairs.kind == kind)[0]) for kind in ccd.PairKind]
@@ -49,28 +44,11 @@ def test_the_first_primitive_and_its_body_come_first_and_normals_point_to_it(ste
             assert list(dict.fromkeys(pairs.vertices[k].tolist())) == first + second
             body = mesh.vertex_body[second[0]] if second else mesh.planes.bodies[b]
             assert pairs.bodies[k].tolist() == [mesh.vertex_body[first[0]], body]
+            # which a push by the weights along the normal moves away from the other
+            assert pairs.weights[k, : 1 if pairs.kind[k] == 0 else 2].sum() == pytest.approx(1.0, abs=1e-15)
         is_first_above = (pairs.bodies[:, 0] == 1) | (pairs.bodies[:, 1] == 2)
         assert 5 < is_first_above.sum() < len(pairs) and np.array_equal(normal[:, 2] > 0, is_first_above)
         assert np.allclose(np.linalg.norm(normal, axis=1), 1.0)
-
-
-def test_a_push_by_the_weights_along_the_normal_parts_the_two(step):
-    pipeline, _, _, result = step
-    push, contacts = 1e-3, result.contacts
-    for k in one_of_each_kind(contacts):
-        contact, weights = contacts[k], contacts.weights[k]
-        is_plane = contact.kind == ccd.PairKind.VERTEX_PLANE
-        assert weights.sum() == pytest.approx(1.0 if is_plane else 0.0, abs=1e-15) and np.abs(weights).sum() > 0.99
-        before = at_toi(step, contact)
-        after = before.copy()
-        np.add.at(after, contacts.vertices[k], push * weights[:, None] * contact.normal)
-        near, parted = (pipeline.find_proximity(x, 2 * DISTANCE) for x in (before, after))
-        row = row_of(near, contact)
-        assert near.distance[row] == pytest.approx(DISTANCE, abs=1e-6)
-        assert np.allclose(near.direction[row], contact.normal, atol=1e-5)
-        assert np.allclose(near.weights[row], weights, atol=1e-5)
-        grown = parted.distance[row_of(parted, contact)] - near.distance[row]
-        assert grown == pytest.approx(push * (weights**2).sum(), rel=0.05)
 
 
 def test_points_and_parameters_are_those_of_the_closest_points(step):
@@ -133,16 +111,6 @@ def test_the_fraction_of_a_body_is_that_of_its_turn():
     fraction = found.to_host().body_fraction
     assert np.allclose(fraction, [1.0, 0.25], atol=1e-12) and (found.body_fraction.numpy() == fraction).all()
     assert np.allclose(found.motion.poses_t1, motion.at(fraction[1]), atol=1e-15)
-
-
-def test_struck_is_what_a_kinematic_body_meets_that_stays():
-    wall = 0.5 * TRIANGLE[:, [2, 0, 1]] - [1.0, 0.0, 0.0]
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (wall, FACE)], kinematic=[1])
-    end = mesh.vertices + [2.0, 0.0, 0.0] * (mesh.vertex_body == 1)[:, None]
-    found = ccd.line_search(mesh, mesh.vertices, end, per="vertex")
-    assert found.vertex_fraction.tolist() == [1.0] * 6 and np.array_equal(found.vertices, end)
-    assert {*found.struck.bodies.ravel().tolist()} == {0, 1} and found.struck.toi.max() < np.inf
-    assert found.struck.toi.min() < 0.5 and not len(found.touching)
 
 
 def test_an_edge_through_a_face_is_where_its_parameters_say_and_bounds_are_half_of_what_is_between():

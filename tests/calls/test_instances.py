@@ -77,17 +77,6 @@ def test_dice_that_rise_out_of_the_ground_may_take_the_whole_step(parts_alone):
     assert pipeline.collision_free_step(mesh.vertices, mesh.vertices, motion=motion) == 1.0
 
 
-def test_a_heap_and_a_first_step_of_bodies_that_are_no_copies_are_searched_whole(parts_alone):
-    mesh = ccd.CollisionMesh.from_instances(die(), COUNT)
-    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=throw(0.45))
-    assert result.toi < 0.1 and result.counts.num_boxes >= 2 * mesh.num_faces
-    bodies = [die() for _ in range(COUNT)]
-    mesh = ccd.CollisionMesh.from_trimesh(bodies, rigid=range(COUNT), self_collision=False)
-    pipeline = ccd.CollisionPipeline(mesh)
-    steps = [pipeline.mesh_ccd(mesh.vertices, mesh.vertices, motion=throw(1.1)) for _ in range(2)]
-    assert steps[0].counts.num_boxes > 2 * steps[1].counts.num_boxes
-
-
 def test_copies_have_one_tree_and_others_their_own():
     mesh = ccd.CollisionMesh.from_instances(die(), 5, [die().apply_scale(1.5), die()], static=[5], rigid=[6])
     trees = PartTrees(mesh, mesh.vertices)

@@ -35,29 +35,25 @@ def calls():
         wished[:] = end
         held.launch_line_search(t0, t1, per="body", safety=0.3 + 1e-5 * k, num_rounds=3 + k % 5)
 
-    def launch_on_new_arrays(k):
-        held.launch(*(wp.array(x, dtype=(wp.vec3d, wp.vec3f)[k % 2]) for x in (start, end)))
-
-    def new_pipeline(k):
-        ccd.CollisionPipeline(mesh, tolerance=1e-6 * (1 + 1e-4 * k), max_pairs=5000 + k).launch(t0, t1)
-
-    def other_calls(k):
-        ccd.collision_free_step(*frames, t_max=1.0 - 1e-5 * k)
-        ccd.find_candidates(*frames, inflation=1e-6 * k)
-        ccd.line_search(*frames, safety=0.3 + 1e-5 * k)
-
-    def pairs(k):
-        first = [x[: 20 + k % 180] for x in points]
-        ccd.edge_edge_ccd(*first, tolerance=1e-6 * (1 + 1e-4 * k), num_threads=2)
-
     def error(k):
         with pytest.raises(ValueError):
             ccd.mesh_ccd(*frames, tolerance=-1.0 - k)
 
+    def tolerance(k):
+        return 1e-6 * (1 + 1e-4 * k)
+
     return [
-        *(launch_line_search, launch_line_search, launch_on_new_arrays, new_pipeline, other_calls, pairs, error),
+        launch_line_search,
+        error,
+        lambda k: held.launch(*(wp.array(x, dtype=(wp.vec3d, wp.vec3f)[k % 2]) for x in (start, end))),
+        launch_line_search,
+        lambda k: ccd.CollisionPipeline(mesh, tolerance=tolerance(k), max_pairs=5000 + k).launch(t0, t1),
+        lambda k: ccd.collision_free_step(*frames, t_max=1.0 - 1e-5 * k),
+        lambda k: ccd.find_candidates(*frames, inflation=1e-6 * k),
+        lambda k: ccd.line_search(*frames, safety=0.3 + 1e-5 * k),
+        lambda k: ccd.edge_edge_ccd(*(x[: 20 + k % 180] for x in points), tolerance=tolerance(k), num_threads=2),
         lambda k: grown.reserve(max_pairs=5000 + k % 50),
-        lambda k: ccd.mesh_ccd(*frames, tolerance=1e-6 * (1 + 1e-4 * k), num_threads=1 + k % 3),
+        lambda k: ccd.mesh_ccd(*frames, tolerance=tolerance(k), num_threads=1 + k % 3),
         lambda k: ccd.mesh_ccd(*sheet_over_floor(), minimum_separation=1e-5 * k),  # on a mesh that is new
     ]
 

@@ -14,7 +14,8 @@ from scenes import FACE, NO_FACES, TRIANGLE, crowd, crowd_in_plane, stacked
 import ccd_warp as ccd
 
 SEGMENT, EDGE, NO_EDGES = np.array([[-1.0, 0], [1, 0]]), [[0, 1]], np.zeros((0, 2), dtype=int)
-ACCURACY = {"float64": 1e-9, "float32": 1e-5}
+CABLES = [([[0, -1, 0], [0, 1, 0]], [], EDGE), ([[2, 0, -1], [2, 0, 1]], [], EDGE)]
+FALLING = [(TRIANGLE, FACE), ([[0.1, 0.2, 1]], [])]
 
 
 def wall(x=5.0):
@@ -33,10 +34,11 @@ def bullet_and_wall(**options):
 
 def answers(mesh, start, end, **options):
     """The result of `mesh_ccd`, once the other calls have said the same."""
-    result, step = ccd.mesh_ccd(mesh, start, end, **options), min(ccd.mesh_ccd(mesh, start, end, **options).toi, 1.0)
+    result = ccd.mesh_ccd(mesh, start, end, **options)
     launched = ccd.CollisionPipeline(mesh, **options).launch(start, end).to_host()
     assert launched.toi == result.toi and np.array_equal(launched.vertex_toi, result.vertex_toi)
-    assert step - 1e-6 <= ccd.collision_free_step(mesh, start, end, **options) <= step
+    step = ccd.collision_free_step(mesh, start, end, **options)
+    assert min(result.toi, 1.0) - 1e-6 <= step <= result.toi
     assert ccd.is_step_collision_free(mesh, start, end, **options) == (not result.hit)
     return result
 
@@ -74,7 +76,10 @@ def test_bullet_through_wall(precision):
         ([(SEGMENT, EDGE), (SEGMENT + [0, 1], EDGE)], [[0, 1], [0, 1], [0, 1], [0, 1]], np.inf),  # together
         ([(SEGMENT, [[0, 1], [1, 0], [0, 0]])], [[3, 1], [0, 0]], np.inf),  # an edge alone, given three times
         ([(TRIANGLE, FACE), (TRIANGLE, FACE)], np.zeros((6, 3)), 0.0),  # in one place
-        ([(TRIANGLE, FACE), (TRIANGLE, FACE), (TRIANGLE + 9, FACE)], np.zeros((9, 3)), 0.0),
+        (CABLES, [[0, 0, 0]] * 2 + [[-4, 0, 0]] * 2, 0.5),
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -2]], 0.5),
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -1]], 1.0),  # which ends on the face
+        (FALLING, [[0, 0, 0]] * 3 + [[0, 0, -0.99]], np.inf),
         ([(TRIANGLE[[0, 0, 0]], FACE)] * 2, np.zeros((6, 3)), 0.0),  # of no extent
         ([(NO_FACES * 1.0, NO_FACES), (TRIANGLE, FACE)], np.ones((3, 3)), np.inf),  # beside an empty body
         ([(NO_FACES * 1.0, NO_FACES)], np.ones((0, 3)), np.inf),
@@ -88,22 +93,6 @@ def test_what_meets_when(bodies, moves, toi):
     assert result.counts.num_contacts_at_start == (len(result.contacts) if toi == 0 else 0)
 
 
-@pytest.mark.parametrize(
-    ("height", "options", "is_free"),
-    [
-        *((height, {}, height > 0) for height in (1.0, 0.25, 0.0, -1.0)),
-        *((-1.0, {"t_max": t_max}, t_max < 0.5) for t_max in (0.49, 0.5)),
-        (-1.0, {"t_max": 0.49, "minimum_separation": 0.1, "length_scale": 1.0}, False),
-    ],
-)
-def test_a_vertex_that_reaches_a_face_at_the_end_of_the_step_is_no_free_step(height, options, is_free, precision):
-    mesh, start = stacked(0.0, 1.0)
-    end = start.copy()
-    end[3, 2] = height
-    assert ccd.is_step_collision_free(mesh, start, end, precision=precision, **options) is is_free
-    assert ccd.CollisionPipeline(mesh, precision=precision, **options).is_step_collision_free(start, end) is is_free
-
-
 def test_edges_that_touch_beside_axes_of_very_different_scale():
     # one axis of 2^700 beside two near 2^-535: products of the small ones underflow, and the large one magnifies that
     found = 0
@@ -113,9 +102,8 @@ def test_edges_that_touch_beside_axes_of_very_different_scale():
         mesh = ccd.CollisionMesh.from_arrays([(p0[k : k + 2], NO_FACES, EDGE) for k in (0, 2)])
         (exact,) = exact_tois("edge-edge", p0[None], p1[None])
         found += exact.hit
-        assert not any(
-            exact.late(toi) for toi in (ccd.mesh_ccd(mesh, p0, p1).toi, ccd.collision_free_step(mesh, p0, p1))
-        )
+        assert not exact.late(ccd.mesh_ccd(mesh, p0, p1).toi)
+        assert not exact.late(ccd.collision_free_step(mesh, p0, p1))
     assert found > 10
 
 
@@ -136,88 +124,32 @@ def test_published_step(scene, precision):
     assert earliest - (1e-9 if precision == "float64" else 1e-2) <= result.toi <= earliest
 
 
-# --- cables and particles ---
+# --- what a mesh may hold ---
 
 
-def test_particles_meet_a_moving_sheet_and_each_other(precision):
-    particles = np.array([[0.5, 0.5, 0.25], [-0.75, 0.5, 0.25], [0.5, 1.0, -0.5], [-1.0, 1.0, -0.5], [0.5, 9.0, 9.0]])
-    bodies = [(wall(0.0).vertices, wall(0.0).faces), (particles, [])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=[False, True])
-    start, end = mesh.vertices, mesh.vertices.copy()
-    end[:4, 0] += 1.0  # the sheet comes towards +x, through the first particle after 1/2 - separation
-    end[5, 0] -= 1.0
-    options = {"minimum_separation": 0.0625, "length_scale": 1.0, "precision": precision}
-    result = answers(mesh, start, end, **options)
-    # two particles lie in the way of the sheet, and no particle in the way of another
-    expected = pytest.approx([0.4375, np.inf, 0.4375, np.inf, np.inf], abs=ACCURACY[precision])
-    assert result.vertex_toi[4:] == expected and {*result.contacts.kind.tolist()} == {ccd.PairKind.VERTEX_FACE}
-    end[:4] = start[:4]
-    end[4] = particles[1]  # through the sheet, to where the second has just left
-    end[6] = particles[3]  # through the sheet, into the stationary fourth
-    result = answers(mesh, start, end, **options)
-    meeting = result.contacts[result.contacts.kind == ccd.PairKind.POINT_POINT]
-    assert meeting.primitives.tolist() == [[6, 7]] and np.allclose(meeting.normal, [[1, 0, 0]], atol=1e-12)
-    assert meeting.toi == pytest.approx((1.5 - 0.0625) / 1.5, abs=ACCURACY[precision])
-    assert result.counts.num_contacts[ccd.PairKind.POINT_POINT] == 1 and result.counts.num_codimensional_points == 5
-    assert result.toi == pytest.approx((0.5 - 0.0625) / 1.5, abs=ACCURACY[precision])
-    assert [len(contact.vertices) for contact in (result.first, meeting[0])] == [4, 2]
-    assert repr(meeting[0]).startswith("Contact(point-point of body 1 and itself at (")
-
-
-def test_normal_of_points_that_start_within_the_separation():
-    cable, particles = [[0.0, -1, 0], [0, 1, 0]], [[0.25, 0, 0], [0.25, 0.5, 0.25]]
-    mesh = ccd.CollisionMesh.from_arrays([(cable, [], EDGE), (particles, [])], codimensional_points=True)
-    for motion in ([0, 0, 0], [0, 0.125, 0]):  # stationary, and sliding along the cable
-        end = mesh.vertices + np.array([[0, 0, 0]] * 2 + [motion] * 2)
-        contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_separation=0.5, length_scale=1.0).contacts
-        assert contacts.kind.tolist() == [2, 2, 3] and (contacts.toi == 0).all()
-        across = [[1, 0, 0], [0.5**0.5, 0, 0.5**0.5], [0, -(0.8**0.5), -(0.2**0.5)]]
-        np.testing.assert_allclose(contacts.normal, across, atol=1e-12)
-
-
-@pytest.mark.parametrize("flag", [False, True])
-def test_vertices_of_nothing_meet_only_with_a_flag(flag):
-    in_plane = np.array([[0.0, 0], [0, 1], [5, 0], [6, 0], [0, 3], [0, 4]])
-    swapped = in_plane.copy()
-    swapped[[4, 5]] = in_plane[[5, 4]]
-    beside = np.concatenate([TRIANGLE, [[3, 0, 0], [3, 0, 1]]])
-    for body, end in (((in_plane, [[2, 3]]), swapped), ((beside, FACE), beside[[0, 1, 2, 4, 3]])):
-        mesh = ccd.CollisionMesh.from_arrays([body], codimensional_points=flag)
-        result = answers(mesh, mesh.vertices, end)
-        assert np.unique(result.contacts.kind).tolist() == [int(ccd.PairKind.POINT_POINT)] * flag
-        assert (ccd.PairKind.POINT_POINT in result.counts.num_searches) == flag
-
-
-def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists_of_their_own():
+@pytest.mark.parametrize("far", [np.nan, 0.5, 1e300])
+def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists_of_their_own(far):
     """In map coordinates; the rows that no primitive of a body has are anywhere, or not even numbers."""
     ball, offset = trimesh.creation.icosphere(subdivisions=1, radius=0.5), [4e6, 5e5, 0]
-    cable = [[0.6, 0.1, 0], [0.7, 0, 0.5], [0.8, 0, 0.9]], np.zeros((0, 3), int), [[0, 1], [1, 2]]
-    own = [(ball.vertices, ball.faces), (ball.vertices * 0.5 + [0.1, 0, 1], ball.faces), cable]
-    own = [(np.array(x) + offset, *primitives) for x, *primitives in own]
-    first, ground = np.cumsum([0, *(len(x) for x, *_ in own)]), ccd.HalfSpace([4e6, 5e5, -0.6], [0, 0.1, 1])
-    alone = ccd.CollisionMesh.from_arrays([*own, ground])
-    rng, start = np.random.default_rng(0), alone.vertices
-    end = start + rng.standard_normal(start.shape) * 0.05 - [0, 0, 0.6] * (alone.vertex_body != 0)[:, None]
-    used = np.concatenate([b * first[-1] + np.arange(*first[b : b + 2]) for b in range(3)])
-    for far in (np.nan, 0.5, 1e300):
-        shared = [(np.full((first[-1], 3), far), *(np.array(p) + first[b] for p in own[b][1:])) for b in range(3)]
-        for b, (nodes, *_) in enumerate(shared):
-            nodes[first[b] : first[b + 1]] = own[b][0]
-        mesh = ccd.CollisionMesh.from_arrays([*shared, ground])
-        x, y = np.full((2, mesh.num_vertices, 3), far)
-        x[used], y[used] = start, end
-        found, expected = answers(mesh, x, y), answers(alone, start, end)
-        assert mesh.length_scale == alone.length_scale and len(expected.contacts) > 5
-        assert np.array_equal(found.vertex_toi[used], expected.vertex_toi)
-        assert np.isinf(found.vertex_toi[mesh.unused_vertices]).all() and len(mesh.unused_vertices)
-        for per in ("scene", "vertex"):
-            searched, of_alone = ccd.line_search(mesh, x, y, per=per), ccd.line_search(alone, start, end, per=per)
-            assert np.array_equal(searched.vertices[used], of_alone.vertices)
-        bounds = ccd.displacement_bounds(mesh, x, 0.3)
-        assert np.array_equal(bounds[used], ccd.displacement_bounds(alone, start, 0.3))
-        assert np.isinf(bounds[mesh.unused_vertices]).all()
-        copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
-        assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
+    own, count = [ball.vertices + offset, ball.vertices * 0.5 + [0.1, 0, 1] + offset], len(ball.vertices)
+    shared = [np.concatenate([own[0], np.full((count, 3), far)]), np.concatenate([np.full((count, 3), far), own[1]])]
+    bodies = zip(shared, (ball.faces, ball.faces + count), strict=True)
+    alone, mesh = (ccd.CollisionMesh.from_arrays(of) for of in ([(x, ball.faces) for x in own], bodies))
+    used, start = np.r_[:count, 3 * count : 4 * count], alone.vertices
+    end = start - [0, 0, 0.6] * (alone.vertex_body == 1)[:, None]
+    x, y = np.full((2, 4 * count, 3), far)
+    x[used], y[used] = start, end
+    found, expected = answers(mesh, x, y), answers(alone, start, end)
+    assert mesh.length_scale == alone.length_scale and expected.hit
+    assert np.array_equal(found.vertex_toi[used], expected.vertex_toi)
+    unused = mesh.unused_vertices
+    assert unused.tolist() == list(range(count, 3 * count)) and np.isinf(found.vertex_toi[unused]).all()
+    searched, of_alone = (ccd.line_search(*step, per="vertex") for step in ((mesh, x, y), (alone, start, end)))
+    assert np.array_equal(searched.vertices[used], of_alone.vertices)
+    bounds = ccd.displacement_bounds(mesh, x, 0.3)
+    assert np.array_equal(bounds[used], ccd.displacement_bounds(alone, start, 0.3)) and np.isinf(bounds[unused]).all()
+    copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
+    assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
 
 
 # --- in the plane ---
@@ -263,25 +195,6 @@ def test_default_separation_is_the_same_however_far_the_body_falls(height):
     flat = ccd.CollisionMesh.from_arrays([(np.zeros((3, 3)), FACE), (np.zeros((3, 3)), FACE)])
     assert flat.length_scale == 1.0
     assert answers(flat, start, end, minimum_separation=0.1).toi == pytest.approx(0.9 / height, abs=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("method", "gap", "fraction", "falls_by"),
-    [
-        *((method, 0.125, None, 0.0) for method in ("clipping", "bisection")),
-        *((method, 0.125, 0.25, 0.75 * 0.125) for method in ("clipping", "bisection")),
-        ("clipping", 4.0, 0.25, 3.5),
-    ],
-)
-def test_body_closer_than_the_separation_comes_closer_by_the_fraction(precision, method, gap, fraction, falls_by):
-    # where faces stay parallel, bisection gets to its limit of iterations at a tolerance much finer
-    tolerance = 1e-6 if method == "clipping" else 1e-2
-    mesh, start = stacked(0.0, gap)
-    end = start - [0, 0, 4.0] * (mesh.vertex_body == 1)[:, None]
-    options = {"minimum_separation": 0.5, "length_scale": 1.0, "start_gap_fraction": fraction, "method": method}
-    found = answers(mesh, start, end, precision=precision, tolerance=tolerance, **options).toi
-    # float32 lowers that share by a rounding
-    assert found == pytest.approx(falls_by / 4.0, abs=2 * tolerance if precision == "float64" else max(tolerance, 1e-5))
 
 
 def test_bisection_is_early_by_its_tolerance_and_earlier_where_it_is_cut_short():

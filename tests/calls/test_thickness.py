@@ -10,10 +10,11 @@ import pytest
 import trimesh
 import warp as wp
 from ccd_warp.kernels.boxes.thickness import sum_up
+from exact import exact_tois
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
-from oracles import brute_force
-from scenes import NO_FACES, TRIANGLE
-from thick_scenes import crowd, distances_of, exact_contacts, found_contacts
+from laws.truth import NAMES, Pairs
+from oracles import rows
+from scenes import NO_FACES, TRIANGLE, crowd_of_all_kinds
 
 import ccd_warp as ccd
 
@@ -104,14 +105,14 @@ def test_the_gap_that_is_left_is_the_minimum_distance_and_both_radii(radius, min
     assert left == pytest.approx(kept, rel=1e-12) and left >= kept * (1 - 1e-15)
 
 
-def test_sheet_that_lies_at_both_radii_touches_and_one_a_little_higher_does_not(precision):
-    mesh, start, _ = two_sheets(0.25, 0.125, static=[0])
-    options = {"precision": precision, "tolerance": 1e-12}
-    result = ccd.mesh_ccd(mesh, start, start, **options)
-    assert result.toi == 0.0 and result.contacts.status[0] == ccd.CCDStatus.INITIAL_CONTACT
-    lifted = start + [0, 0, 1e-4] * (mesh.vertex_body == 1)[:, None]
-    assert ccd.is_step_collision_free(mesh, lifted, lifted, **options)
-    assert len(ccd.find_intersections(mesh, start)) == 0  # which has no thickness
+@pytest.mark.parametrize("ends", [[1.0, 0.0], [0.0, 1.0]])
+def test_an_edge_is_as_thick_as_its_thicker_end_at_both(ends):
+    cable, beside = [[0.0, 0, 0], [4.0, 0, 0]], [[-0.9, 0, 0], [4.9, 0, 0]]
+    bodies = [(cable, NO_FACES, [[0, 1]]), (beside, NO_FACES)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=[*ends, 0, 0])
+    for broad_phase in ("tree", "hash"):
+        contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, broad_phase=broad_phase).contacts
+        assert contacts[contacts.kind == ccd.PairKind.POINT_SEGMENT].primitives.tolist() == [[2, 0], [3, 0]]
 
 
 # --- the guarantee ---
@@ -143,16 +144,16 @@ def test_boxes_that_touch_overlap_though_they_grow_by_a_radius_and_an_inflation_
 
 @pytest.mark.parametrize("largest", [5e-324, 1e-300, 1e-160, 1e150, 1.7e308])
 def test_tiny_and_huge_radii_are_never_late(largest, precision):
-    radius = largest * np.random.default_rng(0).integers(0, 2, 6 * 3 + 3 * 2 + 3)
-    mesh, start, end = crowd(98, count=6, largest=None, radius=radius)
-    found = found_contacts(ccd.mesh_ccd(mesh, start, end, precision=precision).contacts)
-    if largest < 1:
-        exact = exact_contacts(mesh, start, end)
-        assert exact.keys() <= found.keys() and not any(e.late(found[key]) for key, e in exact.items())
-        return
-    for kind, pairs in zip(ccd.PairKind, brute_force(mesh, 0 * start, 0 * start), strict=True):
-        is_thick = distances_of(mesh, kind, pairs) > 0 if pairs else []
-        assert all(found[int(kind), *pairs[k]] == 0.0 for k in np.flatnonzero(is_thick))  # all are in contact
+    radius = largest * np.random.default_rng(0).integers(0, 2, 3 * 18)
+    mesh, start, end = crowd_of_all_kinds(np.random.default_rng(98), count=2, radius=radius)
+    found, pairs = rows(ccd.mesh_ccd(mesh, start, end, precision=precision).contacts), Pairs(mesh)
+    for kind, of_kind in enumerate(pairs.of_kinds):
+        corners, distances = pairs.corners(kind, of_kind), pairs.radii(kind, of_kind)
+        if largest > 1:  # all that are thick are in contact
+            assert all(found[kind, *pair] == 0.0 for pair in of_kind[distances > 0].tolist())
+        else:
+            times = exact_tois(NAMES[kind], start[corners], end[corners]) if len(corners) else []
+            assert not any(t.hit and t.late(found[kind, *p]) for p, t in zip(of_kind.tolist(), times, strict=True))
 
 
 def test_radius_counts_where_a_difference_of_coordinates_is_beyond_the_largest_number():
@@ -199,7 +200,7 @@ def test_static_boxes_grow_with_radii_in_launches_that_read_only_what_moves_and_
 
 @pytest.mark.parametrize("bad", [-1.0, -5e-324, np.nan, np.inf, -np.inf])
 def test_invalid_radius_on_the_device_stops_its_world_and_no_other(bad):
-    mesh, start, end = crowd(103, count=8)
+    mesh, start, end = two_sheets(1.0, 0.125)
     worlds, count = mesh.replicate(3), mesh.num_vertices
     frames = np.tile(start, (3, 1)), np.tile(end, (3, 1))
     pipeline = ccd.CollisionPipeline(worlds)

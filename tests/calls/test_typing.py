@@ -19,7 +19,6 @@ ccd.vertex_face_ccd(x, x, precision="float32", method="bisection", tolerance=1, 
 ccd.point_point_ccd(x[:, :2], x[:, :2], **pair_options)
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds=["vertex_face", ccd.PairKind.EDGE_EDGE], memory_limit=None, t_max=0.5)
 ccd.mesh_ccd(mesh, x[0], x[0], **mesh_options)
-ccd.collision_free_step(mesh, x[0], x[0], start_gap_fraction=0.5, length_scale=1.0, max_work=10)
 free: bool = ccd.is_step_collision_free(mesh, x[0], x[0], t_max=0.5)
 ccd.line_search(mesh, x[0], x[0], per="vertex", safety=0.5, minimum_separation=0.1)
 ccd.find_candidates(mesh, x[0], x[0], 0.1, pair_kinds=("edge_edge",), broad_phase="hash", num_threads=1)
@@ -29,7 +28,6 @@ bound: float = ccd.displacement_bounds(mesh, x[0], 0.1, minimum_distance=0.01)[0
 through: int = len(found[found.is_crossing]) + found.by_bodies()["a", "b"]
 ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0], per="world")
 ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
-ccd.datasets.find_queries("folder")[0].points_t0
 frames = ccd.read_frames("a.stl", "b.stl", static=["wall.stl"])
 for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0, 0, 1])], surface=True)[1:]:
     inside: int = len(ccd.CollisionMesh.from_volume(vertices, {"tetra": [[0, 1, 2, 3]]}, static=[0]).inner_vertices)
@@ -39,8 +37,6 @@ places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.
 motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
-arm = ccd.JointMotion([ccd.Joint("hinge", "wall", "door", "revolute", (0, 0, 1))], [0.0], x[0], links=["door"])
-reach: float = arm.shortened(0.5).at([0.5])[0, 0, 0] + ccd.read_urdf("arm.urdf", base=x[0]).motion(x, x).poses_t1[0, 0]
 moved = ccd.AffineMotion(x, x).positions_t1(x[0], [0, 0, 0, 0]) * motion.num_bodies
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
@@ -49,29 +45,23 @@ ccd.vertex_face_ccd(x, x, precision="float16")
 ccd.vertex_face_ccd(x, x, presicion="float32")
 ccd.edge_edge_ccd(x, x, method=3)
 ccd.edge_edge_ccd(x, x, max_work=10)
-ccd.point_segment_ccd(x, x, tolerance="small")
 ccd.point_point_ccd(x, x, 1e-6)
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds=["vertex-face"])
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds="vertex_face")
-ccd.mesh_ccd(mesh, x[0], x[0], memory_limits=10)
 ccd.mesh_ccd(mesh, x[0], x[0], device=0)
 ccd.collision_free_step(mesh, x[0], x[0], max_iterations=0.5)
 ccd.line_search(mesh, x[0], x[0], t_max=0.5)
-ccd.line_search(mesh, x[0], x[0], broad_phase="grid")
 ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
 ccd.find_intersections(mesh, x[0], tolerance=0.1)
-ccd.find_intersections(mesh, x[0], x[0])
 ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
 ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
 ccd.RigidMotion(x, x, path="spline")
-ccd.Joint("a", "b", "c", "ball")
 ccd.RigidMotion(x, x, "screw")
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)
 ccd.mesh_ccd(mesh, x[0], x[0]).first.toi
-ccd.CollisionMesh.from_trimesh([], names=3)
 ccd.mesh_ccd(mesh, mesh, x[0])
 ccd.vertex_face_ccd(x, None)
 ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts.sorted_by_toi()

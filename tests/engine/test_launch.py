@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from scenes import FACE, TRIANGLE, crowd, pairs_in_worlds, sheet, sheet_over_ball
+from scenes import FACE, TRIANGLE, crowd, pairs_in_worlds, sheet_over_ball
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
@@ -45,28 +45,20 @@ def falling(**options):
 
 
 @pytest.mark.parametrize("max_pairs", [1, 7, 500])
-def test_pairs_beyond_the_capacity_count_as_touching(max_pairs):
+def test_pairs_beyond_the_capacity_count_as_touching_and_contacts_are_missing_from_the_list_alone(max_pairs):
     mesh, start, end = crowd(np.random.default_rng(3))
-    pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, max_contacts=60_000)
-    result, expected = pipeline.launch(start, end), ccd.mesh_ccd(mesh, start, end)
-    short = result.to_host()
-    assert short.flags == LaunchFlag.PAIRS_OVERFLOW and short.toi == 0.0
+    expected = ccd.mesh_ccd(mesh, start, end)
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, max_contacts=10)
+    result = pipeline.launch(start, end)
+    short, needed = result.to_host(), int(result.num_pairs.numpy().max())
+    assert LaunchFlag.PAIRS_OVERFLOW in LaunchFlag(short.flags) and short.toi == 0.0 and needed > max_pairs
     for name in ("vertex_toi", "body_toi", "world_toi"):
         assert (getattr(short, name) <= getattr(expected, name)).all()
     assert {*short.vertex_toi} <= {0.0, *expected.vertex_toi}
-    needed = int(result.num_pairs.numpy().max())
-    assert needed > max_pairs
     pipeline.reserve(max_pairs=needed)
-    check_same(pipeline.launch(start, end), expected)
-
-
-def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
-    mesh, start, end = crowd(np.random.default_rng(3))
-    pipeline = ccd.CollisionPipeline(mesh, max_pairs=60_000, max_contacts=10)
-    short, expected = pipeline.launch(start, end).to_host(), ccd.mesh_ccd(mesh, start, end)
+    short = pipeline.launch(start, end).to_host()
     assert short.flags == LaunchFlag.CONTACTS_OVERFLOW and len(short.contacts) == 10
-    np.testing.assert_array_equal(short.vertex_toi, expected.vertex_toi)
-    assert short.num_contacts == len(expected.contacts)
+    assert short.num_contacts == len(expected.contacts) and np.array_equal(short.vertex_toi, expected.vertex_toi)
     pipeline.reserve(max_contacts=short.num_contacts)
     check_same(pipeline.launch(start, end), expected)
 
@@ -159,10 +151,6 @@ def test_face_whose_box_is_infinite_in_quantized_coordinates(count, far):
     result, expected = pipeline.launch(start, end).to_host(), ccd.mesh_ccd(mesh, start, end)
     assert result.flags or (result.vertex_toi <= expected.vertex_toi).all()
     assert ccd.collision_free_step(mesh, start, end) <= min(expected.toi, 1.0)
-    mesh, start, end = falling()
-    options = {"minimum_separation": far, "length_scale": 1.0}
-    assert ccd.CollisionPipeline(mesh, **options).launch(start, end).toi.numpy()[0] == 0.0
-    assert ccd.mesh_ccd(mesh, start, end, **options).toi == 0.0
 
 
 # --- captures ---
@@ -276,21 +264,6 @@ def test_few_positions_of_numpy_are_copied_but_by_a_graph_of_the_cpu():
         expected = place(shift)
         wp.capture_launch(capture.graph)
         check_same(result, expected)
-
-
-def test_many_positions_of_numpy_are_read_where_they_are():
-    """More than are copied: contacts that are located later are those of the positions at that time."""
-    bodies = [sheet(200), (0.05 * TRIANGLE + [0, 0, 0.5], FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
-    start, end = mesh.vertices.copy(), mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-    result = pipeline.launch(start, end)
-    check_same(result, ccd.mesh_ccd(mesh, start, end, device="cpu"))
-    count = len(result.contacts.to_host())
-    points = result.contacts.points.numpy()[:count].copy()
-    start += 1.0
-    end += 1.0
-    np.testing.assert_allclose(result.contacts.points.numpy()[:count], points + 1.0, rtol=1e-12)
 
 
 # --- what has nothing to do is left out: of graphs by a flag on the device, otherwise by the same flag ---

@@ -23,11 +23,6 @@ def launched(mesh, start, end, dtype=wp.vec3d, **options):
     return x.numpy().astype(np.float64), y.numpy().astype(np.float64), result.to_host()
 
 
-def falls(mesh, height, first=1):
-    """End positions of which the bodies from a number on are lower."""
-    return mesh.vertices - [0, 0, height] * (mesh.vertex_body >= first)[:, None]
-
-
 # --- how far each unit goes ---
 
 
@@ -35,7 +30,7 @@ def falls(mesh, height, first=1):
 @pytest.mark.parametrize("safety", [0.5, 0.9, 0.999])
 def test_one_body_falls_on_another(per, safety):
     mesh, start = stacked(0.0, 1.0)
-    end = falls(mesh, 2.0)
+    end = start - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
     step = ccd.line_search(mesh, start, end, per=per, safety=safety)
     assert exact_contacts(mesh, start, step.vertices) == []
     assert step.fraction == pytest.approx(0.5 * safety, rel=1e-9)  # the toi is a half, up to rounding
@@ -51,6 +46,21 @@ def test_one_body_falls_on_another(per, safety):
         # what does not move, and coordinates that stay, do not change by a rounding
         for x, y in ((start, step.vertices), (before, after)):
             assert np.array_equal(y[:3], x[:3]) and np.array_equal(y[:, :2], x[:, :2])
+
+
+def test_a_free_step_is_whole_in_one_round_and_nothing_of_it_is_the_callers_array():
+    mesh, start = stacked(0.0, 1.0)
+    for moving in (slice(None), slice(0, 3)):
+        given = start.copy(), start.copy()
+        given[1][moving] += [0.3, 0.2, 0.1]
+        step = ccd.line_search(mesh, *given)
+        assert step.num_rounds == 1 and step.fraction == 1.0 and not step.is_limited and len(step.touching) == 0
+        arrays = [step.vertices, step.vertex_fraction, *vars(step.touching).values()]
+        assert not any(np.shares_memory(array, x) for array in arrays for x in (*given, mesh.vertices))
+    pipeline = ccd.CollisionPipeline(mesh, t_max=0.5)
+    for call in (pipeline.line_search, pipeline.launch_line_search):
+        with pytest.raises(ValueError, match=r"t_max is 0\.5; expected 1"):
+            call(start, start)
 
 
 @every_per

@@ -14,7 +14,6 @@ import trimesh
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from oracles import rows
 from scenes import FACE, TRIANGLE, crowd, leaning_stack, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
@@ -53,18 +52,6 @@ def test_hard_pairs_in_one_mesh_are_all_found(family, kind):
 
 
 # --- what is left out ---
-
-
-def test_kinds_that_are_not_asked_for_are_not_searched():
-    mesh, start, end = crowd(np.random.default_rng(7))
-    whole = ccd.mesh_ccd(mesh, start, end)
-    # faces have no boxes where edges alone are asked for, nor edges where faces are
-    numbers = {ccd.PairKind.VERTEX_FACE: mesh.num_vertices + mesh.num_faces, ccd.PairKind.EDGE_EDGE: mesh.num_edges}
-    for kind, num_boxes in numbers.items():
-        result = ccd.mesh_ccd(mesh, start, end, pair_kinds=[kind.name.lower()])
-        assert rows(result.contacts) == rows(whole.contacts[whole.contacts.kind == kind]) and result.hit
-        assert result.counts.num_searches.keys() == {kind} and result.counts.num_searches[kind] > 0
-        assert result.counts.num_boxes == num_boxes
 
 
 def test_boxes_of_static_bodies_are_made_once():
@@ -119,15 +106,6 @@ def test_bodies_that_stay_far_apart_have_the_stages_and_the_least_memory_of_othe
         assert stages[0] == stages[1]
         with pytest.raises(ValueError, match=r"memory_limit is 1 bytes; expected at least \d{6}"):
             getattr(ccd, name)(pipeline.mesh, far, far + 1.0, memory_limit=1)
-
-
-def test_shuffled_mesh_is_sorted_by_place():
-    """A mesh that is built of other positions than those of the step: only the order is computed again."""
-    box = trimesh.creation.box().subdivide_loop(iterations=4)
-    start, elsewhere = np.array(box.vertices), np.random.default_rng(20).random(box.vertices.shape)
-    result, other = (ccd.mesh_ccd(single(x, box.faces), start, start * 1.1) for x in (elsewhere, start))
-    assert result.counts.num_sorted_sets == 3 and other.counts.num_sorted_sets == 0
-    assert as_bytes(result) == as_bytes(other) and result.counts.num_candidates == other.counts.num_candidates
 
 
 # --- memory and threads ---

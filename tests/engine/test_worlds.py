@@ -1,7 +1,5 @@
 """Worlds: copies of a mesh, positions with an axis of worlds, and a cell of quantized coordinates for each world."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import warp as wp
@@ -17,7 +15,6 @@ from ccd_warp._runtime.launch import Execution
 
 pytestmark = OF_ROUNDING
 
-DEVICE = wp.get_device("cpu")
 _LARGEST = np.finfo(np.float64).max
 
 # --- copies of a mesh ---
@@ -125,56 +122,49 @@ def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
 # --- in quantized coordinates ---
 
 
-@dataclass
-class Worlds:
-    """Faces at random places, two bodies to a world, of which every third has a static one."""
-
-    mesh: ccd.CollisionMesh
-    start: np.ndarray
-    end: np.ndarray
-
-
 def worlds(count, numbers=None, sizes=1.0):
+    """Faces at random places, two bodies to a world, of which every third has a static one: mesh, start and end."""
     rng, size = np.random.default_rng(0), np.broadcast_to(sizes, count)
     bodies = [(vertices * size[k // 2], faces) for k in range(2 * count) for vertices, faces in [soup(rng, 2, 0.3)]]
     numbers = np.arange(count) if numbers is None else numbers
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=range(1, 2 * count, 6), vertex_world=np.repeat(numbers, 12))
     motion = 0.2 * rng.standard_normal((len(mesh.vertices), 3)) * np.repeat(size, 12)[:, None]
-    return Worlds(mesh, mesh.vertices.copy(), mesh.vertices + motion * ~mesh.static[mesh.vertex_body][:, None])
+    return mesh, mesh.vertices.copy(), mesh.vertices + motion * ~mesh.static[mesh.vertex_body][:, None]
 
 
 def far_apart():
-    scene = worlds(9)
-    offset = 1e12 * scene.mesh.vertex_world[:, None] ** 3
-    return Worlds(scene.mesh, scene.start + offset, scene.end + offset)
+    mesh, start, end = worlds(9)
+    offset = 1e12 * mesh.vertex_world[:, None] ** 3
+    return mesh, start + offset, end + offset
 
 
 def vertices_that_have_flown_away():
-    scene = worlds(9)
+    mesh, start, end = worlds(9)
     for world, values in {1: [1e9], 2: [_LARGEST], 3: [-_LARGEST, _LARGEST, 1e300], 4: [1e40] * 7}.items():
-        scene.start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
-    scene.end[60:63] = -1e200
-    return scene
+        start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
+    end[60:63] = -1e200
+    return mesh, start, end
 
 
 def of_a_wall_much_larger_than_what_moves():
-    scene = worlds(20)
-    scene.start[18::12] *= 1e4
-    scene.end[18::12] *= 1e4
-    return scene
+    mesh, start, end = worlds(20)
+    start[18::12] *= 1e4
+    end[18::12] *= 1e4
+    return mesh, start, end
 
 
 def of_vertices_that_take_turns():
     """Two worlds, each with half of every body."""
     rng = np.random.default_rng(3)
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, 12, 0.3)] * 2, vertex_world=np.arange(72) // 3 % 2)
-    return Worlds(mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal((72, 3)))
+    return mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal((72, 3))
 
 
+SIZES = 10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290])
 SCENES = {
     "in one place": lambda: worlds(24),
     "far apart": far_apart,
-    "of very different sizes": lambda: worlds(10, sizes=10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290])),
+    "of very different sizes": lambda: worlds(10, sizes=SIZES),
     "vertices that have flown away": vertices_that_have_flown_away,
     "of a wall much larger than what moves": of_a_wall_much_larger_than_what_moves,
     "with numbers left out": lambda: worlds(4, numbers=np.array([0, 3, 9, 40])),
@@ -182,60 +172,54 @@ SCENES = {
 }
 
 
-def quantized(scene, positions=None):
+def quantized(mesh, *frames, positions=None):
     """Lower and upper corners of the AABBs of all vertices at both ends, in quantized coordinates, [V, 2, 3] each."""
-    mesh = scene.mesh
-    topology = Topology(mesh, DEVICE)
-    quantization = choose_quantization(topology, positions or (scene.start, scene.end), 2)
-    every, active = wp.array(np.arange(mesh.num_vertices), dtype=wp.int32), wp.ones(mesh.num_bodies, dtype=wp.int32)
-    aabbs = wp.empty(mesh.num_vertices * 16, dtype=wp.float32)
-    frames = [wp.array(x, dtype=wp.vec3d) for x in (scene.start, scene.end)]
-    inputs = [every, *topology.of_vertices(active), *frames, 1.0, 0.0, topology.box_radius, quantization.packed, 2]
-    Execution(DEVICE, 1).launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
+    with wp.ScopedDevice("cpu") as device:
+        topology = Topology(mesh, device)
+        quantization = choose_quantization(topology, positions or frames, 2)
+        every = wp.array(np.arange(mesh.num_vertices), dtype=wp.int32)
+        inputs = [every, *topology.of_vertices(wp.ones(mesh.num_bodies, dtype=wp.int32))]
+        inputs += [*(wp.array(x, dtype=wp.vec3d) for x in frames), 1.0, 0.0, topology.box_radius]
+        aabbs = wp.empty(mesh.num_vertices * 16, dtype=wp.float32)
+        inputs += [quantization.packed, 2]
+        Execution(device, 1).launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
     corners = aabbs.numpy().reshape(-1, 2, 2, 4)[..., :3]
     return corners[:, :, 0], -corners[:, :, 1]
 
 
 @pytest.mark.parametrize("name", SCENES)
 def test_all_boxes_of_a_world_lie_in_its_cell_and_what_is_apart_keeps_its_order(name):
-    scene = SCENES[name]()
-    mesh = scene.mesh
+    mesh, *frames = SCENES[name]()
     middle = world_lattice(mesh.num_worlds)[mesh.vertex_world][:, None]
     assert len(np.unique(middle.reshape(-1, 3), axis=0)) == len(np.unique(mesh.vertex_world))
     # at the positions of the step, and as a launch has it, which knows those of the mesh alone
     for positions in ((mesh.vertices, mesh.vertices), None):
-        lower, upper = quantized(scene, positions)
+        lower, upper = quantized(mesh, *frames, positions=positions)
         assert np.isfinite(lower).all() and (lower <= upper).all()
         distance = np.maximum(np.abs(lower - middle), np.abs(upper - middle)).max()
         assert distance < 0.99 * 2.0 ** -(lattice_bits(mesh.num_worlds) + 1)
-    exact = np.stack([scene.start, scene.end], axis=1)
+    exact = np.stack(frames, axis=1)
     for world in np.unique(mesh.vertex_world):
         rows = np.flatnonzero(mesh.vertex_world == world)
         for axis in range(3):
             order = np.argsort(exact[rows, :, axis], axis=None)
             assert all((np.diff(corners[rows, :, axis].ravel()[order]) >= 0).all() for corners in (lower, upper))
-    found = {
-        broad_phase: ccd.find_candidates(mesh, scene.start, scene.end, broad_phase=broad_phase).sorted()
-        for broad_phase in ("tree", "hash")
-    }
-    for kind, pairs in vars(found["tree"]).items():
-        assert np.array_equal(pairs, getattr(found["hash"], kind))
 
 
-def extents(scene):
+def extents(mesh, *frames):
     """The longest side of each world, as a share of its cell."""
-    lower, upper = quantized(scene)
-    rows = [scene.mesh.vertex_world == world for world in range(scene.mesh.num_worlds)]
+    lower, upper = quantized(mesh, *frames)
+    rows = [mesh.vertex_world == world for world in range(mesh.num_worlds)]
     sides = [(upper[at].max(axis=(0, 1)) - lower[at].min(axis=(0, 1))).max() for at in rows]
-    return np.array(sides) * 2.0 ** lattice_bits(scene.mesh.num_worlds)
+    return np.array(sides) * 2.0 ** lattice_bits(mesh.num_worlds)
 
 
 @pytest.mark.parametrize("count", [NUM_SAMPLES - 3, NUM_SAMPLES, 4 * NUM_SAMPLES])
 def test_worlds_take_like_parts_of_their_cells_whatever_their_number_and_sizes(count):
     """With samples at a fixed distance all of them were the first vertex of a world, and the scene had no extent."""
     mesh = ccd.CollisionMesh.from_arrays([soup(np.random.default_rng(5), 40, 0.01)]).replicate(count)
-    assert (abs(np.log2(extents(Worlds(mesh, mesh.vertices, mesh.vertices))) + 4) < 2).all()
-    part = extents(worlds(7, sizes=10.0 ** np.array([-9, -3, 0, 0, 0, 2, 9])))
+    assert (abs(np.log2(extents(mesh, mesh.vertices, mesh.vertices)) + 4) < 2).all()
+    part = extents(*worlds(7, sizes=10.0 ** np.array([-9, -3, 0, 0, 0, 2, 9])))
     assert part.max() < 16 * part.min() and part.min() > 1 / 64
 
 
