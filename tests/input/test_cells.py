@@ -164,9 +164,6 @@ def test_nodes_inside_pass_through_their_own_surface_and_a_half_space_and_copies
         (np.zeros((2, 7), dtype=int), r"cells has shape \(2, 7\); expected \(n, corners\) with 4 of a tetra"),
         ({"tetra14": np.zeros((1, 14), dtype=int)}, "holds the type 'tetra14'; expected cells by type"),
         ({"tetra": np.zeros((0, 4), dtype=int)}, "cells in place of faces of body 0 are none"),
-        ({}, "cells in place of faces of body 0 are none"),
-        (3, "cells is 3; expected integers"),
-        ("tetra", "cells is 'tetra'; expected integers"),
         ({"tetra": [[0.0, 1.0, 2.0, 3.0]]}, "expected integers"),
     ],
 )
