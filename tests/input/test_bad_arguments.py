@@ -24,7 +24,6 @@ from every_call import (
     MESH_AND_STATIC,
     MOTION,
     PIPELINE,
-    POINTS_T0,
     POSES,
     RESULT,
     START,
@@ -42,7 +41,7 @@ ZERO = (*REAL, "negative zero")
 FLAG, NONE = ("bool", "numpy bool"), ("None",)
 NUMBERS = ("0-d float64 array", "0-d int64 array")
 FLAGS, BIG = (*FLAG, "0-d bool array"), ("int beyond float64",)
-NO_BODIES = ("empty list", "empty dict")
+NO_BODIES, TEXTS = ("empty list", "empty dict"), ("text", "text with a null")
 PATH = "a path, as text or a pathlib.Path|a name that ends in .ply"
 OPTIONAL_PAIRS = "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs, or contacts or proximities"
 CELLS = "cells by type, tetra, hexahedron, wedge, pyramid, triangle or quad, or quadratic"
@@ -52,6 +51,7 @@ LENGTH, COUNT = "a finite length of at least 0", "a positive integer"
 DEVICE = "an array of Warp|float32|vec3f|one of them|an array that can be written to"
 ROWS = r"(shape )?\(6, 3\) one row a vertex of the mesh|both vertices_t0 and vertices_t1, or neither|" + DEVICE
 POINTS = r"(float64 of )?(shape )?\(n, [234], [23]\)|a NumPy array"
+WITH_PATHS = ("rigid_ccd", "RigidMotion", "RigidMotion of a twist", "RigidMotion.from_scalar_first", "read_poses")
 FRACTION = r"a fraction in \[0, 1\], or such fractions of shape \(2,\)"
 
 # What is expected of an argument, or of one of a call; values that are wrong beside those of `hostile`, and those of
@@ -63,8 +63,6 @@ ARGUMENTS = {
     "start_gap_fraction": ("'hold', a number between 0 and 1, or None", [0.0, 1.0], (*REAL, "None")),
     "start_gap_fraction of rigid_ccd": ("'hold'(, a number between 0 and 1,)? or None", [1.0], NONE),
     "t_max": (r"a number in [\[(]0, 1\]", [1.5, -0.1], ZERO),
-    "t_max of draw_step": (r"a number in \(0, 1\]", [1.5, 0.0], REAL),
-    "t_max of render_step": (r"a number in \(0, 1\]", [1.5, 0.0], REAL),
     "max_iterations": (COUNT, [0, 1.0, 2**31], ()),
     "length_scale": ("a finite length above 0, or None", [0.0], (*REAL, "None")),
     "precision": ("'float64' or 'float32'", ["float16"], ()),
@@ -91,16 +89,11 @@ ARGUMENTS = {
     "mesh": ("a CollisionMesh|the mesh first", [[START]], ()),
     "motion": ("a RigidMotion", [POSES], NONE),
     "gradient": ("a ToiGradient", [], ()),
-    "vertices_t0": (ROWS, [], ()),
     "vertices_t1": (r"(shape )?\(6, 3\) like vertices_t0|both vertices_t0 and vertices_t1|" + DEVICE, [], ()),
     "vertices_t1 of launch of displacements": ("one of them", [], NONE),
     "displacements": (DEVICE, [], ()),
     "vertices_t1 of mesh_ccd beside a static body": (r"(shape )?(\(n, 3\)|\(6, 3\) like .* or \(3, 3\))", [], ()),
     "displacements of CollisionPipeline.launch": ("one of them", [], NONE),
-    "positions": (ROWS, [], ()),
-    "points_t0": (POINTS, [np.zeros((2, 3, 5))], ()),
-    "points_t1": (POINTS + "|", [np.zeros((2, 3, 5))], ()),
-    "vertices": (ROWS, [], ()),
     "vertices of CollisionPipeline.reserve": (ROWS, [], NONE),
     "vertices of CollisionMesh.from_volume": (r"(shape )?\(n, 3\)|indices in \[0, 0\)", [], ()),
     "vertices of body 0": (r"(shape )?\(n, 3\)|positions|indices in \[0, 0\)", [], ()),
@@ -127,23 +120,14 @@ ARGUMENTS = {
     "names": (r"\d, one a body|(a list of|printable) texts", ["cloth", ["cloth", 7]], (*NONE, "array of texts")),
     "vertex_world": (r"integers and (shape )?\(6,\)", [np.zeros(6)], NONE),
     "radius": (f"{LENGTH}, or an array of these|a number, shape|real numbers", [-1.0], (*ZERO, *NONE, *NUMBERS)),
-    "point": (r"\(3,\)|3 numbers", [], ()),
-    "normal": (r"\(3,\)|3 numbers", [], ()),
     "poses_t0": (r"shape \(B, 7\), position and quaternion", [], ()),
     "poses_t1": (r"shape \(B, 7\), position and quaternion|the poses at the end of the step, or twist", [], ()),
     "poses_t1 of RigidMotion of a twist": (r"shape \(B, 7\), position and quaternion", [], NONE),
-    "path of rigid_ccd": ("'linear' or 'screw'", ["arc"], ()),
-    "path of RigidMotion": ("'linear' or 'screw'", ["arc"], ()),
-    "path of RigidMotion of a twist": ("'linear' or 'screw'", ["arc"], ()),
-    "path of RigidMotion.from_scalar_first": ("'linear' or 'screw'", ["arc"], ()),
-    "path of read_poses": ("'linear' or 'screw'", ["arc"], ()),
     "pivot": (r"shape \(3,\) or \(2, 3\), in the bodies' frames", [], NONE),
     "twist": (r"shape \(B, 6\), linear part first, then angular", [], NONE),
     "twist of RigidMotion of a twist": (r"shape \(B, 6\)|the poses at the end of the step, or twist", [], ()),
     "t": (FRACTION + "|real numbers", [1.5, -1e-300, [0.5]], ZERO),
     "t of to_pyvista": (r"a number in \[0, 1\]", [1.5], ZERO),
-    "affine_t0": (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ()),
-    "affine_t1": (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ()),
     "points": (r"(shape )?\(n, 3\)|\(0,\), as many as points", [], ()),
     "body": (r"\(3,\), as many as points|shape \(n,\)", [], ()),
     "result": ("a MeshResult", [], ()),
@@ -152,17 +136,21 @@ ARGUMENTS = {
     "camera": ("three finite numbers, not all 0", [(0, 0, 0), "left"], NONE),
     "colour": ("'vertex_toi' or 'body'", ["red"], ()),
     "size": (r"width and height in \[150, 4000\] pixels", [(10, 10), 7], ()),
-    "name": ("a text", [], ("text", "empty text", "text with a null")),
-    "name of Joint": ("the name of a joint or link", [], ("text", "text with a null")),
-    "parent": ("the name of a joint or link", [], ("text", "text with a null")),
-    "child": ("the name of a joint or link", [], ("text", "text with a null")),
+    **dict.fromkeys(["vertices_t0", "positions", "vertices"], (ROWS, [], ())),
+    **dict.fromkeys(["t_max of draw_step", "t_max of render_step"], (r"a number in \(0, 1\]", [1.5, 0.0], REAL)),
+    **dict.fromkeys(["name of Joint", "parent", "child"], ("the name of a joint or link", [], TEXTS)),
+    **dict.fromkeys(["q0", "q1"], (r"shape \(1,\), one number a coordinate of the joints|real numbers", [], ())),
+    **dict.fromkeys(["point", "normal"], (r"\(3,\)|3 numbers", [], ())),
+    **dict.fromkeys(["affine_t0", "affine_t1"], (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ())),
+    **dict.fromkeys(["points_t0", "points_t1"], (POINTS, [np.zeros((2, 3, 5))], ())),
+    **dict.fromkeys(["progress", "surface"], ("True or False", [], FLAG)),
+    **{f"path of {call}": ("'linear' or 'screw'", ["arc"], ()) for call in WITH_PATHS},
+    "name": ("a text", [], (*TEXTS, "empty text")),
     "axis": ("three finite numbers, not all 0", [], ()),
     "origin": (POSE, [], ()),
     "base": (POSE, [], NONE),
     "joints": ("(a Joint|joints|at least one joint)", [], ()),
     "links": ("names of links", [], NONE),
-    "q0": (r"shape \(1,\), one number a coordinate of the joints|real numbers", [], ()),
-    "q1": (r"shape \(1,\), one number a coordinate of the joints|real numbers", [], ()),
     "packages": ("folders by the names of packages", [], (*NONE, "empty dict")),
     "kind": ("'vertex-face' or 'edge-edge'", ["point-point", ccd.PairKind.POINT_POINT, ["edge-edge"]], NONE),
     "kind of Queries": ("'vertex-face' or 'edge-edge'", ["ee"], ()),
@@ -175,10 +163,8 @@ ARGUMENTS = {
     "i": ("an index of 1 queries|the index of a query", [1], ("minus one",)),
     "ids": (r"integers of shape \(n, 2\)|integers from 0", [np.ones((3, 2)), np.array([[0, -1]])], ()),
     "step": ("a SimulationStep", [], ()),
-    "progress": ("True or False", [], FLAG),
-    "surface": ("True or False", [], FLAG),
     "split": ("True, False or the name of a field of cells|a VTU, VTK, XDMF or NPZ file", [], FLAG),
-    "displacement": ("the name of a field", [], (*NONE, "text", "empty text", "text with a null")),
+    "displacement": ("the name of a field", [], (*NONE, *TEXTS, "empty text")),
     "faces": (PATH, [], NONE),
     "faces of edges_by_max": (r"integers of shape \(F, 3\)", [], ()),
     "paths": (rf"{PATH}|a path, or a list of paths", [], ()),
@@ -293,17 +279,8 @@ ARRAYS = [
 ]
 # Launches read arrays where they are, and what is written to a file is not converted.
 ON_DEVICE, WRITTEN = ("launch", "points_at"), ("Queries", "write_queries", "write_boxes", "edges_by_max")
-ANY_LENGTH = {
-    "points_t0",
-    "points",
-    "vertices of body 0",
-    "faces of body 0",
-    "edges of body 0",
-    "ids",
-    "faces",
-    "affine_t0",
-}
-ANY_LENGTH |= {"poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
+ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "ids", "faces"}
+ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
 
 
 @pytest.mark.parametrize(("call", "argument"), ARRAYS)
@@ -369,7 +346,6 @@ PAIR, LAUNCHED = wp.zeros((1, 4), dtype=wp.vec3d), PIPELINE.launch(START, END)
 # Arguments that do not fit each other, or a mesh: by the call what is changed, and the message.
 TOGETHER = {
     "mesh_ccd": [
-        ({"vertices_t0": put(START, (4, 1), np.inf)}, "vertices_t0 holds inf in row 4; expected finite"),
         ({"mesh": COPIES, "vertices_t0": np.zeros((6, 3, 3))}, r"\(6, 3, 3\); expected .*, or \(3, 6, 3\), with"),
         ({"minimum_distance": 1.0, "minimum_separation": 0.1}, "minimum_distance is 1.0 and minimum_separation is 0.1"),
         ({"memory_limit": 1}, r"memory_limit is 1 bytes; expected at least \d+"),
@@ -383,9 +359,6 @@ TOGETHER = {
         for call in ("mesh_ccd beside a static body", "collision_free_step", "is_step_collision_free", "line_search")
     },
     "find_candidates": [(MOVED, "vertex 0 of body 1, which is static, by 1.* kinematic=")],
-    "find_proximity": [({"positions": put(START, 0, np.nan)}, "positions holds nan in row 0")],
-    "displacement_bounds": [({"positions": put(START, 0, np.inf)}, "positions holds inf in row 0")],
-    "find_intersections": [({"positions": START.astype(complex)}, "positions has dtype complex128; expected real")],
     "launch of displacements": [({"vertices_t1": END}, "both of vertices_t1 and displacements is given; expected one")],
     "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
     "CollisionPipeline.launch": [
@@ -396,7 +369,6 @@ TOGETHER = {
         ({"vertices_t1": END[::-1]}, r"vertices_t1 has strides \(-24, 8\); expected a contiguous array"),
         ({"vertices_t0": START.ravel()}, r"dtype float64 and shape \(18,\); expected vec3f or vec3d and \(n,\)"),
     ],
-    "CollisionPipeline.reserve": [({"vertices": put(START, 0, np.nan)}, "vertices holds nan in row 0")],
     "DeviceContacts.points_at": [
         ({"vertices_t1": END[:-1]}, "vertices_t1 has 5 rows; expected 6"),
         ({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"),
@@ -408,9 +380,7 @@ TOGETHER = {
         ({"points_t0": wp.zeros((1, 4), dtype=wp.vec3f), "points_t1": PAIR}, "points_t0 has dtype vec3f and shape"),
         ({"points_t0": PAIR, "points_t1": wp.zeros((3, 4), dtype=wp.vec3d)}, r"has shape \(3, 4\); expected \(1, 4\)"),
     ],
-    "edge_edge_ccd": [({"points_t1": np.full((1, 4, 3), -np.inf)}, "points_t1 holds -inf in pair 0; expected finite")],
     "point_point_ccd": [({"minimum_distance": 1.0, "minimum_separation": 0.1}, "is 0.1; expected one")],
-    "PairResult.toi_gradient": [({"points_t0": np.zeros((2, 4, 3))}, r"points_t0 has shape \(2, 4, 3\)")],
     "rigid_ccd": [
         ({"poses_t0": [REST], "poses_t1": [REST]}, "poses_t0 is of 1 body; expected 2 bodies, those of the mesh but"),
         ({"mesh": COPIES, "poses_t0": [REST] * 2, "poses_t1": [REST] * 2}, "poses_t0 is of 2 bodies; expected 6"),
@@ -418,7 +388,6 @@ TOGETHER = {
     ],
     "AffineMotion": [
         ({"affine_t1": AFFINE[:1]}, r"affine_t1 has shape \(1, 3, 4\); expected \(2, 3, 4\) like affine_t0"),
-        ({"affine_t1": put(AFFINE, 0, np.nan)}, "affine_t1 holds nan for body 0; expected finite"),
     ],
     "AffineMotion.positions_t0": [({"body": [0, 2, 0]}, r"body holds index 2; expected indices in \[0, 2\)")],
     "RigidMotion": [
@@ -426,7 +395,6 @@ TOGETHER = {
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
     ],
     "RigidMotion of a twist": [
-        ({"twist": put(np.zeros((2, 6)), (1, 3), np.nan)}, "twist holds nan for body 1"),
         ({"twist": [REST[:6]]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
         ({"twist": put(np.zeros((2, 6)), (1, 5), -1e6)}, "twist turns body 1 by 1e.06 rad; expected less than 1e.06"),
     ],
@@ -441,7 +409,6 @@ TOGETHER = {
         ({"vertex_world": [6] * 6}, "holds 6; expected worlds from 0 on, below the number of vertices, 6"),
         ({"vertex_world": [0, 0, 1, 0, 0, 0]}, r"vertex_world gives face 0 of face worlds \[0, 0, 1\]; expected one"),
     ],
-    "CollisionMesh.frame": [({"vertices": START[:, None]}, r"shape \(6, 1, 3\); expected \(6, 3\) one row a vertex")],
     "CollisionMesh.replicate": [({"count": 10**9}, "count is 1000000000; expected at most")],
     "CollisionMesh.excluding": [({"exclude_pairs": LAUNCHED.contacts}, r"or contacts or proximities .*to_host\(\)")],
     "draw_step": [(THICK_FRAMES | {"result": OF_COPIES}, r"result\.vertex_toi has shape \(18,\); expected \(6,\)")],
@@ -452,10 +419,6 @@ TOGETHER = {
     ],
     "Queries": [({"sources": (("a", 2),)}, "sources count 2 queries; expected 1 like points_t0")],
     "Queries.joined": [({"parts": []}, r"of the kinds \[\]; expected one or more parts")],
-    "write_queries": [
-        ({"points_t0": put(POINTS_T0, (0, 2, 0), np.nan)}, r"points_t0\[0, 2, 0\] is nan; expected finite coordinates"),
-        ({"truth": np.ones(2, bool)}, r"truth is bool of shape \(2,\); expected bool of shape \(1,\)"),
-    ],
     "write_step": [
         ({"step": datasets.SimulationStep(START, END[:4], FACE)}, r"vertices_t1 has shape \(4, 3\); expected \(6, 3\)"),
         ({"step": datasets.SimulationStep(START, END, FACE + 4)}, "faces holds indices from 4 to 6; expected 0 to 5"),
@@ -485,15 +448,8 @@ MESHES = [
             ((np.eye(5, 3), [[0, 1, 7]]), "faces of body 0 holds index 7", r"indices in \[0, 5\)"),
             ((np.eye(5, 3), [[0, 1, -1]]), "faces of body 0 holds index -1", r"indices in \[0, 5\)"),
             ((np.zeros((0, 3)), FACE), "faces of body 0 holds index 0", r"indices in \[0, 0\)"),
-            ((np.eye(3), [[0, 1]]), r"faces of body 0 has shape \(1, 2\)", r"\(n, 3\)"),
-            ((np.eye(3), [[0.0, 1, 2]]), "faces of body 0 has dtype float64", "integers"),
-            ((np.eye(4), FACE), r"vertices of body 0 has shape \(4, 4\)", r"\(n, 3\)"),
-            ((np.full((3, 3), np.nan), FACE), "vertices of body 0 holds nan in row 0", "finite values"),
-            ((np.eye(3, dtype=complex), FACE), "vertices of body 0 has dtype complex128", "real numbers"),
             (np.eye(3), "body 0 is a ndarray", r"a pair \(vertices, faces\) or a triple \(vertices, faces, edges"),
             ((*EYE, [[0, 3]]), "edges of body 0 holds index 3", r"indices in \[0, 3\)"),
-            ((*EYE, [[0, 1, 2]]), r"edges of body 0 has shape \(1, 3\)", r"\(n, 2\)"),
-            ((SEGMENT, [[0, 1, 1]]), r"edges of body 0 has shape \(1, 3\)", r"\(n, 2\)"),
             ((SEGMENT, [], EDGE), r"body 0 is in the plane and has 3 arrays", r"a pair \(vertices, edges\)"),
             ((SEGMENT, [[0, 2]]), "edges of body 0 holds index 2", r"indices in \[0, 2\)"),
             ((SEGMENT + [np.inf, 0], EDGE), "vertices of body 0 holds .* in row 0", "finite"),
@@ -505,22 +461,13 @@ MESHES = [
     ([EYE, (SEGMENT, EDGE)], {}, "body 0 has 3 columns and those of body 1 2; expected all"),
     ([EYE] * 3 + [FLOOR], {"rigid": [3]}, "rigid holds body 3, a half-space"),
     ([EYE, FLOOR], {"radius": [0.1, 0.2]}, r"radius holds 0.2 for body 1; expected 0, as a half-space has no"),
-    (
-        [(np.zeros((0, 3)), FACE[:0]), (np.eye(2, 3), FACE[:0])],
-        {"radius": [1, 2]},
-        "as many entries as there are bodies",
-    ),
+    ([(np.eye(3)[:n], FACE[:0]) for n in (0, 2)], {"radius": [1, 2]}, "as many entries as there are bodies"),
     *(
         (SHEET_AND_BEAD, NAMED | {"radius": radius}, f"radius {message}")
         for radius, message in [
-            (-1.0, "is -1.0; expected a finite length of at least 0"),
-            (1 << 1100, "is 1.*that float64 can hold"),
-            (2**53 + 1, "is .* without rounding"),
             ([0.1], r"has shape \(1,\); expected a number, shape \(2,\), one a body, or \(4,\), one a vertex"),
             ([0.1, -0.2], "holds -0.2 in entry 1; expected finite lengths of at least 0"),
             ([0, 0, np.inf, 0], "holds inf in entry 2 of sheet"),
-            (np.array(-1.0), "holds -1.0 in entry 0"),
-            ([True, False], "has dtype bool"),
             ([0.1, None], "has dtype object"),
             ([[0.1], [0.1, 0.2]], "is not an array"),
             ([2**53 + 1, 0.5], "holds 9007199254740993 in entry 0"),
@@ -548,17 +495,10 @@ MESHES = [
             ("bodies", [[0, 3]], r"\['bodies'\] holds body 3 in row 0; expected an index in \[0, 3\)"),
             ("bodies", [["a", "c"], ["a", "b"]], r"\['bodies'\] holds 'b'; expected indices or names of the mesh's"),
             ("bodies", [[0, 1], [2]], r"\['bodies'\] is not an array"),
-            ("bodies", "ab", r"\['bodies'\] is 'ab'; expected pairs of body indices or names"),
             ("bodies", ["ac"], r"\['bodies'\] is 'ac'; expected pairs of body indices or names"),
             ("bodies", [[0, True], [0, 1.5]], r"\['bodies'\] has dtype float64; expected integers"),
-            ("vertices", [[0, 1, 2]], r"\['vertices'\] has shape \(1, 3\); expected \(k, 2\)"),
             ("vertices", 3, r"\['vertices'\] is 3; expected integers and shape \(k, 2\)"),
-            ("edge_edge", [[0.0, 1.0]], r"\['edge_edge'\] has dtype float64; expected integers"),
-            (
-                "edge_edge",
-                np.broadcast_to(np.int8(0), (2**27 + 1, 2)),
-                "has 134217729 pairs; expected at most 134217728",
-            ),
+            ("edge_edge", np.broadcast_to(np.int8(0), (2**27 + 1, 2)), "has 134217729 pairs; expected at most"),
             ("point_point", [[6, 7], [0, 6]], r"\['point_point'\] holds 0 in row 1; expected a codimensional point"),
             ("point_segment", [[6, 0]], r"\['point_segment'\] holds 0 in row 0; expected a codimensional edge"),
         ]

@@ -239,7 +239,7 @@ def sliding(name, share, frames):
 
 @pytest.mark.parametrize("frames", [20, pytest.param(300, marks=pytest.mark.long)])
 @pytest.mark.parametrize("thickness", ["radius", "minimum_distance"])
-@pytest.mark.parametrize("name", ["sheet", "rope", "piston"])
+@pytest.mark.parametrize("name", ["sheet", "rope", pytest.param("piston", marks=pytest.mark.long)])
 def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thickness, frames):
     for seed, share in enumerate((1.0, 0.3) if frames < 300 else (1.0, 0.999, 0.3)):
         rng = np.random.default_rng(seed)

@@ -22,11 +22,7 @@ from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from exact import exact_tois
 from hard_cases import FAMILIES
-from rounding_samples import cross, drawn, exactly
-
-REALS = {"float64": wp.float64, "float32": wp.float32}
-FLOATS = {"float64": np.float64, "float32": np.float32}
-KINDS = {"vertex-face": 0, "edge-edge": 1}
+from rounding_samples import CORNERS, FLOATS, KINDS, REALS, cross, drawn, dropped, exactly
 
 # Columns of the kernel's output, in the order in which it writes them.
 _LAYOUT = {
@@ -249,8 +245,7 @@ class Sample:
         unit = self.out["unit"]
         points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
         # (corner, side) as in kernels/pair/patch.py, from the definition of each pair kind
-        rows = {"vertex-face": ((0, 1), (0, 2), (0, 3), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
-        self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in rows] for p in points]
+        self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in (*CORNERS[kind], (0, 3))[:4]] for p in points]
         sides = {"vertex-face": ((1, 2), (1, 3)), "edge-edge": ((2, 3), (1, 0))}[kind]
         self.sides = [[(p[:, i] - p[:, j]) / unit for i, j in sides] for p in points]
         self.m = self.out["size"]
@@ -548,8 +543,7 @@ def test_clip_is_a_lower_bound(separation, kind, real):
     clipped_some = 0
     for family in _CLIP_FAMILIES:
         points = FAMILIES[family](kind, 60, rng)
-        rows = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
-        start, end = ([p[:, i] - p[:, j] for i, j in rows] for p in points)
+        start, end = ([p[:, i] - p[:, j] for i, j in CORNERS[kind]] for p in points)
         t = rng.choice([0.0, 0.25, 0.5], 60)
         # a direction that separates at t in general, as the closest pair's does: the mean corner, and noise
         size = np.maximum(np.abs(start).max(axis=0), np.abs(end).max(axis=0)) + 1e-300
@@ -560,7 +554,7 @@ def test_clip_is_a_lower_bound(separation, kind, real):
         for i in np.flatnonzero(s > t):
             clipped_some += 1
             stop = Fraction(min(float(s[i]), 1.0))
-            for a, b in rows:
+            for a, b in CORNERS[kind]:
                 # linear in time, so both ends of [t, s] tell; at s itself d may just cease to separate
                 products = []
                 for time in (Fraction(float(t[i])), stop):
@@ -610,11 +604,7 @@ def test_cull_drops_no_contact(test, separation, scale, t_end, kind):
     num_dropped = 0
     for family in ("random", "one_plane", "parallel_edges", *_CLIP_FAMILIES):
         points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 100, rng)]
-        dropped, *wider = (culled(kind, *points, w, separation=separation, t_end=t_end, test=test) for w in WIDTHS)
-        assert all(np.array_equal(dropped, each) for each in wider)
-        exact = exact_tois(kind, *(p[dropped] for p in points), separation, t_end)
-        assert not any(truth.hit for truth in exact)
-        num_dropped += dropped.sum()
+        num_dropped += dropped(kind, points, exact_tois, separation, t_end, test=test).sum()
     assert num_dropped > 10 or scale != "as_drawn"
 
 
@@ -646,13 +636,12 @@ def make_end_probe():
         b: wp.array[wp.vec3d],
         t: wp.array[wp.float64],
         # out
-        lower: wp.array[wp.vec3d],
-        upper: wp.array[wp.vec3d],
+        ends: wp.array2d[wp.vec3d],
     ):
         i = wp.tid()
         box = end_box(a[i], b[i], t[i])
-        lower[i] = box.lower
-        upper[i] = box.upper
+        ends[i, 0] = box.lower
+        ends[i, 1] = box.upper
 
     return end_probe
 
@@ -665,18 +654,12 @@ def test_box_at_the_end_of_a_shorter_step_holds_the_point(exponent):
     b[::3] = np.nextafter(a[::3], np.inf)
     a[1::7] *= 1e-9
     t = rng.random(n) ** rng.integers(1, 20, n)
-    boxes = [wp.empty(n, dtype=wp.vec3d) for _ in range(2)]
-    points = [wp.array(x, dtype=wp.vec3d) for x in (a, b)]
-    times = wp.array(t, dtype=wp.float64)
-    wp.launch(make_end_probe(), dim=n, inputs=[*points, times], outputs=boxes)
-    lower, upper = (box.numpy() for box in boxes)
-    tight = 0
-    for i in range(n):
-        for k in range(3):
-            exact = Fraction(a[i, k]) + Fraction(t[i]) * (Fraction(b[i, k]) - Fraction(a[i, k]))
-            assert Fraction(lower[i, k]) <= exact <= Fraction(upper[i, k])
-            tight += lower[i, k] < upper[i, k]
-    assert tight > n
+    ends, points = wp.empty((n, 2), dtype=wp.vec3d), [wp.array(x, dtype=wp.vec3d) for x in (a, b)]
+    wp.launch(make_end_probe(), dim=n, inputs=[*points, wp.array(t, dtype=wp.float64)], outputs=[ends])
+    x, y, s = exactly(a), exactly(b), exactly(t)[:, None]
+    lower, upper = ends.numpy().swapaxes(0, 1)
+    at = x + s * (y - x)
+    assert (exactly(lower) <= at).all() and (at <= exactly(upper)).all() and (lower < upper).sum() > n
 
 
 def test_constants_cover_the_steps():
