@@ -53,6 +53,13 @@ def sheets():
     return mesh, mesh.vertices, mesh.vertices - [0.02, 0.01, 0.4] * (mesh.vertex_body == 0)[:, None]
 
 
+def in_worlds():
+    """Three worlds of these sheets, of which one falls farther than another."""
+    mesh, start, end = sheets()
+    ends = [start + share * (end - start) for share in (0.2, 1.0, 0.6)]
+    return mesh.replicate(3), np.tile(start, (3, 1)), np.concatenate(ends)
+
+
 def apart(num_together=1):
     """Bodies without self-collision of which few come near another, or so many are in one place and may meet."""
     rng, number = np.random.default_rng(25), np.arange(24) // num_together
@@ -93,6 +100,7 @@ ON_DEVICE = {
     "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
+    "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
     "groups": StepCase(lambda: apart(2)),
     "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
@@ -161,7 +169,7 @@ def test_memory_changes_no_bit(scene):
     assert different(calls.batches(limited, *given, with_order=True), enough) == []
 
 
-@pytest.mark.parametrize("scene", [*range(16), "kinds", "sheet", "needles"])
+@pytest.mark.parametrize("scene", [*range(16), "kinds", "worlds", "needles"])
 def test_a_graph_changes_no_bit(scene):
     """Replays with other positions give what launches give."""
     truth, found = (calls.replays(case_of(scene), precision_of(scene), is_captured=k) for k in (False, True))
