@@ -71,6 +71,19 @@ def apart(num_together=1):
     return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (24, 3))[mesh.vertex_body]
 
 
+def slender():
+    """Needles around an axis, squeezed, whose pairs are searched in a frame of their own, as they are many."""
+    turn = np.linalg.qr([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]])[0]
+    angle, i = np.linspace(0, 2 * np.pi, 800, endpoint=False), np.arange(800)
+    rings = [np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0 * angle + z]) for z in (0.0, 10.0)]
+    x, j = np.concatenate(rings) @ turn.T, (i + 1) % 800
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(x, np.concatenate([np.stack([i, j, i + 800], 1), np.stack([j, j + 800, i + 800], 1)]))]
+    )
+    across = x @ turn[:, 0]
+    return mesh, x, x - 0.6 * np.outer(across - across.mean(), turn[:, 0])
+
+
 def needles():
     """Needles that cross each other, each in a world of its own: many take more iterations than a first round has."""
     start, end = (
@@ -109,6 +122,7 @@ ON_DEVICE = {
     "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
     "few iterations": StepCase(lambda: crowd(60), {"max_iterations": 3}),
     "levels": StepCase(lambda: crowd(900, size=0.02), {}, 90_000),
+    "slender": StepCase(slender, {}, 90_000),
 }
 NAMES = [name for name in CALLS if name != "batches"]  # which has a law of its own
 # Each seed with the call that has its turn, and each of the large scenes with some.
@@ -217,7 +231,7 @@ def assert_shared_bits(launched, host, *names):
 
 # --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
 
-_SEARCHED = ("levels", "tree lists", "thick lists")
+_SEARCHED = ("levels", "tree lists", "thick lists", "slender")
 ON_OTHER = [(NAMES[seed % len(NAMES)], seed) for seed in range(2 * len(NAMES))]
 ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene not in _SEARCHED for call in ("launches", "steps")]
 _MORE = {
@@ -254,7 +268,7 @@ def difference_of_devices(call, scene, other_device):
         return different(asked(call, scene), here)
 
 
-@pytest.mark.parametrize(("call", "scene"), ON_OTHER)
+@pytest.mark.parametrize(("call", "scene"), [*ON_OTHER, pytest.param("launches", "slender", marks=pytest.mark.long)])
 def test_the_device_changes_no_bit(call, scene, other_device):
     assert difference_of_devices(call, scene, other_device) == []
 
@@ -330,6 +344,7 @@ CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unit
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
+_LIKE_OTHERS += ("body_frames",)  # of bodies with so many edges that the scene of them is marked long
 
 
 @pytest.mark.emulated
