@@ -8,6 +8,7 @@ import warp as wp
 from distance_oracle import exact_distance_tois
 from flint import ctx
 from oracle import exact_tois
+from toi_scenes import array, taped
 
 import ccd_warp as ccd
 from laws.moving import Moves
@@ -301,17 +302,6 @@ def test_pairs_of_bodies_that_turn(kind, precision):
 
 
 # --- on a tape ---
-
-
-def array(values, dtype=wp.vec3d, requires_grad=True):
-    return wp.array(values, dtype=dtype, requires_grad=requires_grad)
-
-
-def taped(call):
-    """A tape on which a call is recorded, and what it returns."""
-    tape = wp.Tape()
-    with tape:
-        return tape, call()
 
 
 TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
