@@ -12,15 +12,7 @@ from ccd_warp._engine.mesh.topology import Topology, choose_quantization
 from ccd_warp._runtime.launch import Execution
 
 DEVICE = wp.get_device("cpu")
-
-
-class AsOnCuda(Execution):
-    """Launches kernels as on CUDA."""
-
-    is_cuda = True
-
-
-WAYS = Execution(DEVICE, 1), AsOnCuda(DEVICE, 1)
+WAYS = Execution(DEVICE, 1), type("AsOnCuda", (Execution,), {"is_cuda": True})(DEVICE, 1)
 
 
 def vertex_aabbs_of(topology, num_aabbs):
@@ -29,8 +21,8 @@ def vertex_aabbs_of(topology, num_aabbs):
     ends = [wp.array(x, dtype=wp.vec3d) for x in (mesh.vertices, mesh.vertices[::-1].copy())]
     packed = choose_quantization(topology, (mesh.vertices, mesh.vertices), num_aabbs).packed
     aabbs = wp.empty(mesh.num_vertices * num_aabbs * 8, dtype=wp.float32)
-    of_vertices = topology.of_vertices(wp.ones(mesh.num_bodies, dtype=wp.int32))
-    inputs = [wp.array(np.arange(mesh.num_vertices), dtype=wp.int32), *of_vertices, *ends, 1.0, 0.01]
+    inputs = [wp.array(np.arange(mesh.num_vertices), dtype=wp.int32)]
+    inputs += [*topology.of_vertices(wp.ones(mesh.num_bodies, dtype=wp.int32)), *ends, 1.0, 0.01]
     inputs += [topology.box_radius, packed, num_aabbs]
     WAYS[0].launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
     return aabbs
