@@ -56,39 +56,38 @@ def falling(height=1.0, **options):
     return mesh, mesh.vertices.copy(), end
 
 
+FORMS = {  # of positions of all vertices, by which of them move
+    "moving rows": lambda x, moving: x[moving],
+    "components": lambda x, _: x,
+    "worlds": lambda x, _: x.reshape(2, len(x) // 2, 3),
+}
+
+
 @pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
-@pytest.mark.parametrize("form", ["moving rows", "displacements", "components", "worlds"])
+@pytest.mark.parametrize("form", [*FORMS, "displacements"])
 def test_gradients_follow_the_form_of_the_input(dtype, form):
-    """Of launches and of line searches, whose height is 1 − 0.9 (1 − 0.1) by that of the upper triangle."""
     mesh, start, end = (falling if form == "worlds" else scene)(static=[0])
     end = np.where((mesh.vertex_body == 0)[:, None], start, end)
     if form == "worlds":
         mesh, start, end = mesh.replicate(2), np.tile(start, (2, 1)), np.tile(end, (2, 1))
-    real, moving = (np.float64 if dtype is wp.vec3d else np.float32), mesh.moving_vertices
-    start, end, pipeline = start.astype(real), end.astype(real), pipeline_of(mesh)
-    ends, tolerance = [array(start, dtype), array(end, dtype)], 1e-9 if dtype is wp.vec3d else 1e-4
+    start, end = (x.astype(np.float64 if dtype is wp.vec3d else np.float32) for x in (start, end))
+    pipeline, tolerance = pipeline_of(mesh), 1e-9 if dtype is wp.vec3d else 1e-4
+    ends, weights = [array(start, dtype), array(end, dtype)], np.random.default_rng(0).standard_normal(start.shape)
     of_start, of_end = gradients(pipeline, ends)
-    still = mesh.vertex_body % 2 == 0 if form == "worlds" else mesh.vertex_body == 0
-    assert np.abs(of_start).max() > 0.1 and np.abs(of_start[still]).max() > 0.0
-    weights = np.random.default_rng(0).standard_normal(start.shape)
+    assert np.abs(of_start).max() > 0.1
     shortened, of_search, _ = searched(pipeline, ends, weights, per="world")
     if form == "displacements":
         given = [array(start, dtype), array(end - start, dtype)]
         tape, result = taped(lambda: pipeline.launch(given[0], displacements=given[1]))
         found, expected, tolerance = pulled(tape, result, given), [of_start + of_end, of_end], 1e-4
     else:
-        change = {
-            "moving rows": lambda x: x[moving],
-            "components": lambda x: x,
-            "worlds": lambda x: x.reshape(2, len(x) // 2, 3),
-        }[form]
+        change = lambda x: FORMS[form](x, mesh.moving_vertices)  # noqa: E731
         of_form = wp.dtype_from_numpy(start.dtype) if form == "components" else dtype
-        given = [array(change(x), of_form) for x in (start, end)]
-        found, expected = gradients(pipeline, given), [change(of_start), change(of_end)]
+        found = gradients(pipeline, [array(change(x), of_form) for x in (start, end)])
         given = [array(change(x), of_form) for x in (start, end)]
         again, of_again, _ = searched(pipeline, given, change(weights), per="world")
         np.testing.assert_array_equal(again, change(shortened))
-        found, expected = found + of_again, expected + [change(x) for x in of_search]
+        found, expected = found + of_again, [change(x) for x in (of_start, of_end, *of_search)]
     for x, y in zip(found, expected, strict=True):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
 
@@ -125,28 +124,24 @@ def test_line_searches_change_as_their_gradients_say(make, per):
 
 
 def test_results_have_the_bits_of_a_launch_without_a_tape_and_of_any_threads_and_order(monkeypatch):
-    mesh, start, end = scene()
-    launch, expected, order = DeviceStep.launch, None, 0
+    (mesh, start, end), launch, found = scene(), DeviceStep.launch, []
 
     def launch_in_another_order(step, prepared):
         launch(step, prepared)
         contacts = step.result.contacts
-        count = int(contacts.count.numpy()[0])
-        rows = np.random.default_rng(order).permutation(count)
+        rows = np.random.default_rng(len(found)).permutation(int(contacts.count.numpy()[0]))
         for name in ("kind", "primitives", "toi", "status", "normal"):
             values = getattr(contacts, name).numpy()
-            values[:count] = values[rows]
+            values[: len(rows)] = values[rows]
 
     alone = pipeline_of(mesh).launch(array(start), array(end)).to_host()
-    for order, threads in enumerate((1, 2, 2, 1)):
-        given = [array(start), array(end)]
-        if order > 1:
-            monkeypatch.setattr(DeviceStep, "launch", launch_in_another_order)
-        tape, result = taped(lambda: pipeline_of(mesh, num_threads=threads).launch(*given))  # noqa: B023
-        found = pulled(tape, result, given)
+    for threads in (1, 2, 2, 1):
+        given, pipeline = [array(start), array(end)], pipeline_of(mesh, num_threads=threads)
+        monkeypatch.setattr(DeviceStep, "launch", launch_in_another_order if len(found) > 1 else launch)
+        tape, result = taped(lambda: pipeline.launch(*given))  # noqa: B023
+        found.append(pulled(tape, result, given))
         assert np.array_equal(result.vertex_toi.numpy(), alone.vertex_toi)
-        expected = expected or found
-        assert all(np.array_equal(x, y) for x, y in zip(found, expected, strict=True))
+        assert all(np.array_equal(x, y) for x, y in zip(found[-1], found[0], strict=True))
 
 
 def test_equal_tois_pass_their_gradient_to_the_first_contact():
@@ -188,29 +183,26 @@ def test_memory_of_tapes_is_used_again_once_they_are_dropped_and_no_sooner(monke
         given = [array(start), array(end)]
         return given, *taped(lambda: pipeline.launch(*given))
 
-    def check(k, given, tape, result):
-        gradient, is_regular = expected[k]
-        np.testing.assert_array_equal(result.is_regular().numpy(), is_regular)
-        assert all(np.array_equal(x, y) for x, y in zip(pulled(tape, result, given), gradient, strict=True))
+    def seen(given, tape, result):
+        return [result.is_regular().numpy().copy(), *pulled(tape, result, given)]
 
-    alone = [recorded(pipeline_of(mesh), x) for x in ends]
-    expected = [(pulled(tape, result, given), result.is_regular().numpy()) for given, tape, result in alone]
-    assert any(gradient[0].any() for gradient, _ in expected)
+    expected = [seen(*recorded(pipeline_of(mesh), x)) for x in ends]
+    assert any(gradient.any() for _, gradient, _ in expected)
     for order in (range(5), (4, 0, 3, 1, 2, 4), (0, 0)):
         alive = [(k, *recorded(pipeline, ends[k])) for k in order]
         for _, given, *_ in alive:
             given[0].fill_(1.0)
         kept = kept[::2] + alive[::2]
         del alive
-        for each in kept[::-1]:
-            check(*each)
+        for k, *each in kept[::-1]:
+            assert all(np.array_equal(x, y) for x, y in zip(seen(*each), expected[k], strict=True))
     monkeypatch.setattr(KeptCheck, "__del__", lambda check: (freed.append(check.count), delete(check)))
     gc.disable()
     try:
         for call in (pipeline.launch, pipeline.launch_line_search):
             tape, result = taped(lambda c=call: c(array(start), array(end)))
-            assert not freed
             tape.backward()
+            assert not freed
             del tape, result
             assert freed
             freed.clear()
@@ -232,15 +224,11 @@ def test_two_launches_on_one_tape_have_gradients_of_their_own():
 def test_a_graph_holds_both_passes(is_search):
     mesh, start, end = falling()
     pipeline, given, kept = pipeline_of(mesh), [array(start), array(end)], []
-    weights = wp.array(np.ones_like(start), dtype=wp.vec3d)
+    weights, call = array(np.ones_like(start)), pipeline.launch_line_search if is_search else pipeline.launch
 
     def both():
-        call = pipeline.launch_line_search if is_search else pipeline.launch
         tape, result = taped(lambda: call(*given))
-        if is_search:
-            wp.copy(given[1].grad, weights)
-        else:
-            result.toi.grad.fill_(1.0)
+        wp.copy(given[1].grad, weights) if is_search else result.toi.grad.fill_(1.0)
         tape.backward()
         kept.append((tape, result))
 
@@ -252,12 +240,9 @@ def test_a_graph_holds_both_passes(is_search):
         return [x.grad.numpy().copy() for x in given]
 
     expected = run(both, start, end)  # loads the kernels
-    for x in given:
-        x.grad.zero_()
     with wp.ScopedCapture(device=given[0].device) as capture:
         both()
-    elsewhere = run(lambda: wp.capture_launch(capture.graph), start * [1.0, 1, 0], end)
-    again = run(lambda: wp.capture_launch(capture.graph), start, end)
+    elsewhere, again = (run(lambda: wp.capture_launch(capture.graph), start * s, end) for s in ([1.0, 1, 0], 1.0))
     assert not np.array_equal(elsewhere[0], expected[0])
     assert all(np.array_equal(x, y) for x, y in zip(again, expected, strict=True))
 
@@ -306,30 +291,31 @@ def test_line_searches_say_what_of_them_has_no_derivative():
     close, ends, tiny = falling(0.05), falling(), falling(2.0**-20)  # within the distance; at the end; rounded away
     ends[2][3:, 2], tiny[2][3:, 2] = 0.0, -1.0
     single = {"precision": "float32", "start_gap_fraction": None, "minimum_distance": 0.0, "tolerance": 1e-6}
-    for (mesh, start, end), options, least, most in (
+
+    def search(scene, weights=(1.0, 1, 1), options={}, **search):  # noqa: B006
+        mesh, start, end = scene
+        weights = np.ones_like(start) * weights
+        return searched(pipeline_of(mesh, **options), [array(start), array(end)], weights, **search)
+
+    for step, options, least, most in (
         (close, {}, 0.0, 0.0),
         (ends, {"minimum_distance": 0.0}, 0.9, 0.9),
         (tiny, single, 1e-12, 0.25 * 2.0**-20),
     ):
-        shortened, found, is_regular = searched(
-            pipeline_of(mesh, **options), [array(start), array(end)], np.ones_like(start)
-        )
+        (_, start, end), (shortened, found, is_regular) = step, search(step, options=options)
         fraction = (shortened - start)[3, 2] / (end - start)[3, 2]
         assert least * (1 - 1e-9) <= fraction <= most * (1 + 1e-9)
         assert not is_regular.any() and not np.any(found[1])
         np.testing.assert_array_equal(found[0], 1.0 if fraction == 0 else 0.0)
     for per, height in (("body", 0.05), ("vertex", 0.1 - 2.0**-52)):
-        mesh, start, end = sliding(height)
-        weights = np.ones_like(start) * [0, 0, 1.0]
-        shortened, found, is_regular = searched(pipeline_of(mesh), [array(start), array(end)], weights, per=per)
+        shortened, found, is_regular = search(sliding(height), (0, 0, 1.0), per=per)
         # it keeps from the wall what it kept before
         np.testing.assert_allclose([shortened[6, 0], shortened[12, 2]], [0.9 * (1.0 - height), 0.19], rtol=1e-9)
-        np.testing.assert_array_equal(is_regular[6:], mesh.vertex_body[6:] != 2)
-        assert not any(x[mesh.vertex_body == 2].any() for x in found)
-    mesh, start, end = falling(kinematic=[1])  # goes all the way
-    shortened, found, _ = searched(pipeline_of(mesh), [array(start), array(end)], np.ones_like(start))
-    np.testing.assert_array_equal(shortened, end)
-    np.testing.assert_array_equal(found[1][3:], 1.0)
+        np.testing.assert_array_equal(is_regular[6:], np.arange(6, 15) > 8)
+        assert not any(x[6:9].any() for x in found)
+    _, start, end = step = falling(kinematic=[1])  # goes all the way
+    shortened, found, _ = search(step)
+    assert np.array_equal(shortened, end) and (found[1][3:] == 1.0).all()
 
 
 def test_vertices_that_take_no_part_leave_gradients_numbers():
@@ -359,35 +345,29 @@ def test_contacts_of_any_pass_that_have_no_gradient_are_flagged_and_have_one_aft
 
 def test_nothing_is_recorded_where_no_gradient_is_asked_for():
     mesh, start, end = scene()
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1)
-    x, y = (array(values, requires_grad=False) for values in (start, end))
+    pipeline, (x, y) = pipeline_of(mesh), (array(values, requires_grad=False) for values in (start, end))
     points = [array(values, requires_grad=False) for values in np.random.default_rng(0).standard_normal((2, 3, 4, 3))]
-
-    def calls():
-        pipeline.launch(x, y).contacts.order_by_toi()
-        pipeline.mesh_ccd(start, end)
-        pipeline.launch_proximity(x, 0.1).to_host()
-        pipeline.launch_displacement_bounds(x, 0.1)
-        pipeline.launch_line_search(x, wp.clone(y))
-        pipeline.find_candidates(start, end)
-        return ccd.vertex_face_ccd(*points).hit
-
-    assert not taped(calls)[0].launches
+    for call in (
+        lambda: pipeline.launch(x, y).contacts.order_by_toi(),
+        lambda: pipeline.mesh_ccd(start, end),
+        lambda: pipeline.launch_proximity(x, 0.1).to_host(),
+        lambda: pipeline.launch_displacement_bounds(x, 0.1),
+        lambda: pipeline.launch_line_search(x, wp.clone(y)),
+        lambda: ccd.vertex_face_ccd(*points).hit,
+    ):
+        assert not taped(call)[0].launches
 
 
 def test_who_asks_for_what_has_no_gradient_is_told_why():
     mesh, start, end = scene()
     ends, points = [array(start), array(end)], np.random.default_rng(0).standard_normal((2, 3, 4, 3))
-    pipeline, shared = pipeline_of(mesh), pipeline_of(mesh, start_gap_fraction=0.5)
-    thick = pipeline_of(thick_scene()[0])
+    pipeline, shared, thick = (pipeline_of(m, **o) for m, o in (
+        (mesh, {}), (mesh, {"start_gap_fraction": 0.5}), (thick_scene()[0], {})))  # fmt: skip
     thick.radius.requires_grad = True
-    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
+    motion = {"motion": ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))}
     turns = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0]))
-    contacts = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.1).contacts
     halved = ccd.vertex_face_ccd(*points, minimum_separation=0.1, start_gap_fraction=0.5)
-    result, on_device = ccd.vertex_face_ccd(*points), ccd.vertex_face_ccd(*(array(x) for x in points))
-    integers = wp.zeros((len(start), 3), dtype=wp.int32)
-    without = array(end, requires_grad=False)
+    integers, without = wp.zeros((len(start), 3), dtype=wp.int32), array(end, requires_grad=False)
     for call, message in (
         (lambda: shared.launch(*ends), "expected 'hold' or None for gradients"),
         (lambda: shared.launch_line_search(*ends), "expected 'hold' or None for gradients"),
@@ -398,18 +378,12 @@ def test_who_asks_for_what_has_no_gradient_is_told_why():
         (lambda: thick.launch_proximity(without, 0.1), "radius requires a gradient .* finds no times of impact"),
         (lambda: pipeline.launch(integers, integers), "vertices_t0 has dtype int32"),
         (lambda: ccd.vertex_face_ccd(*2 * [integers.reshape((1, -1, 3))[:, :4]]), "points_t0 has dtype int32"),
-        (
-            lambda: turns.launch(*2 * [array(TRIANGLE)], motion=motion),
-            r"a motion is not recorded.*gradient_by_poses\(\)",
-        ),
+        (lambda: turns.launch(*2 * [array(TRIANGLE)], **motion), r"motion is not recorded.*gradient_by_poses\(\)"),
         (lambda: pipeline.launch_line_search(*ends).is_regular("edge"), "per is 'edge'"),
-        (lambda: ccd.Contacts(**vars(contacts)).toi_gradient(), "arrays alone"),
         (lambda: halved.toi_gradient(*points), r"start_gap_fraction is 0\.5; expected 'hold' or None"),
-        (lambda: result.toi_gradient(points[0], points[1, :2]), r"points_t1 has shape \(2, 4, 3\)"),
-        (lambda: result.toi_gradient(*points[:, :2]), "points_t0 has shape"),
-        (lambda: on_device.toi_gradient(*points), "NumPy arrays"),
+        (lambda: ccd.vertex_face_ccd(*points).toi_gradient(points[0], points[1, :2]), r"has shape \(2, 4, 3\)"),
+        (lambda: ccd.vertex_face_ccd(*points).toi_gradient(*points[:, :2]), "points_t0 has shape"),
+        (lambda: ccd.vertex_face_ccd(*map(array, points)).toi_gradient(*points), "NumPy arrays"),
     ):
         with wp.Tape(), pytest.raises(ValueError, match=message):
             call()
-    with pytest.raises(ValueError, match="the launch was not recorded; expected one inside a"):
-        pipeline.launch_line_search(array(start), array(end)).is_regular()

@@ -108,40 +108,25 @@ def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance
     assert ccd.mesh_ccd(mesh, start, end, motion=turn, length_scale=motion * least).toi <= distance / motion
 
 
-def test_pendulum_that_dips_into_a_ground_is_counted_in_all_slices():
-    """It is under the ground in the middle of the step, and far from it where the step ends."""
-    bob = (np.array([[0.0, 0, -1]]), NO_FACES)
-    mesh = ccd.CollisionMesh.from_arrays([bob, GROUND], rigid=[0], codimensional_points=True)
-    poses = [[[0, 0, 0.99, 0, np.sin(angle / 2), 0, np.cos(angle / 2)]] for angle in (-1.0, 1.0)]
-    counts = ccd.mesh_ccd(mesh, *2 * [mesh.vertices], motion=ccd.RigidMotion(*poses)).counts
-    kind = ccd.PairKind.VERTEX_PLANE
-    assert counts.num_contacts[kind] == 1 <= counts.num_after_cull[kind] == counts.num_candidates[kind]
-    assert counts.num_searches[kind] == 10  # slices of 0.2 rad
-
-
 @pytest.mark.parametrize("turn", [0.0, 0.3, 1.5, 7.0])
 def test_square_in_the_plane_and_cube_in_space_land_on_a_corner(turn):
     """On half of the plane or space, by every call, within a distance."""
     square = (np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) / 2, [[0, 1], [1, 2], [2, 3], [3, 0]])
     t = np.linspace(0, 1, 1_000_001)
     lands = t[np.argmax(1.2 - t <= 0.5 * (abs(np.cos(turn * t)) + abs(np.sin(turn * t))))]
-    cases = (square, ccd.HalfSpace([0, 0], [0, 1]), [0, 1.2, 0], [0, -1.0, 0, 0, 0, turn])
     for body, ground, place, twist in (
-        cases,
+        (square, ccd.HalfSpace([0, 0], [0, 1]), [0, 1.2, 0], [0, -1.0, 0, 0, 0, turn]),
         ((BOX.vertices, BOX.faces), GROUND, [0, 0, 1.2], [0, 0, -1.0, turn, 0, 0]),
     ):
         mesh, up = ccd.CollisionMesh.from_arrays([body, ground], rigid=[0]), np.sign(place)
         for distance in (0.0, 0.01):
-            drop = [[*(place + distance * up), 0, 0, 0, 1]]
-            motion, x = ccd.RigidMotion(drop, twist=[twist]), mesh.vertices
+            drop, x = [[*(place + distance * up), 0, 0, 0, 1]], mesh.vertices
+            motion = ccd.RigidMotion(drop, twist=[twist])
             pipeline = ccd.CollisionPipeline(mesh, minimum_distance=distance)
-            result = pipeline.mesh_ccd(x, x, motion=motion)
+            result, found = pipeline.mesh_ccd(x, x, motion=motion), pipeline.line_search(x, x, motion=motion)
             assert result.toi == pytest.approx(lands, abs=2e-6)
             assert result.contacts.normal[0] == pytest.approx(up[: mesh.dimension], abs=1e-6)
-            assert result.contacts.points.shape[1] == result.contacts.relative_velocity.shape[1] == mesh.dimension
-            launched = pipeline.launch(x, x.copy(), motion=motion).to_host()
-            assert launched.toi == result.toi == pipeline.collision_free_step(x, x, motion=motion)
-            found = pipeline.line_search(x, x, motion=motion)
+            assert pipeline.launch(x, x.copy(), motion=motion).to_host().toi == result.toi
             assert 0.89 * lands < found.fraction < lands and pipeline.mesh_ccd(x, x, motion=found.motion).toi == np.inf
             worlds = ccd.RigidMotion([drop, drop], twist=[[twist], np.zeros((1, 6))])
             assert pipeline.mesh_ccd(x, x, motion=worlds).world_toi.tolist() == [result.toi, np.inf]
@@ -184,19 +169,11 @@ def test_vertices_that_take_no_part_make_no_body_larger(far):
 # --- line searches ---
 
 
-def test_blades_of_a_fan_close_up_one_behind_another_and_are_shortened_from_where_they_were():
-    """On the device; in the second scene a blade is stopped by a point, then by a larger one that has been stopped."""
+def test_blades_of_a_fan_close_up_one_behind_another():
     mesh, poses = fan([0.0, 0.3, 0.6], [at_angle(0.9)])
     found = ccd.CollisionPipeline(mesh).launch_line_search(*step_of(mesh), motion=spins(poses, 1, 1, 1), per="body")
     angles = np.array([0.0, 0.3, 0.6]) + found.to_host().body_fraction[:3]
-    assert found.to_host().body_fraction[2] == pytest.approx(0.9 * 0.3, abs=1e-12)
-    assert (np.diff(angles) > 0.0).all() and angles[-1] < 0.9
-    bodies = [(scale * BLADE, FACE) for scale in (0.5, 1.0)] + [POINT] * 2
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[2, 3], rigid=range(4))
-    poses = [AT_REST, about_z(0.5), *([*at_angle(a, r), 0, 0, 0, 1] for r, a in ((0.7, 1.5), (1.8, 0.7)))]
-    found = ccd.CollisionPipeline(mesh).launch_line_search(*step_of(mesh), motion=spins(poses, 2, 2), per="body")
-    first = 0.9 * np.array([1.5, 0.2])
-    assert found.motion.turns[:2] == pytest.approx(0.9 * 0.5 / (first[0] - first[1]) * first, abs=1e-12)
+    assert angles[2] == pytest.approx(0.6 + 0.9 * 0.3, abs=1e-12) and (np.diff(angles) > 0.0).all()
 
 
 def step_of(mesh):
@@ -231,12 +208,10 @@ def test_kinematic_rotor_goes_on_through_what_stays_or_is_stopped_and_says_so(up
 @pytest.mark.parametrize("spin", [0.0, 0.3, 3.0])
 def test_box_within_its_distance_leaves_and_slides_but_comes_no_nearer(other, spin):
     """A launch that is no search says that it starts within its distance."""
-    below = (
-        (BOX.vertices * [3, 3, 1] - [0, 0, 1], BOX.faces) if other == "box" else ccd.HalfSpace([0, 0, -0.5], [0, 0, 1])
-    )
+    box = other == "box"
+    below = (BOX.vertices * [3, 3, 1] - [0, 0, 1], BOX.faces) if box else ccd.HalfSpace([0, 0, -0.5], [0, 0, 1])
     mesh = ccd.CollisionMesh.from_arrays([(BOX.vertices, BOX.faces), below], static=[1], rigid=[0])
-    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.01)
-    along = [0.2 if other == "ground" else 0.0, 0, 0.5 * (other == "box")]
+    pipeline, along = ccd.CollisionPipeline(mesh, minimum_distance=0.01), [0.0 if box else 0.2, 0, 0.5 * box]
     for linear, least, most in (([0, 0, 0.5], 1.0, 1.0), (along, 1.0, 1.0), ([0, 0, -0.1], 0.0, 1e-9)):
         motion = ccd.RigidMotion([[0, 0, 0.005, 0, 0, 0, 1]], twist=[[*linear, 0, 0, spin]])
         fraction = pipeline.line_search(*step_of(mesh), motion=motion).fraction
@@ -249,20 +224,13 @@ def test_box_within_its_distance_leaves_and_slides_but_comes_no_nearer(other, sp
 @pytest.mark.parametrize("wall", ["static", "kinematic", "half-space"])
 def test_points_that_roll_out_and_come_back_within_a_slice_do_not_stay(wall, precision):
     """To x = 1, through a wall at 0.998; their places at both ends of the slice are often equal in every bit."""
-    count, rng = 40, np.random.default_rng(0)
-    turns, places = rng.uniform(0.19, 0.199, 40), np.arange(count)[:, None] * [0.0, 0, 3]  # within one slice
-    face = np.array([[0.998, -1, -1], [0.998, 1, -1], [0.998, 0, 1]])
-    walls = (
-        [(face + place, FACE) for place in places]
-        if wall != "half-space"
-        else [ccd.HalfSpace([0.998, 0, 0], [-1, 0, 0])]
-    )
-    options = {} if wall == "half-space" else {wall: range(count, 2 * count)}
+    turns, places = np.random.default_rng(0).uniform(0.19, 0.199, 40), np.arange(40)[:, None] * [0.0, 0, 3]
+    face, count, none = np.array([[0.998, -1, -1], [0.998, 1, -1], [0.998, 0, 1]]), 40, np.zeros(40)
+    walls, options = [(face + place, FACE) for place in places], {wall: range(count, 2 * count)}
+    if wall == "half-space":
+        walls, options = [ccd.HalfSpace([0.998, 0, 0], [-1, 0, 0])], {}
     bodies = [(np.array([[1.0, 0, 0]]), NO_FACES)] * count + walls
-    mesh, none = (
-        ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=range(count), **options),
-        0 * turns,
-    )
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, rigid=range(count), **options)
     poses = np.column_stack([places, none, none, np.sin(-turns / 4), np.cos(turns / 4)])
     motion = ccd.RigidMotion(poses, twist=np.column_stack([none, -2 * np.sin(turns / 2), none, none, none, turns]))
     pipeline = ccd.CollisionPipeline(mesh, precision=precision)
@@ -277,18 +245,12 @@ def test_points_that_roll_out_and_come_back_within_a_slice_do_not_stay(wall, pre
 # --- launches ---
 
 
-def test_what_one_call_has_used_is_not_forgotten_or_changed_by_another():
-    """Straight calls beside those on arcs; radii that grow; static walls that launches of both kinds have placed."""
+def test_static_walls_that_launches_of_both_kinds_have_placed_and_radii_that_grow():
     mesh = ccd.CollisionMesh.from_arrays([(BOX.vertices, BOX.faces)] * 2, static=[0], rigid=[1])
-    motion = ccd.RigidMotion([[3.0, 0, 0, 0, 0, 0, 1]], twist=[[4.0, 0, 0, 0, 0, 0.3]])
-    placed = mesh.vertices + np.where(mesh.vertex_body[:, None] == 0, [5.5, 0, 0], 0.0)
-    own, pipeline = mesh.vertices[8:], ccd.CollisionPipeline(mesh)
-    ends = placed, np.concatenate([placed[:8], own + [7.0, 0, 0]])
-    straight = pipeline.mesh_ccd(*ends)
-    pipeline.mesh_ccd(mesh.vertices, mesh.vertices, motion=motion)
-    assert len(straight.contacts) and different(outputs_of(straight), outputs_of(pipeline.mesh_ccd(*ends))) == []
+    arc = {"motion": ccd.RigidMotion([[3.0, 0, 0, 0, 0, 0, 1]], twist=[[4.0, 0, 0, 0, 0, 0.3]])}
+    placed, own = mesh.vertices + np.where(mesh.vertex_body[:, None] == 0, [5.5, 0, 0], 0.0), mesh.vertices[8:]
     start, end = own + [3.0, 0, 0], own + [7.0, 0, 0]
-    for first, second, rows in (({}, {"motion": motion}, (own, own)), ({"motion": motion}, {}, (start, end))):
+    for first, second, rows in (({}, arc, (own, own)), (arc, {}, (start, end))):
         pipeline = ccd.CollisionPipeline(mesh)
         pipeline.launch(placed, placed, **first)
         with pytest.raises(RuntimeError, match="pass vertices_t0 with a row for every vertex"):
@@ -299,10 +261,8 @@ def test_what_one_call_has_used_is_not_forgotten_or_changed_by_another():
             assert pipeline.launch(rows[0], rows[1].copy(), **second).to_host().toi == toi
             pipeline.reserve(vertices=placed)
     mesh = ccd.CollisionMesh.from_arrays([POINT, GROUND], rigid=[0], codimensional_points=True, radius=[0.1])
-    pipeline, motion = (
-        ccd.CollisionPipeline(mesh),
-        ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1]]),
-    )
+    motion = ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1]])
+    pipeline = ccd.CollisionPipeline(mesh)
     for radius in (0.1, 0.3, 0.1):
         pipeline.radius.assign(np.array([radius]))
         toi = pipeline.launch(*step_of(mesh), motion=motion).to_host().toi
@@ -326,49 +286,41 @@ def test_twice_the_pairs_of_any_slice_is_enough(name):
 
 def test_motions_that_do_not_fit_are_refused_by_name():
     mesh, poses = fan([0.0], [at_angle(0.5)])
-    x, plain = mesh.vertices, ccd.CollisionMesh.from_arrays([(BLADE, FACE)])
-    moved = x.copy()
-    moved[1] += 1e-9
-    one, motion, maps = ccd.RigidMotion(poses[:1], poses[:1]), spins(poses, 1.0), np.tile(np.eye(3, 4), (2, 1, 1))
-    joint = ccd.JointMotion([ccd.Joint("turn", "base", "arm", "revolute", axis=[0, 0, 1])], [0.0], [1.0])
+    x, points, maps = mesh.vertices, {"codimensional_points": True}, np.tile(np.eye(3, 4), (2, 1, 1))
+    plain = ccd.CollisionMesh.from_arrays([(BLADE, FACE)])
+    split = ccd.CollisionMesh.from_arrays([(BLADE, NO_FACES)], rigid=[0], vertex_world=[0, 0, 1], **points)
     bar = ccd.CollisionMesh.from_arrays([(np.array([[0.0, 0], [1, 0]]), [[0, 1]])] * 2, rigid=[0, 1])
-    split = ccd.CollisionMesh.from_arrays(
-        [(BLADE, NO_FACES)], rigid=[0], codimensional_points=True, vertex_world=[0, 0, 1]
-    )
-    pipeline, flat = ccd.CollisionPipeline(mesh), [[0.0, 3, 0, 0, 0, 0, 1]]
-
-    def turned(poses, twist):
-        return lambda: ccd.rigid_ccd(bar, [AT_REST, poses], twist=[[0] * 6, twist])
-
-    three, out = np.tile(AT_REST, (3, 1)), maps + np.eye(3)[:, :1] @ np.eye(1, 4)[:, [1, 2, 0, 3]]
+    one, motion, affine = ccd.RigidMotion(poses[:1], poses[:1]), spins(poses, 1.0), ccd.AffineMotion(maps, maps)
+    joint = ccd.JointMotion([ccd.Joint("turn", "base", "arm", "revolute", axis=[0, 0, 1])], [0.0], [1.0])
+    pipeline, three, out = ccd.CollisionPipeline(mesh), np.tile(AT_REST, (3, 1)), maps.copy()
     out[0, 2, 0] = 1.0
+
+    def moved(mesh, motion, end=0.0, **options):
+        return lambda: ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + end, motion=motion, **options)
+
+    def turned(pose, twist):
+        return lambda: ccd.rigid_ccd(bar, [AT_REST, pose], twist=[[0] * 6, twist])
+
     for call, message in (
-        (lambda: ccd.mesh_ccd(plain, BLADE, BLADE, motion=one), "no body of the mesh is rigid"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=one), "1 row for 2 rigid bodies"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=spins(poses, 1, 1)), "body 1, which is static"),
-        (lambda: ccd.mesh_ccd(mesh, x, moved, motion=motion), "another row for vertex 1"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=motion, method="bisection"), "method is 'bisection'"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=motion, start_gap_fraction=0.5), "start_gap_fraction is 0.5"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=poses), "motion is"),
-        (lambda: ccd.mesh_ccd(mesh, x, x, motion=ccd.AffineMotion(maps[:1], maps[:1])), "1 row for 2 rigid bodies"),
-        (lambda: ccd.CollisionMesh.from_arrays([(BLADE, FACE), GROUND], rigid=[1]), "rigid holds body 1, a half-space"),
-        (lambda: ccd.mesh_ccd(split, BLADE, BLADE, motion=one), "body 0, which is rigid, has .* worlds 0 and 1"),
-        *((lambda call=call: call(x, x.copy(), motion=joint), "expected a RigidMotion for a launch, or a call on")
-          for call in (pipeline.launch, pipeline.launch_line_search)),
-        (lambda: pipeline.launch(x, x.copy(), motion=ccd.AffineMotion(maps, maps)), "at motion.positions_t0"),
-        (lambda: ccd.rigid_ccd(mesh, three, three), "poses_t0 is of 3 bodies; expected 2 bodies, .* included$"),
+        (moved(plain, one), "no body of the mesh is rigid"),
+        (moved(mesh, one), "1 row for 2 rigid bodies"),
+        (moved(mesh, spins(poses, 1, 1)), "body 1, which is static"),
+        (moved(mesh, motion, 1e-9 * np.eye(4, 1)), "another row for vertex 0"),
+        (moved(mesh, motion, method="bisection"), "method is 'bisection'"),
+        (moved(mesh, motion, start_gap_fraction=0.5), "start_gap_fraction is 0.5"),
+        (moved(mesh, ccd.AffineMotion(maps[:1], maps[:1])), "1 row for 2 rigid bodies"),
+        (moved(split, one), "body 0, which is rigid, has .* worlds 0 and 1"),
+        (moved(bar, joint), "the plane; expected a RigidMotion"),
+        (moved(bar, ccd.AffineMotion(maps, out)), r"affine_t1 takes body 0 out of the plane .* third row"),
+        (lambda: pipeline.launch(x, x.copy(), motion=joint), "expected a RigidMotion for a launch, or a call on"),
+        (lambda: pipeline.launch_line_search(x, x.copy(), motion=joint), "expected a RigidMotion for a launch"),
+        (lambda: pipeline.launch(x, x.copy(), motion=affine), "at motion.positions_t0"),
         (lambda: ccd.rigid_ccd(mesh, [three] * 4, [three] * 4), "3 bodies in each of 4 worlds; expected 2 bodies"),
         (lambda: ccd.rigid_ccd(mesh, [*three] * 2, [*three] * 2), "6 bodies; .* of several worlds have an axis of"),
-        (lambda: ccd.rigid_ccd(mesh.replicate(2), *2 * [three]), "poses_t0 is of 3 bodies; expected 4 bodies"),
         (turned([0, 0, 1, 0, 0, 0, 1], [0] * 6), "takes body 1 out of the plane of the mesh: z of its place .* is 1"),
         (turned([0, 0, 0, 1, 0, 0, 0], [0] * 6), "x and y of its quaternion at the start are 1.0 and 0.0"),
         (turned(AT_REST, [0, 0, 0, 0, 0.5, 0]), "x and y of its rotation vector are 0.0 and 0.5"),
         (turned(AT_REST, [0, 0, -2, 0, 0, 3]), r"z of its displacement is -2.0; expected 0, .* \(x, y, 0\)"),
-        (lambda: ccd.rigid_ccd(bar, *2 * [[[AT_REST, flat[0]], [AT_REST, [0, 0, 1, 0, 0, 0, 1]]]]),
-         "body 1 in world 1 out of the plane"),
-        (lambda: ccd.mesh_ccd(bar, bar.vertices, bar.vertices, motion=joint), "the plane; expected a RigidMotion"),
-        (lambda: ccd.mesh_ccd(bar, bar.vertices, bar.vertices, motion=ccd.AffineMotion(maps, out)),
-         r"affine_t1 takes body 0 out of the plane .* third row"),
-    ):  # fmt: skip
-        with pytest.raises((ValueError, TypeError), match=message):
+    ):
+        with pytest.raises(ValueError, match=message):
             call()

@@ -5,8 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from chain_pairs import chain_sets, positions
-from chain_worlds import step_of
 
 import ccd_warp as ccd
 
@@ -37,21 +35,6 @@ def test_links_are_where_the_joints_put_them():
     assert np.array_equal(motion.at(0), motion.poses_t0) and np.array_equal(motion.at(1), motion.poses_t1)
     near(motion.configuration(0.5), [np.pi / 2, 2])
     assert repr(motion) == "JointMotion(4 links, 2 moving joints)"
-
-
-def test_points_of_a_mesh_are_where_the_arm_of_the_truth_has_them():
-    for pairs in list(chain_sets(4).values())[::3]:
-        mesh, motion, _ = step_of(pairs)
-        assert motion.num_worlds == mesh.num_worlds == 4 and len(motion._rows) * 4 == mesh.num_bodies
-        for t in (0.0, 0.7, 1.0):
-            poses = motion.at(t)
-            for side in (0, 1):
-                local = (pairs.points_a, pairs.points_b)[side]
-                placed = ccd.RigidMotion(poses[:, side], poses[:, side])._body_paths
-                seen = positions(pairs, side, np.full((4, 1), t))[:, 0]
-                rows = np.repeat(np.arange(4), local.shape[1])
-                found = placed.positions(local.reshape(-1, 3), rows, 0.0)
-                assert np.abs(found - seen.reshape(-1, 3)).max() < 1e-14
 
 
 def test_a_free_joint_turns_the_shortest_way_while_it_goes_straight():

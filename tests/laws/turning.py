@@ -100,29 +100,17 @@ def turning(local, pose, end=None, path="linear", pivot=(0.0, 0.0, 0.0), twist=N
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of one kind, each of two bodies, with one path for all.
-
-    Attributes:
-        kind: One of `KINDS`; the vertex or point is on side 0.
-        points: Of both sides in the frames of their bodies, float64, shape [n, points, 3] each.
-        poses: Of both bodies at t = 0, position and quaternion (x, y, z, w), shape [n, 2, 7].
-        ends: The same at the end of the step; None where a twist is given.
-        twist: Velocities of the pivots and rotation vectors, shape [n, 2, 6], or None.
-        pivot: In the frames of the bodies; zero for screws, shape [n, 2, 3].
-        path: "linear" or "screw".
-        cloth: None, or where the points of side 1 end, which then deform: they are in the world.
-        distance: Euclidean distance that counts as contact; 0 for touching.
-    """
+    """Pairs of one kind, each of two bodies, with one path for all; vertices and points are on side 0."""
 
     kind: str
-    points: tuple[np.ndarray, np.ndarray]
-    poses: np.ndarray
-    ends: np.ndarray | None = None
-    twist: np.ndarray | None = None
-    pivot: np.ndarray | None = None
+    points: tuple[np.ndarray, np.ndarray]  # of both sides in the frames of their bodies, shape [n, points, 3] each
+    poses: np.ndarray  # of both bodies at t = 0, position and quaternion (x, y, z, w), shape [n, 2, 7]
+    ends: np.ndarray | None = None  # the same at the end of the step; None where a twist is given
+    twist: np.ndarray | None = None  # velocities of the pivots and rotation vectors, shape [n, 2, 6]
+    pivot: np.ndarray | None = None  # in the frames of the bodies; zero for screws, shape [n, 2, 3]
     path: str = "linear"
-    cloth: np.ndarray | None = None
-    distance: float = 0.0
+    cloth: np.ndarray | None = None  # where the points of side 1 end, which then deform: they are in the world
+    distance: float = 0.0  # Euclidean, that counts as contact
 
     def __len__(self) -> int:
         return len(self.poses)
@@ -144,19 +132,18 @@ class Pairs:
         points = self.trajectories(k)[side](arb_poly([arb(float(t))]))
         return np.array([[float(arb_poly(x)[0]) for x in point] for point in points])
 
-    def moved(self, shift: np.ndarray) -> Pairs:
-        """The same pairs with the second body elsewhere all the time; shape [n, 3]."""
+    def moved(self, by: np.ndarray, sides=(1,)) -> Pairs:
+        """The same pairs with bodies of these sides elsewhere all the time; by vectors of shape [n, 1 or 2, 3]."""
         if self.cloth is not None:
-            points = self.points[0], self.points[1] + shift[:, None]
-            return replace(self, points=points, cloth=self.cloth + shift[:, None])
-        by = np.stack([np.zeros_like(shift), shift], axis=1)
-        by = np.concatenate([by, np.zeros((len(self), 2, 4))], axis=2)
-        return replace(self, poses=self.poses + by, ends=None if self.ends is None else self.ends + by)
+            return replace(self, points=(self.points[0], self.points[1] + by), cloth=self.cloth + by)
+        shift = np.zeros((len(self), 2, 7))
+        shift[:, sides, :3] = by
+        return replace(self, poses=self.poses + shift, ends=None if self.ends is None else self.ends + shift)
 
     def meeting(self, time, at, gap) -> Pairs:
         """The second bodies moved so that places on both, by weights, are a vector from each other at a time."""
         places = [[at[side][k] @ self.at(k, side, t) for side in (0, 1)] for k, t in enumerate(time)]
-        return self.moved(np.array([a - b for a, b in places]) + gap)
+        return self.moved((np.array([a - b for a, b in places]) + gap)[:, None])
 
     def near(self, rng, time, gap) -> Pairs:
         """Places in the inside of both are, at a time, a gap from counting as contact; up to rounding."""
@@ -181,28 +168,22 @@ def rounded_down(t: arb | None) -> float:
     return value
 
 
-def question_of(pairs: Pairs) -> list:
-    return list(vars(pairs).items())
-
-
 # lo, hi of each pair, inf for None, rounded down; a toi is late iff it is larger than hi
-answers = kept(_solve, trajectories, sys.modules[__name__], question_of=question_of)
+answers = kept(_solve, trajectories, sys.modules[__name__], question_of=lambda pairs: list(vars(pairs).items()))
 
 
-SPACE = {
-    1: lambda x: (x, np.zeros((0, 3), int)),
-    2: lambda x: (x, np.zeros((0, 3), int), [[0, 1]]),
-    3: lambda x: (x, [[0, 1, 2]]),
-}
-_PLANE = {count: lambda x, e=[[0, 1]][: count - 1]: (x[:, :2], np.reshape(e, (-1, 2))) for count in (1, 2)}
+def _body(x: np.ndarray, in_plane: bool) -> tuple:
+    """The points of a side as a body."""
+    if in_plane:
+        return x[:, :2], np.reshape([[0, 1]][: len(x) - 1], (-1, 2))
+    return [(x, np.zeros((0, 3), int)), (x, np.zeros((0, 3), int), [[0, 1]]), (x, [[0, 1, 2]])][len(x) - 1]
 
 
 def step_of(pairs: Pairs, in_plane: bool = False):
     """Mesh, positions at both ends, motion and options of one call; ``world_toi`` is the toi of each pair."""
     n, sides = len(pairs), slice(0, 1 if pairs.cloth is not None else 2)
-    make = _PLANE if in_plane else SPACE
     mesh = ccd.CollisionMesh.from_arrays(
-        [make[x.shape[1]](x[k]) for k in range(n) for x in pairs.points],
+        [_body(x[k], in_plane) for k in range(n) for x in pairs.points],
         rigid=range(0, 2 * n, 3 - sides.stop),
         codimensional_points=not in_plane,
         vertex_world=np.repeat(np.arange(n), sum(x.shape[1] for x in pairs.points)),
@@ -210,14 +191,12 @@ def step_of(pairs: Pairs, in_plane: bool = False):
     end = mesh.vertices
     if pairs.cloth is not None:
         end = np.concatenate([pairs.points[0], pairs.cloth], axis=1).reshape(-1, 3)[:, : mesh.dimension]
-    poses, ends, twist, pivot = (
-        None if x is None else x[:, sides].reshape(-1, x.shape[2])
-        for x in (pairs.poses, pairs.ends, pairs.twist, pairs.pivot if pairs.path == "linear" else None)
-    )
-    motion = {"poses_t0": poses, "poses_t1": ends, "path": pairs.path, "pivot": pivot, "twist": twist}
-    motion = {name: x for name, x in motion.items() if x is not None}
+    motion = {"poses_t0": pairs.poses, "poses_t1": pairs.ends, "twist": pairs.twist}
+    motion["pivot"] = pairs.pivot if pairs.path == "linear" else None
+    motion = {name: x[:, sides].reshape(-1, x.shape[2]) for name, x in motion.items() if x is not None}
     options = {"pair_kinds": [pairs.kind.replace("-", "_")]}
-    return mesh, mesh.vertices, end, motion, options | ({"minimum_distance": pairs.distance} if pairs.distance else {})
+    options |= {"minimum_distance": pairs.distance} if pairs.distance else {}
+    return mesh, mesh.vertices, end, motion | {"path": pairs.path}, options
 
 
 # --- pairs at random ---
@@ -242,7 +221,7 @@ def quaternion(vectors: np.ndarray) -> np.ndarray:
     return np.concatenate([vectors * (0.5 * np.sinc(angle / (2 * np.pi))), np.cos(0.5 * angle)], axis=-1)
 
 
-def product_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def _product_of(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """The quaternion of the rotation by b and then by a."""
     (av, aw), (bv, bw) = (a[..., :3], a[..., 3:]), (b[..., :3], b[..., 3:])
     v = aw * bv + bw * av + np.cross(av, bv)
@@ -266,7 +245,7 @@ def bodies(
     poses = np.concatenate([position, orientation], axis=2)
     if by_twist:
         return Pairs(kind, tuple(points), poses, twist=np.concatenate([velocity, omega], axis=2), **names)
-    ends = np.concatenate([position + velocity, unit(product_of(quaternion(omega), orientation))], axis=2)
+    ends = np.concatenate([position + velocity, unit(_product_of(quaternion(omega), orientation))], axis=2)
     return Pairs(kind, tuple(points), poses, ends, **names)
 
 
@@ -275,35 +254,37 @@ def random_pairs(
 ) -> Pairs:
     """Pairs of which a good half touches, with turns from 1e-3 to π, by a twist to 2π.
 
-    Args:
-        other: "turning", "at rest" or "deformable", the second body.
-        distance: That counts as contact; 0 by default, and 0.1 for kinds that would never meet.
-        in_plane: Whether all is in the plane z = 0, and turns about z.
+    The second body is "turning", "at rest" or "deformable"; what is in the plane is at z = 0, and turns about z. Points
+    and segments, which would never meet, have a distance of 0.1 by default.
     """
-    kept = np.array([1.0, 1.0, 0.0 if in_plane else 1.0])
+    flat = np.array([1.0, 1.0, 0.0 if in_plane else 1.0])
     distance = (0.1 if kind.startswith("point") else 0.0) if distance is None else distance
-    points = [kept * rng.standard_normal((n, m, 3)) * 10 ** rng.uniform(-1.0, 0.5, (n, 1, 1)) for m in COUNTS[kind]]
+    points = [flat * rng.standard_normal((n, m, 3)) * 10 ** rng.uniform(-1.0, 0.5, (n, 1, 1)) for m in COUNTS[kind]]
     largest = 2 * np.pi if by_twist else np.pi - 1e-3
     turn = np.where(rng.random((n, 2)) < 0.5, rng.uniform(1e-3, largest, (n, 2)), 10 ** rng.uniform(-3, 0, (n, 2)))
     axes = directions(rng, n, 2)
     omega = (np.sign(axes[..., 2:]) * _Z if in_plane else axes) * turn[:, :, None]
-    velocity = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1)) * kept
-    orientation = unit(rng.standard_normal((n, 2, 4)) * [kept[2], kept[2], 1.0, 1.0])
+    velocity = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1)) * flat
+    orientation = unit(rng.standard_normal((n, 2, 4)) * [flat[2], flat[2], 1.0, 1.0])
     pivot = np.zeros((n, 2, 3)) if path == "screw" else rng.standard_normal((n, 2, 3)) * rng.integers(0, 2, (n, 1, 1))
     if other == "at rest":
         omega[:, 1], velocity[:, 1] = 0.0, 0.0
-    names = {"orientation": orientation, "by_twist": by_twist, "path": path, "pivot": pivot * kept}
+    names = {"orientation": orientation, "by_twist": by_twist, "path": path, "pivot": pivot * flat}
     pairs = bodies(kind, rng, n, omega, velocity, points=points, distance=distance, **names)
     if other == "at rest" and not by_twist:
         pairs.ends[:, 1] = pairs.poses[:, 1]
     if other == "deformable":
-        moves = rng.standard_normal((n, 1, 3)) + 0.3 * rng.standard_normal(points[1].shape)
-        pairs = replace(pairs, cloth=points[1] + moves * kept)
-    away = np.where(rng.random((n, 1)) < 0.6, 0.0, rng.uniform(0.1, 3.0, (n, 1))) + distance * rng.uniform(
-        0, 1.3, (n, 1)
-    )
+        pairs = _with_cloth(pairs, rng, flat)
+    away = np.where(rng.random((n, 1)) < 0.6, 0.0, rng.uniform(0.1, 3.0, (n, 1)))
+    away = away + distance * rng.uniform(0, 1.3, (n, 1))
     at = [weights(kind, side, rng, n) for side in (0, 1)]
-    return pairs.meeting(rng.uniform(0.0, 1.0, n), at, directions(rng, n) * away * kept)
+    return pairs.meeting(rng.uniform(0.0, 1.0, n), at, directions(rng, n) * away * flat)
+
+
+def _with_cloth(pairs: Pairs, rng, flat=1.0) -> Pairs:
+    """The second bodies deform."""
+    moves = rng.standard_normal((len(pairs), 1, 3)) + 0.3 * rng.standard_normal(pairs.points[1].shape)
+    return replace(pairs, cloth=pairs.points[1] + moves * flat)
 
 
 def prisms(pairs: Pairs) -> Pairs:
@@ -311,55 +292,40 @@ def prisms(pairs: Pairs) -> Pairs:
     return replace(pairs, kind="edge-edge", points=(pairs.points[0] + np.array([-_Z, _Z]), pairs.points[1]))
 
 
-# --- hostile families: functions of the kind, random numbers, how many, and the distance ---
+# --- hostile families: pairs by their kind, random numbers, how many, and the distance ---
 
 
-def _sometimes_zero(rng, n, least, most, share=0.3):
+def _gaps(rng, n, least, most, share=0.3):
+    """Powers of ten, and zeros."""
     return np.where(rng.random(n) < share, 0.0, 10 ** rng.uniform(least, most, n))
 
 
-def _contact_at(time):
-    def family(kind, rng, n, distance):
-        pairs = random_pairs(kind, rng, n, distance=distance)
-        return pairs.near(rng, np.full(n, time), _sometimes_zero(rng, n, -16, -6))
-
-    return family
+def _contact(kind, rng, n, distance, time):
+    return random_pairs(kind, rng, n, distance=distance).near(rng, np.full(n, time), _gaps(rng, n, -16, -6))
 
 
-def _whole_numbers_at_the_start(kind, rng, n, distance):
+def _whole_numbers(kind, rng, n, distance):
     """The origin is in the inside of both, exactly: a cross of two edges, a point in a face."""
-    whole = [rng.integers(-8, 9, (n, 2, 3)).astype(float) for _ in range(2)]
-    sides = {
-        1: lambda x: 0 * x[:, :1],
-        2: lambda x: np.stack([-x[:, 0], 2 * x[:, 0]], axis=1),
-        3: lambda x: np.stack([x[:, 0], x[:, 1], -x.sum(axis=1)], axis=1),
-    }
-    points = [sides[count](x) for count, x in zip(COUNTS[kind], whole, strict=True)]
+    sides = {1: [[0, 0]], 2: [[-1, 0], [2, 0]], 3: [[1, 0], [0, 1], [-1, -1]]}  # as sums of two vectors
+    points = [sides[count] @ rng.integers(-8, 9, (n, 2, 3)).astype(float) for count in COUNTS[kind]]
     omega = directions(rng, n, 2) * rng.uniform(0.01, 3.0, (n, 2, 1))
-    orientation = np.tile(AT_REST[3:], (n, 2, 1))
-    names = {"points": points, "orientation": orientation, "by_twist": False, "distance": distance}
+    names = {"points": points, "orientation": np.tile(AT_REST[3:], (n, 2, 1)), "by_twist": False, "distance": distance}
     return bodies(kind, rng, n, omega, 0.1 * directions(rng, n, 2), **names)
 
 
-def _turns(low, high, share, *, is_logarithmic=False, path="linear", with_cloth=False):
+def _turns(kind, rng, n, distance, low, high, share, is_tiny=False, path="linear", with_cloth=False):
     """Turns from `low` to `high` by twists, of the second body in a share of the pairs alone."""
-
-    def family(kind, rng, n, distance):
-        turn = rng.uniform(low, high, (n, 2, 1))
-        turn = (10**turn if is_logarithmic else turn) * (rng.random((n, 2, 1)) < [[1.0], [share]])
-        velocity = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1))
-        pairs = bodies(kind, rng, n, directions(rng, n, 2) * turn, velocity, path=path, distance=distance)
-        if path == "screw":  # between two poses, about far axes
-            poses, ends = pairs.poses.copy(), pairs.poses.copy()
-            poses[..., 3:], ends[..., 3:6], ends[..., 6] = AT_REST[3:], 0.5 * pairs.twist[..., 3:], 1.0
-            ends[..., :3] += velocity
-            pairs = replace(pairs, poses=poses, ends=ends, twist=None)
-        if with_cloth:
-            moves = rng.standard_normal((n, 1, 3)) + 0.3 * rng.standard_normal(pairs.points[1].shape)
-            pairs = replace(pairs, cloth=pairs.points[1] + moves)
-        return pairs.near(rng, rng.random(n), np.where(rng.random(n) < 0.7, 0.0, rng.uniform(0.5, 4.0, n)))
-
-    return family
+    turn = rng.uniform(low, high, (n, 2, 1))
+    turn = (10**turn if is_tiny else turn) * (rng.random((n, 2, 1)) < [[1.0], [share]])
+    velocity = directions(rng, n, 2) * 10 ** rng.uniform(-2, 0.5, (n, 2, 1))
+    pairs = bodies(kind, rng, n, directions(rng, n, 2) * turn, velocity, path=path, distance=distance)
+    if path == "screw":  # between two poses, about far axes
+        poses, ends = pairs.poses.copy(), pairs.poses.copy()
+        poses[..., 3:], ends[..., 3:6], ends[..., 6] = AT_REST[3:], 0.5 * pairs.twist[..., 3:], 1.0
+        ends[..., :3] += velocity
+        pairs = replace(pairs, poses=poses, ends=ends, twist=None)
+    pairs = _with_cloth(pairs, rng) if with_cloth else pairs
+    return pairs.near(rng, rng.random(n), np.where(rng.random(n) < 0.7, 0.0, rng.uniform(0.5, 4.0, n)))
 
 
 def _needles(kind, rng, n, distance):
@@ -368,24 +334,20 @@ def _needles(kind, rng, n, distance):
     for points in pairs.points:
         long = directions(rng, n, 1)
         sides.append(10 ** rng.uniform(-6, -3, (n, 1, 1)) * points + long * (long * points).sum(axis=2, keepdims=True))
-    return replace(pairs, points=tuple(sides)).near(rng, rng.random(n), _sometimes_zero(rng, n, -6, 0, 0.6))
+    return replace(pairs, points=tuple(sides)).near(rng, rng.random(n), _gaps(rng, n, -6, 0, 0.6))
 
 
-def _far(far):
-    def family(kind, rng, n, distance):
-        pairs = random_pairs(kind, rng, n, distance=distance, path=str(rng.choice(["linear", "screw"])))
-        shift = np.concatenate([directions(rng, n, 1) * far, np.zeros((n, 1, 4))], axis=2)
-        return replace(pairs, poses=pairs.poses + shift, ends=pairs.ends + shift)
-
-    return family
+def _far(kind, rng, n, distance, far):
+    pairs = random_pairs(kind, rng, n, distance=distance, path=str(rng.choice(["linear", "screw"])))
+    return pairs.moved(directions(rng, n, 1) * far, sides=[0, 1])
 
 
 def _far_from_their_own_origin(kind, rng, n, distance):
     """Points at 1e6 from the origin of their body, which turns about a pivot among them."""
     pairs, shift = random_pairs(kind, rng, n, distance=distance), directions(rng, n, 2) * 1e6
-    poses, ends = pairs.poses.copy(), pairs.ends.copy()
-    for pose in (poses, ends):
-        pose[..., :3] -= turned(pose[..., 3:], shift)
+    poses, ends = (
+        np.append(x[..., :3] - turned(x[..., 3:], shift), x[..., 3:], axis=2) for x in (pairs.poses, pairs.ends)
+    )
     points = tuple(x + shift[:, side, None] for side, x in enumerate(pairs.points))
     return replace(pairs, points=points, poses=poses, ends=ends, pivot=pairs.pivot + shift)
 
@@ -403,37 +365,31 @@ def _staged(kind, rng, points, centre, omega, velocity, distance, in_space=True)
     return bodies(kind, rng, n, omega, velocity, **names)
 
 
-def _around(kind, side, rng, place, size=1.0):
+def _around(kind, side, rng, place):
     """Points in the plane z = 0 about places in their inside, shape [n, points, 3]."""
     n, count = len(place), COUNTS[kind][side]
     angle = rng.uniform(0, 2 * np.pi, (n, 1)) + 2 * np.pi * np.arange(count) / count
-    flat = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=2) * size * (count > 1)
+    flat = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=2) * (count > 1)
     return place[:, None] + flat * rng.uniform(0.3, 1.0, (n, 1, 1))
 
 
-def _over_a_plane(slip):
+def _over_a_plane(kind, rng, n, distance, slip):
     """The lowest point of a wheel, or an edge along its axis, grazes what lies in a plane, or misses it; 0 rolls."""
-
-    def family(kind, rng, n, distance):
-        radius, zero = rng.uniform(0.3, 2.0, n), np.zeros(n)
-        margin = _sometimes_zero(rng, n, -12, -3, 0.1) * rng.choice([-1.0, 1.0], n)
-        b = _around(kind, 1, rng, np.stack([zero, zero, margin - distance], axis=1))
-        a = np.zeros((n, COUNTS[kind][0], 3))
-        if kind == "edge-edge":  # one along the axis, and the other one across
-            a[:, :, 0] = rng.uniform(0.1, 1.0, (n, 2)) * [-1, 1]
-            half = unit(np.stack([rng.standard_normal(n), rng.uniform(0.3, 2.0, n), zero], axis=1))
-            b = b.mean(axis=1)[:, None] + half[:, None] * np.array([-0.7, 0.9])[:, None]
-        centre = np.stack([np.stack([zero, zero, radius], axis=1), b[:, 0]], axis=1)
-        omega, velocity = np.zeros((n, 2, 3)), np.zeros((n, 2, 3))
-        omega[:, 0, 0] = rng.uniform(0.2, 4.0, n)
-        velocity[:, 0, 1] = -(1 - slip) * omega[:, 0, 0] * radius
-        time = rng.uniform(0.05, 0.95, (n, 1))  # of the contact
-        a = centre[:, :1] + turned(quaternion(-omega[:, :1] * time[:, :, None]), a - centre[:, :1])
-        back = velocity[:, 0] * time
-        centre[:, 0] -= back
-        return _staged(kind, rng, (a - back[:, None], b), centre, omega, velocity, distance)
-
-    return family
+    radius, a = rng.uniform(0.3, 2.0, n), np.zeros((n, COUNTS[kind][0], 3))
+    centre, omega, velocity = np.zeros((3, n, 2, 3))
+    margin = _gaps(rng, n, -12, -3, 0.1) * rng.choice([-1.0, 1.0], n)
+    b = _around(kind, 1, rng, (margin - distance)[:, None] * _Z)
+    if kind == "edge-edge":  # one along the axis, and the other one across
+        a[:, :, 0] = rng.uniform(0.1, 1.0, (n, 2)) * [-1, 1]
+        half = unit(np.stack([rng.standard_normal(n), rng.uniform(0.3, 2.0, n), 0 * radius], axis=1))
+        b = b.mean(axis=1)[:, None] + half[:, None] * np.array([-0.7, 0.9])[:, None]
+    centre[:, 0, 2], centre[:, 1], omega[:, 0, 0] = radius, b[:, 0], rng.uniform(0.2, 4.0, n)
+    velocity[:, 0, 1] = -(1 - slip) * omega[:, 0, 0] * radius
+    time = rng.uniform(0.05, 0.95, (n, 1))  # of the contact
+    a = centre[:, :1] + turned(quaternion(-omega[:, :1] * time[:, :, None]), a - centre[:, :1])
+    back = velocity[:, 0] * time
+    centre[:, 0] -= back
+    return _staged(kind, rng, (a - back[:, None], b), centre, omega, velocity, distance)
 
 
 def _axis_through_the_contact(kind, rng, n, distance):
@@ -444,28 +400,24 @@ def _axis_through_the_contact(kind, rng, n, distance):
     omega = directions(rng, n, 2) * rng.uniform(0.1, 2 * np.pi, (n, 2, 1)) * (rng.random((n, 2, 1)) < 0.8)
     velocity = directions(rng, n, 2) * 10 ** rng.uniform(-6, 0, (n, 2, 1))
     pairs = bodies(kind, rng, n, omega, velocity, points=points, distance=distance)
-    gap = _sometimes_zero(rng, n, -9, -1, 0.6) + distance
+    gap = _gaps(rng, n, -9, -1, 0.6) + distance
     return pairs.meeting(rng.random(n), at, directions(rng, n) * gap[:, None])
 
 
-def _in_one_plane(in_space):
+def _in_one_plane(kind, rng, n, distance, in_space):
     """All stays in the plane z = 0, exactly; or in an oblique one, up to rounding."""
-
-    def family(kind, rng, n, distance):
-        flat = np.array([1.0, 1, 0])
-        points = [rng.standard_normal((n, count, 3)) * flat for count in COUNTS[kind]]
-        apart = rng.uniform(-3, 3, (n, 3)) * flat
-        points[1] += apart[:, None]
-        centre = rng.standard_normal((n, 2, 3)) * flat + np.stack([0 * apart, apart], axis=1)
-        velocity = np.stack([apart, -apart], axis=1) * rng.uniform(0, 1, (n, 2, 1))
-        omega = rng.uniform(-3, 3, (n, 2, 1)) * _Z
-        pairs = _staged(kind, rng, points, centre, omega, velocity, distance, in_space)
-        if not in_space:  # the shift has no part along z, not even by rounding
-            at, gap = [weights(kind, side, rng, n) for side in (0, 1)], rng.standard_normal((n, 3)) * flat
-            pairs = pairs.meeting(rng.random(n), at, gap * rng.integers(0, 2, (n, 1)))
+    flat = np.array([1.0, 1, 0])
+    points = [rng.standard_normal((n, count, 3)) * flat for count in COUNTS[kind]]
+    apart = rng.uniform(-3, 3, (n, 3)) * flat
+    points[1] += apart[:, None]
+    centre = rng.standard_normal((n, 2, 3)) * flat + np.stack([0 * apart, apart], axis=1)
+    velocity = np.stack([apart, -apart], axis=1) * rng.uniform(0, 1, (n, 2, 1))
+    omega = rng.uniform(-3, 3, (n, 2, 1)) * _Z
+    pairs = _staged(kind, rng, points, centre, omega, velocity, distance, in_space)
+    if in_space:
         return pairs
-
-    return family
+    at, gap = [weights(kind, side, rng, n) for side in (0, 1)], rng.standard_normal((n, 3)) * flat
+    return pairs.meeting(rng.random(n), at, gap * rng.integers(0, 2, (n, 1)))  # no shift along z, not even by rounding
 
 
 def _common_spin(kind, rng, n, distance):
@@ -494,29 +446,30 @@ def _counter_spins(kind, rng, n, distance):
     centre[:, 1] += rng.standard_normal((n, 3)) * (rng.random((n, 1)) < 0.5)
     velocity = directions(rng, n, 2) * 10 ** rng.uniform(-6, 0, (n, 2, 1))
     pairs = _staged(kind, rng, points, centre, omega, velocity, distance)
-    return pairs.near(rng, rng.random(n), _sometimes_zero(rng, n, -9, 0.5, 0.6))
+    return pairs.near(rng, rng.random(n), _gaps(rng, n, -9, 0.5, 0.6))
 
 
+_MANY, _TINY = {"low": 2 * np.pi, "high": 20 * np.pi, "share": 0.6}, {"low": -300, "high": -8, "share": 0.7}
 FAMILIES = {
-    "grazing arcs": _over_a_plane(1.0),
-    "rolling": _over_a_plane(0.0),
-    "contact at the end": _contact_at(1.0),
-    "contact at the start": _contact_at(0.0),
-    "whole numbers at the start": _whole_numbers_at_the_start,
-    "many turns": _turns(2 * np.pi, 20 * np.pi, 0.6),
-    "fifty turns": _turns(100 * np.pi, 100 * np.pi, 0.5),
-    "tiny turns": _turns(-300, -8, 0.7, is_logarithmic=True),
-    "tiny screws": _turns(-300, -8, 0.7, is_logarithmic=True, path="screw"),
-    "many turns in a cloth": _turns(2 * np.pi, 20 * np.pi, 0.6, with_cloth=True),
-    "axis through the contact": _axis_through_the_contact,
-    "needles": _needles,
-    "in one plane": _in_one_plane(False),
-    "nearly in one plane": _in_one_plane(True),
-    "far": _far(1e6),
-    "very far": _far(1e8),
-    "far from their own origin": _far_from_their_own_origin,
-    "common spin": _common_spin,
-    "counter spins": _counter_spins,
+    "grazing arcs": (_over_a_plane, {"slip": 1.0}),
+    "rolling": (_over_a_plane, {"slip": 0.0}),
+    "contact at the end": (_contact, {"time": 1.0}),
+    "contact at the start": (_contact, {"time": 0.0}),
+    "whole numbers at the start": (_whole_numbers, {}),
+    "many turns": (_turns, _MANY),
+    "fifty turns": (_turns, {"low": 100 * np.pi, "high": 100 * np.pi, "share": 0.5}),
+    "tiny turns": (_turns, _TINY | {"is_tiny": True}),
+    "tiny screws": (_turns, _TINY | {"is_tiny": True, "path": "screw"}),
+    "many turns in a cloth": (_turns, _MANY | {"with_cloth": True}),
+    "axis through the contact": (_axis_through_the_contact, {}),
+    "needles": (_needles, {}),
+    "in one plane": (_in_one_plane, {"in_space": False}),
+    "nearly in one plane": (_in_one_plane, {"in_space": True}),
+    "far": (_far, {"far": 1e6}),
+    "very far": (_far, {"far": 1e8}),
+    "far from their own origin": (_far_from_their_own_origin, {}),
+    "common spin": (_common_spin, {}),
+    "counter spins": (_counter_spins, {}),
 }
 
 
@@ -524,5 +477,5 @@ def hostile_pairs(name: str, kind: str, n: int, distance: float | None = None) -
     """A family by its name."""
     if distance is None:  # points and segments meet in space only if a distance counts as contact
         distance = 0.1 if kind == "point-point" or (kind == "point-segment" and name != "in one plane") else 0.0
-    rng = np.random.default_rng([list(FAMILIES).index(name), KINDS.index(kind)])
-    return FAMILIES[name](kind, rng, n, distance)
+    make, options = FAMILIES[name]
+    return make(kind, np.random.default_rng([list(FAMILIES).index(name), KINDS.index(kind)]), n, distance, **options)
