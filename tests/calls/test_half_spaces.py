@@ -1,12 +1,10 @@
 """Half-spaces as bodies, static and as they are told to move: numbers that overflow, and what is said of them."""
 
-import copy
 import pickle
 from fractions import Fraction
 
 import numpy as np
 import pytest
-import trimesh
 from expected_warnings import OF_ROUNDING
 from laws.truth import Pairs, plane_value
 from oracles import rows
@@ -26,7 +24,7 @@ def particles(points, *half_spaces, **arguments):
     return ccd.CollisionMesh.from_arrays([(points, NO_FACES), *half_spaces], **arguments)
 
 
-def sheet_over_ground(height=0.5):
+def sheet_over_ground(height):
     """A tilted sheet that falls on a tilted ground: mesh, start and end positions."""
     vertices, faces = sheet(6)
     vertices = vertices + np.array([0.03, 0.01, height]) + 0.1 * vertices[:, :1] * UP
@@ -35,10 +33,11 @@ def sheet_over_ground(height=0.5):
     return mesh, mesh.vertices, mesh.vertices - UP
 
 
-def lift(*points):
+def lift():
     """Particles, a static wall, and a floor that is to rise: the mesh and its start positions."""
+    points = np.array([[0.2, 0.1, 0.5], [0.1, 0.3, 5.0], [0.3, 0.0, 0.5], [0.0, 0.0, -1.0]])
     wall, floor = ccd.HalfSpace([9.0, 0, 0], [-1, 0, 0]), ccd.HalfSpace([0, 0, 0], UP)
-    mesh = particles(np.array(points), wall, floor, names=["dust", "wall", "floor"], kinematic=["floor"])
+    mesh = particles(points, wall, floor, names=["dust", "wall", "floor"], kinematic=["floor"])
     return mesh, mesh.vertices
 
 
@@ -109,7 +108,7 @@ def test_hostile_vertices_and_planes_are_never_late(seed):
 
 
 def test_a_contact_and_a_start_in_the_solid_say_of_what():
-    mesh, start, end = sheet_over_ground()
+    mesh, start, end = sheet_over_ground(height=0.5)
     contacts = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.02).contacts
     unit = mesh.planes.normals[0] / np.linalg.norm(mesh.planes.normals[0])
     np.testing.assert_allclose(contacts.normal, np.tile(unit, (len(contacts), 1)), rtol=1e-15)
@@ -126,26 +125,12 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
     assert result.start.by_bodies() == {("sheet", "ground"): below} and result.start.num_crossing == 0
 
 
-def test_bodies_that_only_the_ground_is_near_are_checked():
-    """Bodies without self-collision, far from one another, are left out of the search, and not of this."""
-    box = trimesh.creation.box()
-    start = np.concatenate([box.vertices + [0, 0, 2], box.vertices + [50, 0, 3]])
-    for count, tois in ((1, [1.5 / 4] * 2), (2, [1.5 / 4, 2.5 / 4, 1.5 / 4])):
-        mesh = ccd.CollisionMesh.from_trimesh([*[box] * count, GROUND], self_collision=False)
-        frames = start[: 8 * count], start[: 8 * count] - [0, 0, 4.0]
-        result, launched = ccd.mesh_ccd(mesh, *frames), ccd.CollisionPipeline(mesh).launch(*frames)
-        np.testing.assert_allclose(result.body_toi, tois, rtol=1e-14)
-        np.testing.assert_array_equal(launched.body_toi.numpy(), result.body_toi)
-
-
 def test_more_contacts_than_there_is_capacity_for():
     start = np.random.default_rng(7).uniform(0.1, 1, (3000, 3))
     mesh, end = particles(start, GROUND), start - [0, 0, 2.0]
-    for _ in range(2):
-        result = ccd.mesh_ccd(mesh, start, end)
-        assert np.array_equal(result.contacts.primitives[:, 0], np.arange(3000))
-        np.testing.assert_allclose(result.vertex_toi, start[:, 2] / 2, rtol=3e-15)
-        assert result.counts.num_contacts == {VERTEX_PLANE: 3000}
+    result = ccd.mesh_ccd(mesh, start, end)
+    assert np.array_equal(result.contacts.primitives[:, 0], np.arange(3000))
+    np.testing.assert_allclose(result.vertex_toi, start[:, 2] / 2, rtol=3e-15)
     with pytest.raises(ValueError, match=r"memory_limit is 1000000 bytes; expected at least .* for the 3000 contacts"):
         ccd.mesh_ccd(mesh, start, end, memory_limit=1_000_000)
     launched = ccd.CollisionPipeline(mesh, max_contacts=10).launch(start, end).to_host()
@@ -156,19 +141,13 @@ def test_more_contacts_than_there_is_capacity_for():
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():
     point, normal = np.array([1, 2, 3]), np.array([0, 0, 1e-310])
-    mesh = ccd.CollisionMesh.from_trimesh([ccd.HalfSpace(point, normal), trimesh.creation.box()])
+    mesh = ccd.CollisionMesh.from_arrays([ccd.HalfSpace(point, normal), (TRIANGLE, FACE)], radius=[0, 0.1])
     point[0] = 7
     assert mesh.planes.points.tolist() == [[1, 2, 3]] and mesh.planes.normals.tolist() == [[0, 0, 1e-310]]
     assert mesh.planes.bodies.tolist() == [0] and mesh.static.tolist() == [True, False]
-    assert mesh.body_vertex_range.tolist() == [0, 0, 8] and (mesh.vertex_body == 1).all()
-    assert mesh.moving_vertices.tolist() == list(range(8)) and not mesh.planes.points.flags.writeable
-    same = pickle.loads(pickle.dumps(mesh))
-    assert same.planes == mesh.planes and not same.planes.normals.flags.writeable and same.planes != GROUND
-    for radius in ([0.1, 0], 0.1):
-        mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), GROUND], radius=radius)
-        assert mesh.radius.tolist() == [0.1] * 3
-    with pytest.raises(ValueError, match=r"radius holds 0.2 for body 1; expected 0, as a half-space has no"):
-        ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), GROUND], radius=[0.1, 0.2])
+    assert mesh.body_vertex_range.tolist() == [0, 0, 3] and mesh.radius.tolist() == [0.1] * 3
+    for each in (mesh, pickle.loads(pickle.dumps(mesh))):
+        assert each.planes == mesh.planes != GROUND and not each.planes.normals.flags.writeable
 
 
 def test_worlds_share_the_ground_and_what_is_excluded_of_it():
@@ -181,7 +160,6 @@ def test_worlds_share_the_ground_and_what_is_excluded_of_it():
     named = {tuple(worlds.names[body] for body in pair) for pair in worlds.exclude_pairs["bodies"].tolist()}
     assert named == {("a[0]", "b[0]"), ("a[1]", "b[1]"), ("b[0]", "floor"), ("b[1]", "floor")}
     assert worlds.exclude_pairs["vertex_plane"].tolist() == [[1, 0], [4, 1], [7, 0], [10, 1]]
-    assert mesh.replicate(1).body_pairs is None and copy.deepcopy(worlds).planes == worlds.planes
     contacts = ccd.mesh_ccd(worlds, worlds.vertices, worlds.vertices - 10.0 * UP).contacts
     assert contacts[contacts.kind == VERTEX_PLANE].primitives.tolist() == [[0, 0], [2, 0], [6, 0], [8, 0]]
 
@@ -189,48 +167,43 @@ def test_worlds_share_the_ground_and_what_is_excluded_of_it():
 # --- that move as they are told ---
 
 
-def test_a_floor_that_rises_meets_what_is_at_rest():
-    mesh, start = lift([0.2, 0.1, 0.5], [0.1, 0.3, 2.5], [0.0, 0.0, -1.0])
-    assert mesh.num_vertices == 4 and mesh.static.tolist() == [False, True, False]
-    assert mesh.kinematic.tolist() == [False, False, True] and mesh.planes.vertices.tolist() == [-1, 3]
-    assert mesh.length_scale == 3.5 and "kinematic" in mesh._repr_html_()  # a length of the particles alone
-    result = ccd.mesh_ccd(mesh, start, start + 2.0 * np.outer([0, 0, 0, 1], UP))
-    assert result.vertex_toi[:3].tolist() == pytest.approx([0.25, np.inf, 0.0], abs=1e-15)
+def test_a_floor_that_rises_meets_what_is_at_rest_in_each_world_its_own():
+    mesh, start = lift()
+    assert mesh.num_vertices == 5 and mesh.static.tolist() == [False, True, False]
+    assert mesh.kinematic.tolist() == [False, False, True] and mesh.planes.vertices.tolist() == [-1, 4]
+    assert mesh.length_scale == 6.0 and "kinematic" in mesh._repr_html_()  # a length of the particles alone
+    rise = np.outer([0, 0, 0, 0, 2], UP)
+    result = ccd.mesh_ccd(mesh, start, start + rise)
+    assert result.vertex_toi[:4].tolist() == pytest.approx([0.25, np.inf, 0.25, 0.0], abs=1e-15)
     assert result.body_toi.tolist() == [0.0, np.inf, 0.0] and result.first.body_names == ("dust", "floor")
     (risen,) = result.contacts[result.contacts.primitives[:, 0] == 0]
     assert np.allclose(risen.point, [0.2, 0.1, 0.5], atol=1e-15) and risen.primitives.tolist() == [0, 1]
-    gone = ccd.mesh_ccd(mesh, start, start - 2.0 * np.outer([1, 1, 0, 1], UP))
-    assert gone.vertex_toi.tolist()[:3] == [np.inf, np.inf, 0.0]
     same = pickle.loads(pickle.dumps(mesh))
     assert same.planes == mesh.planes and not same.planes.vertices.flags.writeable
-    with pytest.raises(ValueError, match=r"vertices_t1 has shape \(3, 3\)"):
-        ccd.mesh_ccd(mesh, start, start[:3])
-    with pytest.raises(ValueError, match=r"expected at most \d+ copies of a mesh with kinematic half-spaces"):
-        mesh.replicate(100_000)
-
-
-def test_every_world_has_its_own_floor_that_moves():
-    mesh, start = lift([0.2, 0.1, 0.5], [0.1, 0.3, 2.5], [0.0, 0.0, -1.0])
-    worlds = mesh.excluding({"vertex_plane": [(2, 1)]}).replicate(3)
+    for call, message in (
+        (lambda: ccd.mesh_ccd(mesh, start, start[:4]), r"vertices_t1 has shape \(4, 3\)"),
+        (lambda: mesh.replicate(100_000), r"expected at most \d+ copies of a mesh with kinematic half-spaces"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+    worlds = mesh.excluding({"vertex_plane": [(3, 1)]}).replicate(3)
     assert worlds.names == ("dust[0]", "floor[0]", "dust[1]", "floor[1]", "dust[2]", "floor[2]", "wall")
-    assert worlds.planes.vertices.tolist() == [3, 7, 11, -1] and worlds.planes.bodies.tolist() == [1, 3, 5, 6]
-    assert worlds.exclude_pairs["vertex_plane"].tolist() == [[2, 0], [6, 1], [10, 2]]
-    starts = np.tile(start, (3, 1, 1))
-    ends = starts + np.array([0.0, 1.0, 2.0])[:, None, None] * np.outer([0, 0, 0, 1], UP)
-    result = ccd.mesh_ccd(worlds, starts, ends)
+    assert worlds.planes.vertices.tolist() == [4, 9, 14, -1] and worlds.planes.bodies.tolist() == [1, 3, 5, 6]
+    assert worlds.exclude_pairs["vertex_plane"].tolist() == [[3, 0], [8, 1], [13, 2]]
+    frames = np.tile(start, (3, 1, 1)), start + np.array([0.0, 0.5, 1.0])[:, None, None] * rise
+    result, launched = ccd.mesh_ccd(worlds, *frames), ccd.CollisionPipeline(worlds).launch(*frames)
     assert result.world_toi.tolist() == pytest.approx([np.inf, 0.5, 0.25], abs=1e-15)
-    launched = ccd.CollisionPipeline(worlds).launch(starts, ends)
     assert launched.world_toi.numpy().tolist() == result.world_toi.tolist()
 
 
 @pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
 def test_a_piston_strikes_what_cannot_get_out_of_its_way(per):
-    mesh, start = lift([0.2, 0.1, 0.5], [0.1, 0.3, 5.0], [0.3, 0.0, 0.5])
-    wished = start + np.array([[0.0, 0, 1.7], [0.3, 0, -0.5], [0, 0, 0.5], [0, 0, 2.0]])
+    mesh, start = lift()
+    mesh = mesh.excluding({"vertex_plane": [(3, 1)]})
+    wished = start + np.array([[0.0, 0, 1.7], [0.3, 0, -0.5], [0, 0, 0.5], [0, 0, 0], [0, 0, 2.0]])
     found, together = ccd.line_search(mesh, start, wished, per=per), per != "vertex"
-    assert not found.is_limited and np.array_equal(found.vertices[3], wished[3])
-    assert found.vertex_fraction.tolist() == ([0, 0, 0, 1] if together else [1, 1, 0, 1])
-    assert np.array_equal(found.vertices[2], start[2]) and len(found.touching) == 0
+    assert not found.is_limited and found.vertex_fraction.tolist() == ([0, 0, 0, 0, 1] if together else [1, 1, 0, 1, 1])
+    assert np.array_equal(found.vertices[2:], [start[2], start[3], wished[4]]) and len(found.touching) == 0
     struck = found.struck
     assert struck.primitives.tolist() == ([[0, 1], [2, 1]] if together else [[2, 1]])
     assert struck.toi.tolist() == pytest.approx([0.25] * len(struck), abs=1e-15)

@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 import warp as wp
 from expected_warnings import OF_ROUNDING
-from hard_cases import FAMILIES
-from scenes import FACE, TRIANGLE, crowd, pairs_in_worlds, sheet_over_ball
+from scenes import FACE, TRIANGLE, crowd, sheet_over_ball
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
-from ccd_warp._runtime import launch
-from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.launch import Execution, Recording, leaves_out_launches
 
 pytestmark = OF_ROUNDING
 
@@ -44,17 +42,20 @@ def falling(**options):
 # --- capacities ---
 
 
-@pytest.mark.parametrize("max_pairs", [1, 7, 500])
-def test_pairs_beyond_the_capacity_count_as_touching_and_contacts_are_missing_from_the_list_alone(max_pairs):
+def test_pairs_beyond_the_capacity_count_as_touching_and_contacts_are_missing_from_the_list_alone():
     mesh, start, end = crowd(np.random.default_rng(3))
     expected = ccd.mesh_ccd(mesh, start, end)
-    pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, max_contacts=10)
-    result = pipeline.launch(start, end)
-    short, needed = result.to_host(), int(result.num_pairs.numpy().max())
-    assert LaunchFlag.PAIRS_OVERFLOW in LaunchFlag(short.flags) and short.toi == 0.0 and needed > max_pairs
-    for name in ("vertex_toi", "body_toi", "world_toi"):
-        assert (getattr(short, name) <= getattr(expected, name)).all()
-    assert {*short.vertex_toi} <= {0.0, *expected.vertex_toi}
+    for max_pairs in (1, 7, 500):
+        pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, max_contacts=10)
+        result = pipeline.launch(start, end)
+        short, needed = result.to_host(), int(result.num_pairs.numpy().max())
+        assert short.flags & LaunchFlag.PAIRS_OVERFLOW and short.toi == 0.0 and needed > max_pairs
+        for name in ("vertex_toi", "body_toi", "world_toi"):
+            assert (getattr(short, name) <= getattr(expected, name)).all()
+        assert {*short.vertex_toi} <= {0.0, *expected.vertex_toi}
+    with pytest.raises(ValueError, match="vertices holds nan in row 0"):  # which changes nothing
+        pipeline.reserve(max_pairs=needed, vertices=np.full(start.shape, np.nan))
+    assert pipeline.launch(start, end).to_host().flags & LaunchFlag.PAIRS_OVERFLOW
     pipeline.reserve(max_pairs=needed)
     short = pipeline.launch(start, end).to_host()
     assert short.flags == LaunchFlag.CONTACTS_OVERFLOW and len(short.contacts) == 10
@@ -83,19 +84,6 @@ def test_capacities_for_which_there_is_no_memory_are_named_and_the_pipeline_goes
         ccd.CollisionPipeline(mesh, max_contacts=2**31 - 1).launch(start, end)
 
 
-def test_reserve_that_fails_changes_nothing_and_a_layout_is_kept_as_it_was_given():
-    mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
-    expected, pipeline = ccd.mesh_ccd(mesh, start, end), ccd.CollisionPipeline(mesh)
-    with pytest.raises(ValueError, match="vertices holds nan in row 0"):
-        pipeline.reserve(max_pairs=7, vertices=np.full(start.shape, np.nan))
-    layout = mesh.vertices.copy()
-    pipeline.reserve(max_contacts=60_000, vertices=layout)
-    layout[:] = np.nan  # the caller's own array
-    check_same(pipeline.launch(start, end), expected)
-    pipeline.reserve(max_pairs=7)  # the capacity that the failed call requested is too small
-    assert pipeline.launch(start, end).to_host().flags & LaunchFlag.PAIRS_OVERFLOW
-
-
 def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved():
     mesh, low, _ = falling(static=[0])
     start = low - [0, 0, 5.0] * (mesh.vertex_body == 0)[:, None] - [0, 0, 3.0] * (mesh.vertex_body == 1)[:, None]
@@ -113,28 +101,47 @@ def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved():
 # --- what stops ---
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_no_number_stops_its_world_alone_and_once(value):
-    one, start, end = sheet_over_ball()
-    mesh, count = one.replicate(3), one.num_vertices
-    frames = np.tile(start, (3, 1)), np.tile(end, (3, 1))
-    expected, capacities = ccd.mesh_ccd(mesh, *frames), {"max_pairs": 60_000, "max_contacts": 60_000}
-    pipeline = ccd.CollisionPipeline(mesh, **capacities)
-    is_stopped = mesh.vertex_world == 1
-    # of a moving vertex at either end, and of a static one
-    for row, of in ((7, 0), (7, 1), (count - 1, 0)):
-        broken = [x.copy() for x in frames]
-        broken[of][count + row] = [value, 0.0, 1.0]
-        found = pipeline.launch(*broken).to_host()
-        assert found.flags == LaunchFlag.INVALID_INPUT and found.world_flags.tolist() == [0, found.flags, 0]
-        assert found.toi == found.world_toi[1] == 0.0 == found.body_toi[2:4].max()
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+@pytest.mark.parametrize(
+    ("of", "value"),
+    [
+        *((of, value) for of in ("start", "end", "static") for value in (np.nan, np.inf, -np.inf)),
+        *(("radius", value) for value in (-1.0, -5e-324, np.nan, np.inf)),
+        *(("moved", value) for value in (1e-7, -0.0)),
+    ],
+)
+def test_what_cannot_be_stops_its_world_alone_and_once(of, value, dtype):
+    mesh, start, end = falling(static=[0], radius=0.125)
+    mesh, moving = mesh.replicate(3), mesh.replicate(3).moving_vertices
+    x, y = frames = [np.tile(positions, (3, 1)).astype(dtype) for positions in (start, end)]
+    pipeline, (x, y), radius, row = ccd.CollisionPipeline(mesh), (x.copy(), y.copy()), mesh.radius.copy(), 6 + 5
+    expected = pipeline.launch(*frames).to_host()
+    if of == "radius":
+        radius[row] = value
+    elif of == "moved":  # a static body; another sign of a zero is no motion
+        y[6, 2] = value
+    else:
+        (y if of == "end" else x)[row if of != "static" else 7] = [value, 0.0, 1.0]
+    pipeline.radius.assign(radius)
+    flag = LaunchFlag.STATIC_MOVED if of == "moved" else LaunchFlag.INVALID_INPUT
+    flag, is_stopped = (flag, mesh.vertex_world == 1) if value != 0 else (0, mesh.vertex_world > 2)
+    for vertices_t0 in (x, x[moving]) if of == "moved" else (x,):
+        found = pipeline.launch(vertices_t0, y).to_host()
+        assert found.flags == flag and found.world_flags.tolist() == [0, flag, 0]
         np.testing.assert_array_equal(found.vertex_toi, np.where(is_stopped, 0.0, expected.vertex_toi))
-        y = broken[1].copy()
-        pipeline.launch_line_search(broken[0], y, per="vertex")
-        moving = is_stopped & ~mesh.static[mesh.vertex_body]
-        np.testing.assert_array_equal(y[moving], broken[0][moving])
-        # a static body is where it was before
-        check_same(pipeline.launch(*(x[mesh.moving_vertices] for x in frames)), expected)
+        assert (found.world_toi[1] == found.toi == 0.0) == bool(flag)
+    if of == "moved":
+        by = pipeline.launch(array(x), displacements=array(y.astype(float) - x)).world_toi.numpy()
+        assert (by == 0).tolist() == [False, bool(flag), False]
+    wished = y.copy()
+    assert pipeline.launch_line_search(x, wished, per="world").world_flags.numpy().tolist() == [0, flag, 0]
+    is_stopped &= ~mesh.static[mesh.vertex_body]
+    np.testing.assert_array_equal(wished[is_stopped], x[is_stopped])
+    assert (wished[moving[~is_stopped[moving]], 2] < 1.0).all()
+    pipeline.radius.assign(mesh.radius)  # a static body is where it was before
+    np.testing.assert_array_equal(
+        pipeline.launch(*(f[moving] for f in frames)).to_host().vertex_toi, expected.vertex_toi
+    )
 
 
 @pytest.mark.parametrize("far", [1e40, 1e300])
@@ -172,23 +179,20 @@ def test_capture_follows_a_static_body_that_is_moved(broad_phase):
         check_same(result, ccd.mesh_ccd(mesh, a, b))
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool)}, {"exclusion_rings": 2}]
-)
+@pytest.mark.parametrize("options", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool), "exclusion_rings": 2}])
 def test_first_launch_in_a_capture_of_the_cpu(options):
     """The arrays of a mesh on the device are made before the capture; otherwise only the graph would own the copies."""
     mesh, start, end = falling(**options)
     pipeline = ccd.CollisionPipeline(mesh, device="cpu")
     result, expected = pipeline.reserve(), ccd.mesh_ccd(*falling(**options), device="cpu")
     assert result.toi.numpy()[0] == 0.0 == result.vertex_toi.numpy().max()  # before a launch nothing may move
-    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end))
+    frames = [wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end)]
     with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(vertices_t0, vertices_t1)
+        pipeline.launch(*frames)
     wp.capture_launch(capture.graph)
-    assert expected.hit
     check_same(result, expected)
-    check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
-    assert ccd.mesh_ccd(mesh, start, end, device="cpu").toi == expected.toi
+    check_same(pipeline.launch(*frames), expected)
+    assert ccd.mesh_ccd(mesh, start, end, device="cpu").toi == expected.toi < 1
 
 
 def test_calls_that_a_graph_cannot_hold_say_so():
@@ -245,46 +249,20 @@ def test_few_positions_of_numpy_are_copied_but_by_a_graph_of_the_cpu():
     mesh, start, end = sheet_over_ball()
     pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_contacts=60_000)
     a, b = start.copy(), end.copy()
-
-    def place(shift):
-        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
-        return ccd.mesh_ccd(mesh, a, b, device="cpu")
-
+    pipeline.reserve()
+    with wp.ScopedCapture(device="cpu") as capture:
+        pipeline.launch(a, b)
     for shift in (0.0, 0.1, -0.2):
-        expected = place(shift)
+        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
+        expected = ccd.mesh_ccd(mesh, a, b, device="cpu")
         result = pipeline.launch(a, b)
         a[:], b[:] = np.nan, np.nan
         check_same(result, expected)
         np.testing.assert_array_equal(result.contacts.to_host().points, expected.contacts.points)
-    place(0.0)
-    with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(a, b)
-    pipeline.launch(start + [0, 0, 5], end + [0, 0, 5])
-    for shift in (0.1, -0.2):
-        expected = place(shift)
+        pipeline.launch(start + [0, 0, 5], end + [0, 0, 5])
+        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
         wp.capture_launch(capture.graph)
         check_same(result, expected)
-
-
-# --- what has nothing to do is left out: of graphs by a flag on the device, otherwise by the same flag ---
-
-
-def test_the_second_round_runs_in_a_graph_where_a_pair_is_open():
-    """Of needles that cross each other: a graph of the CPU holds the branch."""
-    options = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}
-    points = FAMILIES["needle_against_needle"]("edge-edge", 1000, np.random.default_rng(0))
-    is_hard = ccd.edge_edge_ccd(*points, **options).iterations > 256  # of a first round
-    mesh, start, end = pairs_in_worlds("edge-edge", *(x[is_hard] for x in points))
-    pipeline = ccd.CollisionPipeline(mesh, **options)
-    pipeline.reserve()
-    x, y = (wp.array(start, dtype=wp.vec3d, device="cpu") for _ in range(2))
-    with wp.ScopedCapture(device="cpu") as capture:
-        result = pipeline.launch(x, y)
-    for positions, is_open in ((start, False), (end, True)):
-        y.assign(positions)
-        wp.capture_launch(capture.graph)
-        assert bool(result._step._is_open.numpy()[0]) is is_open
-    check_same(result, ccd.mesh_ccd(mesh, start, end, **options))
 
 
 @pytest.mark.parametrize(
@@ -297,7 +275,7 @@ def test_a_graph_leaves_out_launches_where_warp_captures_it_and_the_driver_can(
     """torch captures without Warp, which would then wait for the flag, and a driver before 12.4 has no such nodes."""
     monkeypatch.setattr(wp, "is_conditional_graph_supported", lambda: is_supported)
     device = SimpleNamespace(is_cpu=is_cpu, stream="stream", captures={"stream": "graph"} if is_ours else {})
-    assert launch.leaves_out_launches(device) is expected
+    assert leaves_out_launches(device) is expected
     if is_ours and expected:  # a capture on CUDA records the branch and not the launches
         branches, flag = [], wp.array([0], dtype=wp.int32, device="cpu")
         monkeypatch.setattr(wp, "capture_if", lambda condition, on_true: branches.append(condition))

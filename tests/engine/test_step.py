@@ -4,8 +4,8 @@ import os
 import re
 import subprocess
 import sys
-import threading
 import weakref
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,18 +14,14 @@ import trimesh
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from scenes import FACE, TRIANGLE, crowd, leaning_stack, single, soup, with_static_at_rest
+from laws.outputs import different, outputs_of
+from scenes import FACE, TRIANGLE, crowd, leaning_stack, single, soup
 
 import ccd_warp as ccd
 
 pytestmark = OF_ROUNDING
 
 CALLS = ("mesh_ccd", "collision_free_step", "find_candidates")
-
-
-def as_bytes(result):
-    arrays = [*vars(result.contacts).values(), result.vertex_toi, result.body_toi, result.vertex_contact]
-    return b"".join(array.tobytes() for array in arrays)
 
 
 def least_bytes(error):
@@ -58,19 +54,16 @@ def test_boxes_of_static_bodies_are_made_once():
     rng = np.random.default_rng(8)
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, 50, 0.1), soup(rng, 300, 0.1)], static=[1])
     static = sum((body == 1).sum() for body in (mesh.vertex_body, mesh.edge_body, mesh.face_body))
-    every = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+    every, moves = mesh.num_vertices + mesh.num_edges + mesh.num_faces, (mesh.vertex_body == 0)[:, None]
     pipeline = ccd.CollisionPipeline(mesh)
-    for k in range(4):
-        start = mesh.vertices + 0.001 * k * (mesh.vertex_body == 0)[:, None]
-        end = with_static_at_rest(mesh, start, start + 0.01)
-        result = pipeline.mesh_ccd(start, end)
-        assert result.counts.num_boxes == (every - static if k else every)
-        assert as_bytes(result) == as_bytes(ccd.mesh_ccd(mesh, start, end))
+    for k in range(3):
+        start = mesh.vertices + 0.001 * k * moves
+        assert pipeline.mesh_ccd(start, start + 0.01 * moves).counts.num_boxes == (every - static if k else every)
     start = mesh.vertices + 1e-3  # the static body was moved between two steps
     assert pipeline.mesh_ccd(start, start).counts.num_boxes == every
 
 
-def test_bodies_that_nothing_comes_near_have_no_boxes_that_count():
+def test_bodies_that_nothing_comes_near_have_no_boxes_that_count_and_trees_apart_are_not_searched():
     ball = trimesh.creation.icosphere(subdivisions=1, radius=0.4)
     places = np.arange(12)[:, None] * [3.0, 0, 0]
     places[7] = places[6] + [0.9, 0, 0]
@@ -81,44 +74,30 @@ def test_bodies_that_nothing_comes_near_have_no_boxes_that_count():
     assert result.counts.num_active_bodies == 2 and other.counts.num_active_bodies == 12
     assert np.flatnonzero(np.isfinite(result.body_toi)).tolist() == [6, 7] and other.toi == result.toi
     assert other.counts.num_candidates[ccd.PairKind.EDGE_EDGE] > result.counts.num_candidates[ccd.PairKind.EDGE_EDGE]
-
-
-def test_trees_that_do_not_meet_are_not_searched():
-    ball = trimesh.creation.icosphere(subdivisions=2)
-    mesh = ccd.CollisionMesh.from_trimesh([ball, ball], static=[1], self_collision=False)
-    moves = (mesh.vertex_body == 0)[:, None]
-    start, pipeline = mesh.vertices + moves * [5.0, 0, 0], ccd.CollisionPipeline(mesh)
-    for motion, is_free in (([0, 1.0, 0], True), ([-3.5, 0, 0], False)):
-        assert (pipeline.collision_free_step(start, start + moves * motion) == 1.0) == is_free
+    mesh = ccd.CollisionMesh.from_arrays([bodies[0], bodies[2]], static=[1], self_collision=False)
+    pipeline = ccd.CollisionPipeline(mesh)
+    for motion, is_free in (([0, 1.0, 0], True), ([5.5, 0, 0], False)):
+        end = mesh.vertices + (mesh.vertex_body == 0)[:, None] * motion
+        assert (pipeline.collision_free_step(mesh.vertices, end) == 1.0) == is_free
         assert any(pipeline.counts.num_searches.values()) == (not is_free)
-
-
-def test_bodies_that_stay_far_apart_have_the_stages_and_the_least_memory_of_others():
-    bodies = [(TRIANGLE, FACE), (TRIANGLE + [50.0, 0, 9], FACE)]
-    pipeline = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays(bodies, self_collision=False))
-    far = pipeline.mesh.vertices
-    near = far - [49.5, 0, 9] * (pipeline.mesh.vertex_body == 1)[:, None]
-    for name in CALLS[:2]:
-        stages = []
-        for end in (far, near):
-            getattr(pipeline, name)(far, end)
-            stages.append({*pipeline.timings})
-        assert stages[0] == stages[1]
-        with pytest.raises(ValueError, match=r"memory_limit is 1 bytes; expected at least \d{6}"):
-            getattr(ccd, name)(pipeline.mesh, far, far + 1.0, memory_limit=1)
 
 
 # --- memory and threads ---
 
 
-def test_least_memory_limit_that_is_named_works():
-    mesh, start, end = leaning_stack(300)
-    for call in (ccd.mesh_ccd, ccd.collision_free_step):
-        with pytest.raises(ValueError, match="memory_limit is 10000 bytes; expected at least") as error:
-            call(mesh, start, end, memory_limit=10_000)
-        call(mesh, start, end, memory_limit=least_bytes(error))
-        with pytest.raises(ValueError, match="expected at least"):
-            call(mesh, start, end, memory_limit=least_bytes(error) - 1)
+def test_least_memory_limit_that_is_named_works_and_one_byte_less_does_not():
+    # bodies that stay far apart, and many pairs, whose least is enough for all calls by a law
+    bodies = [(TRIANGLE, FACE), (TRIANGLE + [50.0, 0, 9], FACE)]
+    far = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    for mesh, start, end in ((far, far.vertices, far.vertices + 1.0), leaning_stack(300)):
+        for call in (ccd.mesh_ccd, ccd.collision_free_step):
+            least = 1
+            for _ in range(2):
+                with pytest.raises(ValueError, match=rf"memory_limit is {least} bytes; expected at least \d+") as error:
+                    call(mesh, start, end, memory_limit=least)
+                least = least_bytes(error) - 1
+            assert least_bytes(error) == least + 1 >= 100_000
+            call(mesh, start, end, memory_limit=least + 1)
     # of 150 faces in one point, whose contacts alone exceed it
     mesh, start = single(*soup(np.random.default_rng(10), 150, 0.0)), np.zeros((450, 3))
     options = {"memory_limit": 3 << 20, "num_threads": 1}
@@ -127,24 +106,6 @@ def test_least_memory_limit_that_is_named_works():
     assert ccd.collision_free_step(mesh, start, start, **options) == 0.0
     result = ccd.mesh_ccd(mesh, start, start, **options | {"memory_limit": least_bytes(error)})
     assert len(result.contacts) == 450 * 149 + 450 * 449 // 2 - 450
-
-
-def test_kind_without_pairs_needs_no_memory():
-    """All pairs fit some of the limits, though not as they are divided among the kinds first, and one kind has none."""
-
-    def answer(**options):
-        rng = np.random.default_rng(0)
-        faces, points = soup(rng, 300, 0.05), (rng.random((50, 3)), np.zeros((0, 3), int))
-        separate = {"codimensional_points": [False, True], "exclude_pairs": {"bodies": [[1, 1]]}}
-        mesh = ccd.CollisionMesh.from_arrays([faces, points], **separate)  # for which nothing is allocated
-        return ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1 * rng.standard_normal((950, 3)), **options)
-
-    expected = answer()
-    assert expected.counts.num_after_cull[ccd.PairKind.POINT_POINT] == 0 < len(expected.contacts)
-    with pytest.raises(ValueError, match="expected at least") as error:
-        answer(memory_limit=1)
-    for share in np.geomspace(1.0, 4.0, 10):
-        assert as_bytes(answer(memory_limit=int(share * least_bytes(error)))) == as_bytes(expected)
 
 
 _OF_A_STACK = f"""
@@ -188,32 +149,27 @@ def test_steps_of_a_size_that_was_seen_allocate_nothing():
 def test_positions_of_a_large_mesh_are_let_go(call):
     """Those of more than 2¹⁵ vertices are read where they are."""
     mesh = ccd.CollisionMesh.from_trimesh(trimesh.creation.icosphere(subdivisions=6))
-    assert mesh.num_vertices > 1 << 15
     pipeline, start, end = ccd.CollisionPipeline(mesh), mesh.vertices.copy(), mesh.vertices + 1e-3
     arrays = weakref.ref(start), weakref.ref(end)
     getattr(pipeline, call)(start, end)
     del start, end
-    assert [array() for array in arrays] == [None, None]
+    assert mesh.num_vertices > 1 << 15 and [array() for array in arrays] == [None, None]
 
 
 def test_python_threads_on_different_meshes_and_on_one():
     frames = [crowd(np.random.default_rng(k), 300) for k in range(3)]
     frames.append(frames[0])  # the same mesh twice
-    expected = [(as_bytes(ccd.mesh_ccd(*each)), ccd.collision_free_step(*each)) for each in frames]
-    pipeline, done = ccd.CollisionPipeline(frames[0][0]), []
+    pipeline = ccd.CollisionPipeline(frames[0][0])
 
-    def work(k):
-        for _ in range(5):
-            assert (as_bytes(ccd.mesh_ccd(*frames[k])), ccd.collision_free_step(*frames[k])) == expected[k]
-            assert k in (1, 2) or as_bytes(pipeline.mesh_ccd(*frames[k][1:])) == expected[k][0]
-        done.append(k)
+    def answers(k):
+        found = ccd.mesh_ccd(*frames[k]), ccd.collision_free_step(*frames[k])
+        shared = pipeline.mesh_ccd(*frames[0][1:]) if k in (0, 3) else None
+        return outputs_of({"step": found, "shared": shared})
 
-    threads = [threading.Thread(target=work, args=(k,)) for k in range(len(frames))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(done) == [0, 1, 2, 3]
+    expected = [answers(k) for k in range(4)]
+    with ThreadPoolExecutor(4) as threads:
+        for k, found in zip(list(range(4)) * 5, threads.map(answers, list(range(4)) * 5), strict=True):
+            assert different(found, expected[k]) == []
 
 
 # --- scenes made to break a broad phase ---

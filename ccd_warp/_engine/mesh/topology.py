@@ -281,7 +281,10 @@ class Topology:
 
     def typical_radius_of(self, primitives: NDArray[np.intp]) -> float:
         """The median of these."""
-        return 0.0 if self.mesh.radius is None else float(np.median(self.seen_radius(primitives)))
+        if self.mesh.radius is None:
+            return 0.0
+        with np.errstate(over="ignore"):  # of the mean of two
+            return float(np.median(self.seen_radius(primitives)))
 
     def _corners_host(self, name: str) -> NDArray[np.int32]:
         mesh = self.mesh
@@ -614,7 +617,8 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
     scale = 2.0 ** -(exponent + topology.world_places.bits)
     half_extent += topology.typical_radius_of(topology.samples[1])
-    return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
+    with np.errstate(over="ignore", under="ignore"):
+        return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
 
 
 def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
