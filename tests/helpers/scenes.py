@@ -59,14 +59,6 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
 
 
-def three_bodies(seed, counts, size=0.1, speed=0.05, **options):
-    """Three bodies of so many faces at random places that move at random, but for static ones."""
-    rng = np.random.default_rng(seed)
-    mesh = ccd.CollisionMesh.from_arrays([soup(rng, count, size) for count in counts], **options)
-    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
-
-
 def all_in_one_place(seed, num_faces=60, num_particles=200):
     """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
     rng = np.random.default_rng(seed)
