@@ -22,6 +22,7 @@ requires_data = pytest.mark.skipif(
     reason="the published sample data is absent: set CCD_WARP_DATA to its folder",
 )
 
+
 @cache
 def _sets() -> dict[tuple[str, str], Queries]:
     return {(queries.name, queries.kind): queries for queries in find_queries(DATA)}
