@@ -11,6 +11,8 @@ FLOATS = {"float64": np.float64, "float32": np.float32}
 KINDS = {"vertex-face": 0, "edge-edge": 1}
 # the corners of a pair, from the definition of its kind
 CORNERS = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}
+# its two sides, whose product is the normal
+SIDES = {"vertex-face": ((1, 2), (1, 3)), "edge-edge": ((2, 3), (1, 0))}
 
 
 def dropped(kind, points, tois, separation, t_end, **options):
