@@ -35,7 +35,7 @@ def make_probe(real):
     Options = specialised("pair.query", real=real).Options
     normalise = specialised("pair.solver", real=real).normalise
     sub_corners = specialised("pair.sub_patch", real=real).sub_corners
-    # the functions for one lane; `test_lane_width` compares those for several with them
+    # the functions for one lane; the laws compare those for several with them
     inclusion = specialised("pair.inclusion", real=real)
     clip, clip_corner, offset = inclusion.clip, inclusion.clip_corner, inclusion.offset
     volume = specialised("pair.volume", real=real)
