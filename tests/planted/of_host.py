@@ -245,7 +245,7 @@ PLANTED = [
         "kernels/search/collision_filter.py",
         "    if low < end:\n        return collision_filter.listed[low] == key",
         "    if low < end - 1:\n        return collision_filter.listed[low] == key",
-        ("input/test_excluded_pairs.py::test_contacts_of_all_kinds_are_excluded_as_they_are_and_copies_keep_them",),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "the lowest group of a box for the highest",
