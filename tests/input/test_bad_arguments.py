@@ -195,42 +195,37 @@ def check_refusal(error, words, phrase=""):
     assert "\n" not in text and len(text) < 400, text
 
 
-def parts_of(result):
-    """What a result consists of, but for times."""
+def leaves(result, name=""):
+    """The arrays and plain values that a result consists of, but for times, by where they are."""
+    if isinstance(result, wp.array):
+        result = result.numpy()
     if isinstance(result, ccd.CollisionMesh):
-        return result.__getstate__()
-    if isinstance(result, ccd.DeviceContacts):
-        return vars(result.to_host())
-    if isinstance(result, (ccd.RigidMotion, ccd.AffineMotion, ccd.JointMotion)):
-        return {name: value for name, value in vars(result).items() if not name.startswith("_")}
-    if is_dataclass(result):
-        return {name: value for name, value in vars(result).items() if name not in ("timings", "counts", "_step")}
-    if isinstance(result, dict):
-        return result
-    sequences = (tuple, list, ccd.FrameSequence, ccd.PoseSequence)
-    return dict(enumerate(result)) if isinstance(result, sequences) else None
+        parts = result.__getstate__()
+    elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion, ccd.JointMotion)):
+        parts = vars(result.to_host() if isinstance(result, ccd.DeviceContacts) else result)
+        parts = {key: value for key, value in parts.items() if not key.startswith("_")}
+    elif is_dataclass(result):
+        parts = {key: value for key, value in vars(result).items() if key not in ("timings", "counts", "_step")}
+    elif isinstance(result, (tuple, list, ccd.FrameSequence, ccd.PoseSequence)):
+        parts = dict(enumerate(result))
+    elif not isinstance(result, dict):
+        return {} if isinstance(result, ccd.CollisionPipeline) else {name: result}
+    else:
+        parts = result
+    return {at: leaf for key, part in parts.items() for at, leaf in leaves(part, f"{name}.{key}").items()}
 
 
 def arrays_of(result):
     """All arrays of a result."""
-    if isinstance(result, (np.ndarray, wp.array)):
-        return [result.numpy() if isinstance(result, wp.array) else result]
-    return [array for part in (parts_of(result) or {}).values() for array in arrays_of(part)]
+    return [leaf for leaf in leaves(result).values() if isinstance(leaf, np.ndarray)]
 
 
 def check_same(result, expected):
-    if isinstance(expected, (np.ndarray, wp.array)):
-        (result,), (expected,) = arrays_of(result), arrays_of(expected)
-        assert result.dtype == expected.dtype
-        np.testing.assert_array_equal(result, expected)
-    elif parts_of(expected) is not None:
-        assert parts_of(result).keys() == parts_of(expected).keys()
-        for name, part in parts_of(expected).items():
-            check_same(parts_of(result)[name], part)
-    elif isinstance(expected, ccd.CollisionPipeline):
-        assert isinstance(result, ccd.CollisionPipeline)
-    else:
-        assert result == expected
+    found, truth = leaves(result), leaves(expected)
+    assert found.keys() == truth.keys()
+    for name, leaf in truth.items():
+        assert getattr(found[name], "dtype", None) == getattr(leaf, "dtype", None), name
+        np.testing.assert_array_equal(found[name], leaf, err_msg=name)
 
 
 EVERY = [(call, argument) for call, (_, arguments) in CALLS.items() for argument in arguments]
