@@ -6,13 +6,6 @@ from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
 
-SOLVE = {
-    "vertex-face": (ccd.vertex_face_ccd, 4),
-    "edge-edge": (ccd.edge_edge_ccd, 4),
-    "point-segment": (ccd.point_segment_ccd, 3),
-    "point-point": (ccd.point_point_ccd, 2),
-}
-
 
 def scene(**options):
     """All kinds of pairs: two bodies, one of which falls on the other and on two half-spaces, one of them moving."""

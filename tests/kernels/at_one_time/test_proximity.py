@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from distance_oracle import exact_distance
 from hard_cases import FAMILIES
-from launches import on_device
+from laws.calls import on_device
 from laws.scenes import drawn
 from scenes import FACE, NO_FACES, TRIANGLE, stacked
 

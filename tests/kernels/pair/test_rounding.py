@@ -20,10 +20,10 @@ from ccd_warp.kernels.pair.rounding import MOVING, PROJECTION_PATCH, PROJECTION_
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
-from exact import exact_tois
+from exact import exact_distance_tois, exact_tois
 from hard_cases import FAMILIES
 from numpy.lib.recfunctions import structured_to_unstructured
-from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, dropped, exactly
+from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, exactly
 
 
 @cache
@@ -470,20 +470,14 @@ def test_clip_is_a_lower_bound(separation, kind, real):
 
 
 # Powers of two by which the axes are scaled: exact, but products of such lengths underflow and overflow.
-_SCALES = {"as_drawn": (0, 0, 0), "small": (-900, -900, -900), "mixed": (700, -537, -530)}
-of_every_scale = pytest.mark.parametrize(
-    ("separation", "scale"), [(0.0, "as_drawn"), (2.0**-10, "as_drawn"), (0.0, "small"), (0.0, "mixed")]
-)
-
-
 @pytest.mark.parametrize("real", REALS)
 @pytest.mark.parametrize("kind", KINDS)
-@of_every_scale
+@pytest.mark.parametrize(("separation", "scale"), [(0.0, 0), (2.0**-10, 0), (0.0, -900), (0.0, (700, -537, -530))])
 def test_volume_and_facets_clip_no_contact(separation, scale, kind, real):
     rng = np.random.default_rng(43)
     advanced = 0
     for family in _CLIP_FAMILIES:
-        points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 30, rng)]
+        points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 30, rng)]
         times = clip_times(kind, points, real, separation)[0][:, 1:]
         for truth, reported in zip(exact_tois(kind, *points, separation), times.tolist(), strict=True):
             # 2: certainly free to the end
@@ -492,17 +486,31 @@ def test_volume_and_facets_clip_no_contact(separation, scale, kind, real):
     assert advanced.min() > 40
 
 
+# Whether the distance is Euclidean, powers of two by which the axes are scaled, and distances as shares of the size.
+_CULLS = [(False, 0, 0.0), (False, 0, 2.0**-10), (False, -900, 0.0), (False, (700, -537, -530), 0.0)]
+_CULLS += [(True, scale, share) for scale in (0, -100, -300, 100, 300) for share in (1e-3, 0.2)]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("t_end", [1.0, 0.3])
-@of_every_scale
-@pytest.mark.parametrize("test", ["volume", "sides"])
-def test_cull_drops_no_contact(test, separation, scale, t_end, kind):
+@pytest.mark.parametrize(("is_euclidean", "scale", "share"), _CULLS)
+@pytest.mark.parametrize("test", ["volume", "sides", "both"])
+def test_cull_drops_no_contact(test, is_euclidean, scale, share, t_end, kind):
     rng = np.random.default_rng(44)
     num_dropped = 0
-    for family in ("random", "one_plane", "parallel_edges", *_CLIP_FAMILIES):
-        points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 100, rng)]
-        num_dropped += dropped(kind, points, exact_tois, separation, t_end, test=test).sum()
-    assert num_dropped > 10 or scale != "as_drawn"
+    others = ("cloth_like", "slivers", "mixed_axis_scales") if is_euclidean else _CLIP_FAMILIES
+    for family in ("random", "one_plane", "parallel_edges", *others):
+        points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 100, rng)]
+        distance = share * float(np.median(np.abs(points[0]).max(axis=(1, 2))))
+        narrow, *wider = (
+            culled(kind, *points, width, separation=distance, is_euclidean=is_euclidean, t_end=t_end, test=test)
+            for width in WIDTHS
+        )
+        assert all(np.array_equal(narrow, each) for each in wider)
+        tois = exact_distance_tois if is_euclidean else exact_tois
+        assert not any(truth.hit for truth in tois(kind, *(p[narrow] for p in points), distance, t_end))
+        num_dropped += narrow.sum()
+    assert num_dropped > 10 or scale != 0 or share > 0.1
 
 
 @pytest.mark.parametrize("kind", KINDS)
