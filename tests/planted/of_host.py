@@ -30,7 +30,7 @@ PLANTED = [
         "kernels/pair/subdivide.py",
         "stack[upper + 1] = nu",
         "stack[upper + 1] = u1",
-        ("kernels/narrow_phase/test_narrow_phase.py::test_tolerance",),
+        ("kernels/narrow_phase/test_narrow_phase.py::test_options",),
     ),
     Fault(
         "no rounding in the offset along a direction",

@@ -60,23 +60,14 @@ SETS = {
 }
 
 
-def check_set(name, kind, precision):
+@every_kind
+@pytest.mark.parametrize("name", SETS)
+def test_options(name, kind, precision):
     for names, n, seed, options in SETS[name]:
         found, result, _ = failures(kind, *drawn(kind, names, n, seed), precision=precision, **options)
         assert not found, options
         assert (result.toi[result.hit] <= options.get("t_max", 1.0)).all()
         assert name != "gap" or (result.width[result.status == ccd.CCDStatus.COLLISION] == 0).all()
-
-
-@every_kind
-def test_tolerance(kind, precision):
-    check_set("tolerance", kind, precision)
-
-
-@every_kind
-@pytest.mark.parametrize("name", ["separation", "t_max", "gap"])
-def test_options(name, kind, precision):
-    check_set(name, kind, precision)
 
 
 @pytest.mark.parametrize(("kind", "dimension"), POINT_KINDS)

@@ -28,7 +28,7 @@ from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn,
 
 @cache
 def make_probe(real):
-    """Kernels that write the intermediate quantities of the solver, and the clips that it is built of."""
+    """A kernel that writes the intermediate quantities of the solver, and when the clips that it is built of end."""
     vec3, vec4 = (wp.types.vector(length=n, dtype=real) for n in (3, 4))
     patch = specialised("pair.patch", real=real)
     Corners, corners_at = patch.Corners, patch.corners_at
@@ -86,6 +86,7 @@ def make_probe(real):
         d_t: vec3  # direction of a moving facet at times t and x
         d_x: vec3
         moving: vec3  # Bernstein coefficients of its product with corner w00
+        clips: wp.types.vector(length=14, dtype=real)  # along d from t on, by the volume, by each facet
 
     @wp.kernel(module=module)
     def probe(
@@ -141,32 +142,16 @@ def make_probe(real):
         s.d_x = d_x
         mixed = half * (wp.dot(d_t, c_x.w00) + wp.dot(d_x, c_t.w00))
         s.moving = vec3(wp.dot(d_t, c_t.w00), mixed, wp.dot(d_x, c_x.w00))
+        separation, error = n.problem.separation, n.problem.error
+        s.clips[0] = clip(g.d, error + separation, g.t, n.patch.t0, n.patch.t1, n.patch.is_triangle)
+        s.clips[1] = advance_volume(n.problem, real(0.0), real(1.0))
+        for k in range(12):
+            s.clips[2 + k] = clip_facet(
+                n.patch.t0, n.patch.t1, separation, error, real(k), real(0.0), real(1.0), num_clips
+            )
         out[i] = s
 
-    @wp.kernel(module=module)
-    def clips(
-        # in
-        kind: int,
-        vertices_t0: wp.array2d[wp.vec3d],
-        vertices_t1: wp.array2d[wp.vec3d],
-        options: Options,
-        given: wp.array[Given],
-        # out
-        times: wp.array2d[wp.float64],  # along the direction from t on, by the volume, by each facet
-        unit: wp.array[wp.vec3d],
-    ):
-        i = wp.tid()
-        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
-        separation, error = n.problem.separation, n.problem.error
-        s = clip(given[i].d, error + separation, given[i].t, n.patch.t0, n.patch.t1, n.patch.is_triangle)
-        times[i, 0] = wp.float64(s)
-        times[i, 1] = wp.float64(advance_volume(n.problem, real(0.0), real(1.0)))
-        for k in range(12):
-            s = clip_facet(n.patch.t0, n.patch.t1, separation, error, real(k), real(0.0), real(1.0), num_clips)
-            times[i, 2 + k] = wp.float64(s)
-        unit[i] = n.unit
-
-    return Options, Given, Found, probe, clips
+    return Options, Given, Found, probe
 
 
 # ---- The reference, in any arithmetic --------------------------------------------------------------------------------
@@ -372,23 +357,19 @@ def mutated(inputs: dict, real: str, rng: np.random.Generator) -> dict:
     return child | {name: np.clip(child[name], 0, 1) for name in ("t", "x")}
 
 
-def launched(name: str, kind: str, inputs: dict, real: str, separation: float) -> list[np.ndarray]:
-    """What one of the kernels writes."""
-    Options, Given, Found, probe, clips = make_probe(REALS[real])
+def evaluated(kind: str, inputs: dict, real: str, separation: float) -> np.ndarray:
+    """What the kernel writes, by name; inputs that are not given are 0."""
+    Options, Given, Found, probe = make_probe(REALS[real])
     options = Options()
     options.length_scale, options.tolerance, options.minimum_separation = 1.0, 1e-300, separation
     options.t_max = options.t_end = 1.0
-    n = len(inputs["vertices_t0"])
-    given = np.zeros(n, dtype=Given.numpy_dtype())
+    given = np.zeros(len(inputs["vertices_t0"]), dtype=Given.numpy_dtype())
     for field in given.dtype.names:
         given[field] = inputs.get(field, 0)
     x = [wp.array(inputs[f"vertices_{end}"], dtype=wp.vec3d) for end in ("t0", "t1")]
-    if name == "probe":
-        kernel, outputs = probe, [wp.zeros(n, dtype=Found)]
-    else:
-        kernel, outputs = clips, [wp.zeros((n, 14), dtype=wp.float64), wp.zeros(n, dtype=wp.vec3d)]
-    wp.launch(kernel, n, [KINDS[kind], *x, options, wp.array(given, dtype=Given)], outputs=outputs)
-    return [array.numpy() for array in outputs]
+    out = wp.zeros(len(given), dtype=Found)
+    wp.launch(probe, len(given), [KINDS[kind], *x, options, wp.array(given, dtype=Given)], outputs=[out])
+    return out.numpy()
 
 
 def searched(kind: str, real: str, name: str, *, samples: int, generations: int, seed: int) -> float:
@@ -396,7 +377,7 @@ def searched(kind: str, real: str, name: str, *, samples: int, generations: int,
     rng = np.random.default_rng(seed)
 
     def ratios(inputs: dict, convert) -> np.ndarray:
-        (out,) = launched("probe", kind, inputs, real, 0.125)
+        out = evaluated(kind, inputs, real, 0.125)
         with np.errstate(all="ignore"):
             return ratio_of(*getattr(Sample(kind, inputs, out, UNIT_ROUNDOFF[REALS[real]], convert), name)())
 
@@ -433,10 +414,10 @@ def test_bound_holds_and_is_not_lazy(name, real, record_property):
 _CLIP_FAMILIES = ("random_colliding", "lattice", "slivers", "tiny_motion", "mixed_axis_scales", "one_ulp_neighbours")
 
 
-def clip_times(kind: str, points: tuple, real: str, separation: float, **given) -> list[np.ndarray]:
+def clip_times(kind: str, points: tuple, real: str, separation: float, **given) -> tuple[np.ndarray, np.ndarray]:
     """Times that each clip reports, and the normalised unit of each axis."""
-    inputs = dict(zip(("vertices_t0", "vertices_t1"), points, strict=True))
-    return launched("clips", kind, inputs | given, real, separation)
+    out = evaluated(kind, {"vertices_t0": points[0], "vertices_t1": points[1], **given}, real, separation)
+    return out["clips"].astype(np.float64), out["unit"]
 
 
 @pytest.mark.parametrize("real", REALS)
