@@ -93,21 +93,6 @@ def test_gradients_follow_the_form_of_the_input(dtype, form):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
 
 
-def test_worlds_in_the_plane_have_gradients():
-    line, dot = np.array([[0.0, 0], [1, 0.1], [2, 0]]), np.array([[0.6, 1.0]])
-    bodies = [(line, [[0, 1], [1, 2]]), (dot, np.zeros((0, 2), dtype=int))]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True).replicate(2)
-    end = mesh.vertices - np.outer(np.where(mesh.vertex_body % 2 == 1, np.repeat([2.0, 3.0], 4), 0.0), [0, 1])
-    given = [array(x, wp.vec2d) for x in (mesh.vertices, end)]
-    tape, result = taped(lambda: ccd.CollisionPipeline(mesh).launch(*given))
-    result.world_toi.grad.assign([1.0, 10.0])
-    tape.backward()
-    t, dots = 0.94 / np.array([2.0, 3.0]), np.flatnonzero(mesh.vertex_body % 2 == 1)
-    np.testing.assert_allclose(result.world_toi.numpy(), t, rtol=1e-12)
-    for x, share in zip(given, (1 - t, t), strict=True):
-        np.testing.assert_allclose(x.grad.numpy()[dots, 1], [1, 10] * share / [2.0, 3.0], rtol=1e-9)
-
-
 @pytest.mark.parametrize("per", PER)
 @pytest.mark.parametrize("make", [scene, thick_scene])
 def test_line_searches_change_as_their_gradients_say(make, per):

@@ -19,13 +19,15 @@ class Moves:
     """A step, as trajectories of primitives.
 
     Args:
-        mesh, start, end: As calls take them.
+        mesh, start, end: As calls take them; in the plane, z is 0.
         motion: What `RigidMotion` takes, by name.
         shares: How much of its motion each body makes; all by default.
     """
 
     def __init__(self, mesh: ccd.CollisionMesh, start, end, motion: dict | None = None, shares=None) -> None:
-        self.mesh, self.start, self.end, self.motion, self.pairs = mesh, start, end, motion, Pairs(mesh)
+        self.mesh, self.motion, self.pairs = mesh, motion, Pairs(mesh)
+        rows = (mesh.vertices, start, end, mesh.planes.points, mesh.planes.normals)
+        self.local, self.start, self.end, *self.planes = (np.pad(x, ((0, 0), (0, 3 - mesh.dimension))) for x in rows)
         self.shares = np.ones(mesh.num_bodies) if shares is None else shares
         self.row = np.cumsum(mesh.rigid) - 1 if motion is not None else None
 
@@ -39,14 +41,14 @@ class Moves:
             name: self.motion.get(key) for name, key in (("end", "poses_t1"), ("twist", "twist"), ("pivot", "pivot"))
         }
         names |= {name: x[row] for name, x in rows.items() if x is not None}
-        whole = turning.turning(self.mesh.vertices[vertices], self.motion["poses_t0"][row], **names)
+        whole = turning.turning(self.local[vertices], self.motion["poses_t0"][row], **names)
         return lambda t: whole(t * arb(float(self.shares[body])))
 
     def plane(self, k: int) -> trajectories.Trajectory:
         """A point and the normal of a half-space."""
-        own, planes = self.mesh.planes.vertices[k], self.mesh.planes
-        ends = [planes.points[k] if own < 0 else x[own] for x in (self.start, self.end)]
-        return straight(*([point, planes.normals[k]] for point in ends))
+        own, (points, normals) = self.mesh.planes.vertices[k], self.planes
+        ends = [points[k] if own < 0 else x[own] for x in (self.start, self.end)]
+        return straight(*([point, normals[k]] for point in ends))
 
     @cached_property
     @precise
@@ -66,7 +68,7 @@ class Moves:
     @property
     def size(self) -> float:
         """Of what is rounded."""
-        return max(np.abs(x).max() for x in (self.boxes, self.mesh.vertices))
+        return max(np.abs(x).max() for x in (self.boxes, self.local))
 
     def near(self, kind: int, distance: float) -> np.ndarray:
         """The pairs of a kind that may come within a distance beside their radii."""
@@ -85,8 +87,8 @@ class Moves:
             chosen = self.near(kind, distance) if pairs is None else [pair for k, *pair in pairs if k == kind]
             chosen = np.reshape(np.array(chosen, dtype=int), (-1, 2))
             corners, distances = self.pairs.corners(kind, chosen), distance + self.pairs.radii(kind, chosen)
-            given = [self.mesh.vertices, self.start, self.end, self.mesh.vertex_body, self.mesh.rigid, self.shares]
-            given += [self.mesh.planes.points, self.mesh.planes.normals, self.mesh.planes.vertices]
+            given = [self.local, self.start, self.end, self.mesh.vertex_body, self.mesh.rigid, self.shares]
+            given += [*self.planes, self.mesh.planes.vertices]
             rows = _times(self, kind, chosen, factor * distances, question=[given, self.motion or {}, chosen, corners])
             found |= dict(zip([(kind, *pair) for pair in chosen.tolist()], rows, strict=True))
         return found
@@ -96,7 +98,10 @@ class Moves:
         if kind == PLANE:
             return first_contact("vertex-plane", self.primitive([pair[0]]), self.plane(pair[1]), distance)
         corners, split = self.pairs.corners(kind, np.array(pair))[0], 2 if kind == 1 else 1
-        return first_contact(NAMES[kind], self.primitive(corners[:split]), self.primitive(corners[split:]), distance)
+        first, second = self.primitive(corners[:split]), self.primitive(corners[split:])
+        if self.mesh.dimension == 2 and kind == 2 and distance == 0:  # as an edge across the plane, which says the same
+            return first_contact("edge-edge", lambda t: [[*first(t)[0][:2], arb(z)] for z in (-1, 1)], second)
+        return first_contact(NAMES[kind], first, second, distance)
 
 
 def _solve(moves: Moves, kind: int, pairs, distances, question) -> list[tuple[float, float]]:

@@ -137,8 +137,10 @@ SCENARIOS |= {
 # Every run of the tests has each scenario with one of the two kinds of faults: as the calls are an odd number, one that
 # is the first with one, and one that comes later with the other.
 @pytest.mark.parametrize("name", marked(list(SCENARIOS), list(SCENARIOS)[::2]))
-def test_a_call_that_fails_at_any_use_of_warp_is_made_again(name):
-    assert wrong_after_events(SCENARIOS[name], every=2) == []
+def test_a_call_that_fails_at_any_use_of_warp_is_made_again(name, pytestconfig):
+    """At every second line; on a slow device at some of them."""
+    is_emulated = pytestconfig.getoption("device") == "emulated"
+    assert wrong_after_events(SCENARIOS[name], every=20 if is_emulated else 2) == []
 
 
 @pytest.mark.long
@@ -148,8 +150,9 @@ def test_a_call_that_fails_at_every_event_is_made_again(name):
 
 
 @pytest.mark.parametrize("name", marked(list(SCENARIOS), list(SCENARIOS)[1::2]))
-def test_a_cell_that_is_interrupted_between_any_two_lines_is_run_again(name):
-    assert wrong_after_interrupts(SCENARIOS[name], len(name), 8) == []
+def test_a_cell_that_is_interrupted_between_any_two_lines_is_run_again(name, pytestconfig):
+    is_emulated = pytestconfig.getoption("device") == "emulated"
+    assert wrong_after_interrupts(SCENARIOS[name], len(name), 2 if is_emulated else 8) == []
 
 
 # --- at random times ---

@@ -53,14 +53,35 @@ def sheets():
     return mesh, mesh.vertices, mesh.vertices - [0.02, 0.01, 0.4] * (mesh.vertex_body == 0)[:, None]
 
 
+def in_worlds():
+    """Three worlds of these sheets, of which one falls farther than another."""
+    mesh, start, end = sheets()
+    ends = [start + share * (end - start) for share in (0.2, 1.0, 0.6)]
+    return mesh.replicate(3), np.tile(start, (3, 1)), np.concatenate(ends)
+
+
 def apart(num_together=1):
     """Bodies without self-collision of which few come near another, or so many are in one place and may meet."""
     rng, number = np.random.default_rng(25), np.arange(24) // num_together
     places = rng.uniform(-1.5, 1.5, (24, 3)) if num_together == 1 else np.zeros((24, 3))
-    bodies = [(rng.random((9, 3)) + place, np.arange(9).reshape(-1, 3)) for place in places]
+    size = 0.2 if num_together == 1 else 1.0
+    bodies = [(size * rng.random((9, 3)) + place, np.arange(9).reshape(-1, 3)) for place in places]
     pairs = None if num_together == 1 else number[:, None] == number
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, body_pairs=pairs)
     return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (24, 3))[mesh.vertex_body]
+
+
+def slender():
+    """Needles around an axis, squeezed, whose pairs are searched in a frame of their own, as they are many."""
+    turn = np.linalg.qr([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]])[0]
+    angle, i = np.linspace(0, 2 * np.pi, 800, endpoint=False), np.arange(800)
+    rings = [np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0 * angle + z]) for z in (0.0, 10.0)]
+    x, j = np.concatenate(rings) @ turn.T, (i + 1) % 800
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(x, np.concatenate([np.stack([i, j, i + 800], 1), np.stack([j, j + 800, i + 800], 1)]))]
+    )
+    across = x @ turn[:, 0]
+    return mesh, x, x - 0.6 * np.outer(across - across.mean(), turn[:, 0])
 
 
 def needles():
@@ -90,14 +111,18 @@ ON_DEVICE = {
     "kinds": StepCase(lambda: crowd(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}),
     "hash": StepCase(lambda: crowd(40, 15, static=[1]), {"broad_phase": "hash"}),
     "lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
+    "tree lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS)),
+    "thick lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
     "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
+    "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
     "groups": StepCase(lambda: apart(2)),
     "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
     "few iterations": StepCase(lambda: crowd(60), {"max_iterations": 3}),
     "levels": StepCase(lambda: crowd(900, size=0.02), {}, 90_000),
+    "slender": StepCase(slender, {}, 90_000),
 }
 NAMES = [name for name in CALLS if name != "batches"]  # which has a law of its own
 # Each seed with the call that has its turn, and each of the large scenes with some.
@@ -161,7 +186,7 @@ def test_memory_changes_no_bit(scene):
     assert different(calls.batches(limited, *given, with_order=True), enough) == []
 
 
-@pytest.mark.parametrize("scene", [*range(16), "kinds", "sheet", "needles"])
+@pytest.mark.parametrize("scene", [*range(16), "kinds", "worlds", "needles"])
 def test_a_graph_changes_no_bit(scene):
     """Replays with other positions give what launches give."""
     truth, found = (calls.replays(case_of(scene), precision_of(scene), is_captured=k) for k in (False, True))
@@ -206,16 +231,20 @@ def assert_shared_bits(launched, host, *names):
 
 # --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
 
+_SEARCHED = ("levels", "tree lists", "thick lists", "slender")
 ON_OTHER = [(NAMES[seed % len(NAMES)], seed) for seed in range(2 * len(NAMES))]
-ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene != "levels" for call in ("launches", "steps")]
-ON_OTHER += [("searches", "levels"), ("gradients", "kinds"), ("gradients", "radii"), ("at_one_time", "kinds")]
-ON_OTHER += [
-    ("at_one_time", "radii"),
-    ("launched_line_searches", "radii"),
-    ("few_pairs", "kinds"),
-    ("replays", "sheet"),
-]
-ON_OTHER += [(call, f"arcs {k}") for k, call in enumerate(("steps", "launches", "launched_line_searches"))]
+ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene not in _SEARCHED for call in ("launches", "steps")]
+_MORE = {
+    "searches": ["levels", "hash", "lists", "tree lists", "radii", "thick lists", 32],
+    "at_one_time": ["kinds", "radii"],
+    "gradients": ["kinds", "radii"],
+    "launches": ["arcs 1", "arcs 3", 31, 32, 34],  # in the plane, in float32
+    "launched_line_searches": ["radii", "arcs 2"],
+    "few_pairs": ["kinds"],
+    "replays": ["worlds"],
+    "steps": ["arcs 0", "arcs 3"],
+}
+ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes if (call, scene) not in ON_OTHER]
 # The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
 _KEPT = os.environ.get("CCD_WARP_KEPT_ANSWERS")
 
@@ -239,36 +268,9 @@ def difference_of_devices(call, scene, other_device):
         return different(asked(call, scene), here)
 
 
-@pytest.mark.parametrize(("call", "scene"), ON_OTHER)
+@pytest.mark.parametrize(("call", "scene"), [*ON_OTHER, pytest.param("launches", "slender", marks=pytest.mark.long)])
 def test_the_device_changes_no_bit(call, scene, other_device):
     assert difference_of_devices(call, scene, other_device) == []
-
-
-# Kernels of modules for CUDA that the CPU alone launches, each in place of another.
-CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unite_levels refresh_levels split_segments"
-# Of modules for distances, ends of the names of those that are not run, as others run what is theirs: a precision, the
-# norm of boxes, and of radii with lists of excluded pairs and without one search each.
-_LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
-_LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
-_LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
-
-
-@pytest.mark.emulated
-def test_every_kernel_for_cuda_is_run(other_device):
-    """Otherwise a kernel would be missed above; what is not run yet, when this test runs alone, is run now."""
-    from emulated.device import SHARED
-
-    for call, scene in ON_OTHER:
-        difference_of_devices(call, scene, other_device)
-    launched = {(module, key.split("__")[-1]) for module, key in SHARED.launches}
-    missing = [
-        f"{name}: {key}"
-        for name, module in cuda_modules(with_distances=True).items()
-        if not name.endswith(_LIKE_OTHERS)
-        for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
-        if key not in CPU_ALONE.split() and (module.name, key) not in launched
-    ]
-    assert missing == []
 
 
 # --- pairs ---
@@ -283,17 +285,13 @@ PAIR_OPTIONS = {
 }
 KINDS = ["vertex-face 3", "edge-edge 3", "point-segment 2", "point-segment 3", "point-point 2", "point-point 3"]
 _OF_KINDS = ("random", "random_colliding", "cloth_like", "static_partner", "lattice", "collinear")
-every_pair = pytest.mark.parametrize(
-    ("kind", "options", "precision"),
-    [
-        (kind, name, precision)
-        for k, kind in enumerate(KINDS)
-        for n, name in enumerate(PAIR_OPTIONS)
-        for precision in (
-            PRECISIONS if n == 0 else PRECISIONS[(n + k) % 2 :][:1] if n < 5 else PRECISIONS[:1] * (k < 2)
-        )
-    ],
-)
+OF_PAIRS = [
+    (kind, name, precision)
+    for k, kind in enumerate(KINDS)
+    for n, name in enumerate(PAIR_OPTIONS)
+    for precision in (PRECISIONS if n == 0 else PRECISIONS[(n + k) % 2 :][:1] if n < 5 else PRECISIONS[:1] * (k < 2))
+]
+every_pair = pytest.mark.parametrize(("kind", "options", "precision"), OF_PAIRS)
 
 
 @cache
@@ -325,12 +323,48 @@ def test_threads_and_graphs_and_arrays_of_warp_change_no_bit_of_pairs(kind, opti
     assert different(outputs_of(call(*arrays, **given)), truth) == []
 
 
-@every_pair
-def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device):
+@cache
+def difference_of_pairs(kind, options, precision, other_device):
+    """What differs in a bit between this device and the other one."""
     name, *points = points_of(kind, 16)
     here = kept((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
     with other_device():
-        assert different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here) == []
+        return different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here)
+
+
+@every_pair
+def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device):
+    assert difference_of_pairs(kind, options, precision, other_device) == []
+
+
+# Kernels of modules for CUDA that the CPU alone launches, each in place of another.
+CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unite_levels refresh_levels split_segments"
+# Of modules for distances, ends of the names of those that are not run, as others run what is theirs: a precision, the
+# norm of boxes, and of radii with lists of excluded pairs and without one search each.
+_LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
+_LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
+_LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
+_LIKE_OTHERS += ("body_frames",)  # of bodies with so many edges that the scene of them is marked long
+
+
+@pytest.mark.emulated
+def test_every_kernel_for_cuda_is_run(other_device):
+    """Otherwise a kernel would be missed above; what is not run yet, when this test runs alone, is run now."""
+    from emulated.device import SHARED
+
+    for call, scene in ON_OTHER:
+        difference_of_devices(call, scene, other_device)
+    for case in OF_PAIRS:
+        difference_of_pairs(*case, other_device)
+    launched = {(module, key.split("__")[-1]) for module, key in SHARED.launches}
+    missing = [
+        f"{name}: {key}"
+        for name, module in cuda_modules(with_distances=True).items()
+        if not name.endswith(_LIKE_OTHERS)
+        for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
+        if key not in CPU_ALONE.split() and (module.name, key) not in launched
+    ]
+    assert not missing, "\n".join(missing)
 
 
 @every_pair

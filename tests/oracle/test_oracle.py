@@ -70,8 +70,7 @@ def edges(first_t0: list, first_t1: list, still: list) -> tuple:
     return "edge-edge", [*first_t0, *still], [*first_t1, *still]
 
 
-UPRIGHT = [[0, -1, 0], [0, 1, 0]]
-FAR = [[3, 0, 0], [4, 0, 0]]
+UPRIGHT, FAR = [[0, -1, 0], [0, 1, 0]], [[3, 0, 0], [4, 0, 0]]
 BY_HAND = [
     (falls(0.25, 0.25, 1, -2), {}, fmpq(1, 3)),
     *((falls(x, y, 1, -1), {}, fmpq(1, 2)) for x, y in ((0, 0), (0.5, 0.5), (1, 0))),

@@ -24,7 +24,7 @@ FINDERS = {
     "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "trees": ["kernels/boxes/test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
     "pairs": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[vertex-face 3-default-float64]"],
-    "replays": [_on_device("replays", "sheet")],
+    "replays": [_on_device("replays", "worlds")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
 _SEARCH, _WALK = "kernels/search/search_half_warp.py", "kernels/search/search_trees.py"

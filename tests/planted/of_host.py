@@ -236,9 +236,7 @@ PLANTED = [
         "kernels/search/collision_filter.py",
         "            is_near(a[0], b, collision_filter)\n            or is_near(a[1], b, collision_filter)\n",
         "            is_near(a[0], b, collision_filter)\n",
-        (
-            "kernels/at_one_time/test_intersections.py::test_exclusion_rings_leave_out_pairs_of_primitives_that_are_near",
-        ),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "the last of the listed pairs not found",
@@ -252,7 +250,7 @@ PLANTED = [
         "kernels/boxes/box_groups.py",
         "            high = wp.max(high, vertex_group[v])\n",
         "            high = low\n",
-        ("kernels/search/test_candidates.py::test_bodies_that_may_not_meet_in_one_place",),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "the next partner in the own block lost",
@@ -266,7 +264,7 @@ PLANTED = [
         "kernels/search/search_lanes.py",
         "mask = mask & ~boxes_apart(search, q, block, mask & tied)",
         "mask = mask & ~(boxes_apart(search, q, block, mask & tied) & _NONE)",
-        ("kernels/search/test_candidates.py::test_numbers_of_any_size",),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "a corner that no direction across a side looks at",
@@ -326,14 +324,14 @@ PLANTED = [
         "kernels/at_one_time/intersections.py",
         "if are_opposite(past_ab, past_bc) or are_opposite(past_bc, past_ca) or are_opposite(past_ca, past_ab):",
         "if are_opposite(past_ab, past_bc) or past_ca == 1:",
-        ("kernels/at_one_time/test_intersections.py::test_the_pairs_are_those_of_exact_linear_programs",),
+        ("laws/test_searches.py::test_what_intersects",),
     ),
     Fault(
         "both sides of a pair move by all that is between them",
         "kernels/at_one_time/proximity.py",
         "gap = wp.max(_HALF * gap - UNDERFLOW, _ZERO)",
         "gap = wp.max(gap - UNDERFLOW, _ZERO)",
-        ("kernels/at_one_time/test_displacement_bounds.py::test_bounds_are_those_of_exact_distances_rounded_down",),
+        ("laws/test_searches.py::test_what_is_near_and_how_far_vertices_may_move",),
     ),
     Fault(
         "no hold of the second edge",
@@ -376,14 +374,14 @@ PLANTED = [
         "ccd_warp/_engine/at_one_time/edge_points.py",
         "(num_neighbours <= _MOST_NEIGHBOURS)",
         "(num_neighbours < _MOST_NEIGHBOURS)",
-        ("kernels/at_one_time/test_intersections.py::test_the_pairs_are_those_of_exact_linear_programs",),
+        ("laws/test_searches.py::test_what_intersects",),
     ),
     Fault(
         "a face without its last side",
         "ccd_warp/_engine/at_one_time/exact_intersections.py",
         "or along_ab + along_ac > area:",
         "or along_ab + along_ac >= area:",
-        ("kernels/at_one_time/test_intersections.py::test_the_pairs_are_those_of_exact_linear_programs",),
+        ("laws/test_searches.py::test_what_intersects",),
     ),
     Fault(
         "a hash searched in one direction",
