@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from expected_warnings import OF_ROUNDING
-from scenes import FACE, TRIANGLE, crowd, sheet_over_ball
+from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
@@ -165,7 +165,7 @@ def test_face_whose_box_is_infinite_in_quantized_coordinates(count, far):
 
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
 def test_capture_follows_a_static_body_that_is_moved(broad_phase):
-    mesh, start, end = sheet_over_ball()
+    mesh, start, end = named_cloth_and_ball()
     pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, max_contacts=60_000)
     vertices_t0, vertices_t1 = array(start), array(end)
     result = pipeline.launch(vertices_t0, vertices_t1)
@@ -227,7 +227,7 @@ def test_result_keeps_what_a_graph_uses():
 
 
 def test_nothing_is_allocated_copied_or_waited_for(monkeypatch):
-    mesh, start, end = sheet_over_ball()
+    mesh, start, end = named_cloth_and_ball()
     pipeline, arrays = ccd.CollisionPipeline(mesh), [array(start), array(end), array(end)]
     pipeline.launch(*arrays[:2])
 
@@ -246,7 +246,7 @@ def test_nothing_is_allocated_copied_or_waited_for(monkeypatch):
 
 def test_few_positions_of_numpy_are_copied_but_by_a_graph_of_the_cpu():
     """So the caller may change them after a launch; the next one reads them anew."""
-    mesh, start, end = sheet_over_ball()
+    mesh, start, end = named_cloth_and_ball()
     pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_contacts=60_000)
     a, b = start.copy(), end.copy()
     pipeline.reserve()

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccd_warp.datasets import Queries, SimulationStep, edges_by_max, find_queries, find_steps, read_boxes, read_step  # noqa: F401
+from ccd_warp.datasets import Queries, SimulationStep, find_queries, find_steps, read_boxes, read_step
 
 DATA = Path(os.environ.get("CCD_WARP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
@@ -21,8 +21,6 @@ requires_data = pytest.mark.skipif(
     not (DATA / "handcrafted").is_dir() or not (DATA / "simulation").is_dir(),
     reason="the published sample data is absent: set CCD_WARP_DATA to its folder",
 )
-
-PublishedQueries = Queries
 
 
 @cache

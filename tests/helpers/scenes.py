@@ -59,14 +59,6 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
 
 
-def three_bodies(seed, counts, size=0.1, speed=0.05, **options):
-    """Three bodies of so many faces at random places that move at random, but for static ones."""
-    rng = np.random.default_rng(seed)
-    mesh = ccd.CollisionMesh.from_arrays([soup(rng, count, size) for count in counts], **options)
-    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
-
-
 def all_in_one_place(seed, num_faces=60, num_particles=200):
     """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
     rng = np.random.default_rng(seed)
@@ -75,14 +67,6 @@ def all_in_one_place(seed, num_faces=60, num_particles=200):
     cables = np.arange(num_particles // 2).reshape(-1, 2)
     mesh = ccd.CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
     return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
-
-
-def cables_and_particles(rng, count, size):
-    """Faces, cables of two segments and particles at random places, mixed; vertices, faces and codimensional edges."""
-    start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + size * rng.standard_normal((3 * count, 3, 3))
-    start = start.reshape(-1, 3)
-    groups = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)
-    return start, groups[0], np.concatenate([groups[1][:, :2], groups[1][:, 1:]])
 
 
 def random_pairs(kind, count=200, seed=0, dimension=3):
@@ -164,7 +148,11 @@ def crowd_of_all_kinds(rng, count=8, **options):
 
     Cables and particles stay in one plane, where they meet, and some pairs of particles meet head-on.
     """
-    bodies = [cables_and_particles(rng, count, 0.2) for _ in range(3)]
+    bodies = []
+    for _ in range(3):
+        start = np.repeat(rng.random((3 * count, 1, 3)), 3, axis=1) + 0.2 * rng.standard_normal((3 * count, 3, 3))
+        faces, cables = rng.permutation(9 * count)[: 6 * count].reshape(2, count, 3)
+        bodies.append((start.reshape(-1, 3), faces, np.concatenate([cables[:, :2], cables[:, 1:]])))
     names = ["net", "rope", "dust"]
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, names=names, **options)
     start, particles = mesh.vertices.copy(), mesh.codimensional_points
@@ -176,17 +164,6 @@ def crowd_of_all_kinds(rng, count=8, **options):
     return mesh, start, with_static_at_rest(mesh, start, end)
 
 
-def sheet_over_ball():
-    """A sheet that falls through a static ball: mesh, start and end positions."""
-    vertices, faces = sheet(12)
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
-    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
-    start = np.concatenate([vertices + [0.013, 0.007, 0.5], ball.vertices])
-    end = start.copy()
-    end[: len(vertices), 2] -= 1.0
-    return mesh, start, end
-
-
 def sheet_over_floor():
     """A sheet that falls through a static floor: mesh, start and end positions."""
     vertices, faces = sheet(8)
@@ -196,12 +173,12 @@ def sheet_over_floor():
 
 
 def named_cloth_and_ball():
-    """A cloth that falls through a ball, with names."""
-    unnamed, start, end = sheet_over_ball()
-    cut = np.count_nonzero(unnamed.face_body == 0)
-    low = int(unnamed.body_vertex_range[1])
-    bodies = [(start[:low], unnamed.faces[:cut]), (start[low:], unnamed.faces[cut:] - low)]
-    return ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"]), start, end
+    """A cloth that falls through a static ball: mesh, start and end positions."""
+    vertices, faces = sheet(12)
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
+    bodies = [(vertices + [0.013, 0.007, 0.5], faces), (ball.vertices, ball.faces)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"])
+    return mesh, mesh.vertices, mesh.vertices - [0, 0, 1.0] * (mesh.vertex_body == 0)[:, None]
 
 
 def cloth_and_ball_in_worlds(count=4):

@@ -44,32 +44,6 @@ def test_excluded_bodies_do_not_come_near_each_other():
     assert result.counts.num_active_bodies == 0 and not result.hit
 
 
-def test_an_excluded_pair_of_static_bodies_or_of_two_worlds_changes_nothing():
-    options = {"static": [0, 1], "vertex_world": [0] * 3 + [1] * 3 + [0] * 3}
-    plain = ccd.CollisionMesh.from_arrays(BODIES, **options)
-    start = plain.vertices
-    end = start - np.repeat([0, 0, 2.0], 3)[:, None] * [0, 0, 1]
-    listed = plain.excluding({"bodies": [(0, 1), (2, 1)]})
-    first, second = (rows_of(ccd.mesh_ccd(mesh, start, end).contacts) for mesh in (plain, listed))
-    assert first and first == second
-    assert ccd.mesh_ccd(plain.excluding({"bodies": [(2, 0)]}), start, end).toi == np.inf
-
-
-def test_pairs_of_vertices_join_the_rings():
-    """Rings of two are the pairs of vertices that an edge joins."""
-    rng = np.random.default_rng(50)
-    faces = rng.integers(0, 40, (60, 3))
-    body, listed = (rng.normal(size=(40, 3)), faces), rng.integers(0, 40, (50, 2)).tolist()
-    edges = ccd.CollisionMesh.from_arrays([body]).edges.tolist()
-    found = []
-    for rings, pairs in ((2, listed), (1, listed + edges)):
-        mesh = ccd.CollisionMesh.from_arrays([body], exclusion_rings=rings, exclude_pairs={"vertices": pairs})
-        found.append(ccd.find_candidates(mesh, body[0], -body[0]).sorted())
-    assert len(found[0].vertex_face) > 100
-    for name, pairs in vars(found[0]).items():
-        np.testing.assert_array_equal(getattr(found[1], name), pairs)
-
-
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
 def test_a_short_static_edge_and_a_long_one_that_moves_through_it_are_one_excluded_pair(broad_phase):
     """A spatial hash finds them from the shorter edge, which is the first primitive, but not the one that moves."""
@@ -82,38 +56,15 @@ def test_a_short_static_edge_and_a_long_one_that_moves_through_it_are_one_exclud
     assert ccd.mesh_ccd(without, *step, broad_phase=broad_phase).toi == np.inf
 
 
-def hanging_nodes(turn, n=5):
-    """A square, beside it a strip of n squares whose nodes hang on its side, and a step that bends both."""
-    corners = [[0, 0], [1, 0], [1, 1], [0, 1], *([1, k / n] for k in range(1, n))]
-    corners += [[1.2, k / n] for k in range(n + 1)]
-    faces, side = [[0, 1, 2], [0, 2, 3]], [1, *range(4, n + 3), 2]
-    for k in range(n):
-        faces += [[side[k], n + 3 + k, n + 4 + k], [side[k], n + 4 + k, side[k + 1]]]
-    start = np.pad(np.array(corners), ((0, 0), (0, 1))) @ turn.T
-    end = start + 0.05 * np.column_stack([np.sin(3 * start[:, 0]), 0 * start[:, 0], start[:, 1] ** 2])
-    for k in range(1, n):
-        end[3 + k] = end[1] + (end[2] - end[1]) * (k / n)  # what holds a node on the side
-    return ccd.CollisionMesh.from_arrays([(start, faces)]), start, end
-
-
-def test_nodes_that_hang_on_an_edge_do_not_stop_a_step_once_what_is_near_is_excluded():
-    rng = np.random.default_rng(6)
-    for scale in (1e-3, 1.0, 1e3):
-        mesh, start, end = hanging_nodes(np.linalg.qr(rng.standard_normal((3, 3)))[0])
-        start, end = scale * start, scale * end
-        near = ccd.find_proximity(mesh, start, 1e-9 * scale)
-        fewer = mesh.excluding(near)
-        assert ccd.mesh_ccd(mesh, start, end).toi == 0 and ccd.mesh_ccd(fewer, start, end).toi == np.inf
-        assert ccd.collision_free_step(fewer, start, end) == 1
-        kinds = {kind.name.lower(): near.primitives[near.kind == kind] for kind in ccd.PairKind}
-        assert fewer.exclude_pairs == mesh.excluding(kinds).exclude_pairs
-
-
-def test_contacts_of_all_kinds_are_excluded_as_they_are_and_copies_keep_them():
+def test_contacts_and_proximities_of_all_kinds_are_excluded_as_they_are_and_copies_keep_them():
     kinds = set()
     for seed in range(16):
         mesh, start, end = drawn(seed, "any").make()
-        contacts = ccd.mesh_ccd(mesh, start, end).contacts
+        near, contacts = ccd.find_proximity(mesh, start, 0.1), ccd.mesh_ccd(mesh, start, end).contacts
+        without = mesh.excluding(near)
+        of_kinds = {kind.name.lower(): near.primitives[near.kind == kind] for kind in ccd.PairKind}
+        assert len(ccd.find_proximity(without, start, 0.1)) == 0
+        assert without.exclude_pairs == mesh.excluding(of_kinds).exclude_pairs
         kinds |= {*contacts.kind.tolist()}
         fewer, others = mesh.excluding(contacts), mesh.excluding(contacts[3:])
         assert ccd.mesh_ccd(fewer, start, end).toi == np.inf and ccd.is_step_collision_free(fewer, start, end)

@@ -37,19 +37,14 @@ class Library:
         self.module = np if name == "numpy" else pytest.importorskip(name)
         if name == "jax":
             self.module.config.update("jax_enable_x64", True)
-
-    def array(self, values):
-        if self.name == "torch":
-            return self.module.from_numpy(np.array(values))
-        return np.array(values) if self.name == "numpy" else self.module.numpy.array(values)
+        made = {"numpy": np.array, "torch": lambda x: self.module.from_numpy(np.array(x))}
+        self.array = made.get(name) or self.module.numpy.array
+        self.from_warp = (self.module.dlpack if name == "jax" else self.module).from_dlpack
 
     def pointer(self, array):
         if self.name == "numpy":
             return array.ctypes.data
         return array.data_ptr() if self.name == "torch" else array.unsafe_buffer_pointer()
-
-    def from_warp(self, array):
-        return (self.module.dlpack if self.name == "jax" else self.module).from_dlpack(array)
 
 
 @pytest.fixture(params=["numpy", "torch", "jax"])
@@ -64,6 +59,8 @@ def test_launch_reads_where_it_is_and_results_go_out_where_they_are(library, dty
     expected = ccd.mesh_ccd(MESH, START.astype(dtype), END.astype(dtype), length_scale=1.0)
     assert ccd.mesh_ccd(MESH, start, end, length_scale=1.0).toi == expected.toi < np.inf
     np.testing.assert_array_equal(MESH.frames(start, end)[1], END.astype(dtype))
+    of_warp = wp.array(START, dtype=wp.vec3d, device="cpu")
+    assert MESH.frames(of_warp, of_warp)[0].ctypes.data == of_warp.ptr
     np.testing.assert_array_equal(result.vertex_toi.numpy(), expected.vertex_toi)
     for name in ("toi", "vertex_toi", "body_toi", "world_toi", "flags"):
         array = getattr(result, name)
@@ -96,12 +93,6 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
     assert np.asarray(toi)[0] == pytest.approx(0.5, abs=1e-12)
 
 
-def test_warp_arrays_are_read_on_the_host(pipeline):
-    start, end = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (START, END))
-    assert ccd.mesh_ccd(MESH, start, end, length_scale=1.0).toi == pipeline.mesh_ccd(START, END).toi
-    assert MESH.frames(start, end)[0].ctypes.data == start.ptr
-
-
 def test_line_search_writes_where_it_is(library, pipeline):
     start, wished = library.array(START), library.array(END)
     if library.name == "jax":
@@ -114,18 +105,6 @@ def test_line_search_writes_where_it_is(library, pipeline):
         wished.flags.writeable = False
         with pytest.raises(ValueError, match="vertices_t1 is read-only; expected an array that can be written to"):
             pipeline.launch_line_search(start, wished)
-
-
-def test_a_loop_in_torch_on_one_graph(pipeline):
-    torch = pytest.importorskip("torch")
-    start, end = torch.from_numpy(START.copy()), torch.from_numpy(END.copy())
-    toi = torch.from_dlpack(pipeline.launch(start, end).toi)
-    with wp.ScopedCapture(device="cpu") as capture:
-        pipeline.launch(start, end)
-    for distance in (2.0, 4.0, 0.5):
-        end[:3] = start[:3] + torch.tensor([distance, 0.0, 0.0])
-        wp.capture_launch(capture.graph)
-        assert toi.item() == pipeline.mesh_ccd(start, end).toi <= (1.0 / distance if distance >= 1 else np.inf)
 
 
 # ---- What cannot be read ---------------------------------------------------------------------------------------------
@@ -149,44 +128,48 @@ def _grad(*_, **__):
     raise RuntimeError("Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead.")
 
 
-def test_an_array_that_cannot_be_shared_is_named(pipeline):
-    of_grad, silent = foreign("Grad", __array__=_grad, __dlpack__=_grad), foreign("Silent", TypeError("deleted"))
-    far, cannot = foreign("Far", (2, 99)), "is a Grad that cannot be shared: .*detach.*; expected one that can"
-    for call, message in (
-        (lambda: ccd.mesh_ccd(MESH, START, far), "vertices_t1 is a Far on a GPU; expected an array on the host"),
-        (lambda: pipeline.launch(far, END), "vertices_t0 is a Far on cuda:99; expected it on one of cpu"),
-        (lambda: pipeline.launch(silent, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
-        (lambda: ccd.mesh_ccd(MESH, silent, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
-        (lambda: pipeline.launch(START, of_grad), f"vertices_t1 {cannot}"),
-        (lambda: ccd.mesh_ccd(MESH, START, of_grad), f"vertices_t1 {cannot}"),
-        (lambda: ccd.CollisionMesh.from_arrays([(of_grad, [[0, 1, 2]])]), f"vertices {cannot}"),
+OF_GRAD, SILENT = foreign("Grad", __array__=_grad, __dlpack__=_grad), foreign("Silent", TypeError("deleted"))
+FAR, CANNOT = foreign("Far", (2, 99)), "is a Grad that cannot be shared: .*detach.*; expected one that can"
+
+
+def of_step(start, end):
+    return ccd.mesh_ccd(MESH, start, end)
+
+
+def of_launch(start, end):
+    return ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu").launch(start, end)
+
+
+@pytest.mark.parametrize(
+    ("call", "arrays", "message"),
+    [
+        (of_step, (START, FAR), "vertices_t1 is a Far on a GPU; expected an array on the host"),
+        (of_launch, (FAR, END), "vertices_t0 is a Far on cuda:99; expected it on one of cpu"),
+        (of_launch, (SILENT, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
+        (of_step, (SILENT, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
+        (of_launch, (START, OF_GRAD), f"vertices_t1 {CANNOT}"),
+        (of_step, (START, OF_GRAD), f"vertices_t1 {CANNOT}"),
+        (lambda x: ccd.CollisionMesh.from_arrays([(x, [[0, 1, 2]])]), (OF_GRAD,), f"vertices {CANNOT}"),
+    ],
+)
+def test_an_array_that_cannot_be_shared_is_named(call, arrays, message):
+    with pytest.raises(ValueError, match=message):
+        call(*arrays)
+
+
+def test_tensors_that_cannot_be_read_are_named():
+    torch = pytest.importorskip("torch")
+    good, strided = torch.zeros(6, 3, dtype=torch.float64), torch.zeros(6, 6, dtype=torch.float64)[:, :3]
+    cannot, with_gradient = "vertices_t0 is a Tensor that cannot be shared", good.clone().requires_grad_()
+    for call, arrays, message in (
+        (of_launch, (good, strided), r"vertices_t1 has strides \(48, 8\); expected a contiguous array"),
+        (of_launch, (with_gradient, good), f"{cannot}: .*gradient"),
+        (of_step, (with_gradient, good), f"{cannot}: .*grad"),
+        (of_step, (good.to(torch.bfloat16), good), f"{cannot}: .*BFloat16"),
+        (ccd.vertex_face_ccd, (torch.zeros(1, 4, 3),) * 2, r"points_t0 has dtype float32 and shape \(1, 4, 3\); exp"),
     ):
         with pytest.raises(ValueError, match=message):
-            call()
-
-
-@pytest.mark.parametrize("name", ["torch", "jax"])
-def test_bad_arrays_of_other_libraries_are_named(name, pipeline):
-    library = Library(name)
-    good, single = library.array(START), [library.array(points.astype(np.float32)) for points in PAIR]
-    calls = [
-        (lambda: pipeline.launch(good, library.array(START.astype(np.int64))), "vertices_t1 has dtype int64 and shape"),
-        (lambda: pipeline.launch(library.array(BULLET), good), "vertices_t0 has 3 rows; expected 6, one a vertex"),
-        (lambda: ccd.vertex_face_ccd(*single), r"points_t0 has dtype float32 and shape \(1, 4, 3\); expected vec3d"),
-        (lambda: ccd.vertex_face_ccd(library.array(PAIR[0]), PAIR[1]), "points_t1 is a ndarray; expected a"),
-    ]
-    if name == "torch":
-        torch, with_gradient = library.module, good.clone().requires_grad_()
-        strided, cannot = torch.zeros(6, 6, dtype=torch.float64)[:, :3], "vertices_t0 is a Tensor that cannot be shared"
-        calls += [
-            (lambda: pipeline.launch(good, strided), r"vertices_t1 has strides \(48, 8\); expected a contiguous array"),
-            (lambda: pipeline.launch(with_gradient, good), f"{cannot}: .*gradient"),
-            (lambda: ccd.mesh_ccd(MESH, with_gradient, good), f"{cannot}: .*grad"),
-            (lambda: ccd.mesh_ccd(MESH, good.to(torch.bfloat16), good), f"{cannot}: .*BFloat16"),
-        ]
-    for call, message in calls:
-        with pytest.raises(ValueError, match=message):
-            call()
+            call(*arrays)
 
 
 # ---- While a stream is captured --------------------------------------------------------------------------------------

@@ -91,12 +91,12 @@ def test_what_is_left_of_the_way_is_free(seed):
     assert not [key for key, time in reached.items() if time.late(whole)]
 
 
+@pytest.mark.parametrize("count", [1000, pytest.param(12000, marks=pytest.mark.long)])
 @pytest.mark.parametrize("norm", ["radius", "minimum_distance", "minimum_separation"])
 @pytest.mark.parametrize("slider", SLIDERS)
-def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm):
-    for seed, case in enumerate(
-        ({}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0})
-    ):
-        pipeline, start, end = slides_of(seed, 1000, slider, norm, **case)
+def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, count):
+    cases = {}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0}
+    for seed, case in enumerate(cases):
+        pipeline, start, end = slides_of(seed, count, slider, norm, **case)
         reached = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
-        assert np.array_equal(reached, end), case
+        assert (reached != end).any(axis=(1, 2)).sum() <= count // 10_000, case

@@ -30,7 +30,7 @@ PLANTED = [
         "kernels/pair/subdivide.py",
         "stack[upper + 1] = nu",
         "stack[upper + 1] = u1",
-        ("kernels/narrow_phase/test_narrow_phase.py::test_tolerance",),
+        ("kernels/narrow_phase/test_narrow_phase.py::test_options",),
     ),
     Fault(
         "no rounding in the offset along a direction",
@@ -53,21 +53,21 @@ PLANTED = [
         "kernels/pair/passing.py",
         "for k in range(_COUNT):",
         "for k in range(0):",
-        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+        ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
     ),
     Fault(
         "no margin of what is held for rounded positions",
         "kernels/pair/hold.py",
         "OF_COORDINATES = 0.125",
         "OF_COORDINATES = 0.0",
-        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+        ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
     ),
     Fault(
         "nothing passes by",
         "kernels/at_one_time/start_holds.py",
         "if not is_near and x_t1.shape[0] > 0:",
         "if not is_near and x_t1.shape[0] < 0:",
-        ("kernels/pair/test_hold.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
+        ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",),
     ),
     Fault(
         "a tolerance of what is held",
@@ -243,7 +243,7 @@ PLANTED = [
         "kernels/search/collision_filter.py",
         "    if low < end:\n        return collision_filter.listed[low] == key",
         "    if low < end - 1:\n        return collision_filter.listed[low] == key",
-        ("input/test_excluded_pairs.py::test_contacts_of_all_kinds_are_excluded_as_they_are_and_copies_keep_them",),
+        ("laws/test_searches.py::test_candidates_are_the_pairs_whose_boxes_overlap",),
     ),
     Fault(
         "the lowest group of a box for the highest",

@@ -7,7 +7,7 @@ import pytest
 import warp as wp
 from distance_oracle import exact_distance
 from hard_cases import FAMILIES
-from launches import on_device
+from laws.calls import on_device
 from scenes import FACE, NO_FACES, TRIANGLE, stacked
 
 import ccd_warp as ccd

@@ -3,19 +3,33 @@
 import numpy as np
 import pytest
 import warp as wp
-from pairs import FIELDS, results
+from distance_queries import SOLVE
+from hard_cases import FAMILIES
 
 from ccd_warp._runtime.launch import Execution
+
+FIELDS = ["toi", "status", "parameters", "gap", "width", "iterations"]
+OPTIONS = [{}, {"minimum_separation": 1e-3}, {"minimum_separation": 1e-2, "start_gap_fraction": 0.3}, {"t_max": 0.6}]
 
 # A limit below the first rounds, within the later ones, and within the solver for single pairs; and boxes of bisection.
 LIMITS = [{}, {"max_iterations": 1}, {"max_iterations": 5}, {"max_iterations": 14}]
 LIMITS += [{"method": "bisection", "max_iterations": 300}]
 
 
+def sets_of_pairs():
+    """Kinds and pairs of all kinds, some of every family of hard cases, and points so close that separations matter."""
+    for kind in ("vertex-face", "edge-edge"):
+        families = [family(kind, 8, np.random.default_rng(5)) for family in FAMILIES.values()]
+        yield kind, [np.concatenate(frames) for frames in zip(*families, strict=True)]
+    for kind, corners in (("point-segment", 3), ("point-point", 2)):
+        start, noise = np.random.default_rng(3).standard_normal((2, 300, corners, 3))
+        yield kind, (start, noise * 0.1 - start)
+
+
 @pytest.mark.parametrize("limit", LIMITS)
 def test_pairs_through_the_queue_get_equal_bits(precision, limit, monkeypatch):
-    cases = list(results(precision, each=8))[:: 3 if limit else 1]
-    cases = [(solve, points, {"precision": precision, **options, **limit}) for solve, points, options, _ in cases]
+    cases = [(SOLVE[kind], points, given) for kind, points in sets_of_pairs() for given in OPTIONS]
+    cases = [(*case, {"precision": precision, **given, **limit}) for *case, given in cases[:: 3 if limit else 1]]
     expected = [solve(*points, **options) for solve, points, options in cases]
     monkeypatch.setattr(Execution, "is_cuda", True)  # the host takes its path for CUDA
     for (solve, points, options), truth in zip(cases, expected, strict=True):

@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.template import specialised
-from distance_queries import SOLVE, UNIT_ROUNDOFF, named_vector
+from distance_queries import UNIT_ROUNDOFF
 from oracle_corners import integer_rows
-
-import ccd_warp as ccd
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 
@@ -169,62 +167,3 @@ def test_sides_whose_squares_underflow(precision):
         for sides in ((short, long), (long, short), (short, short[::-1]), (long, long + short)):
             for is_triangle in (True, False):
                 assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision)
-
-
-# --- what the user gets ---
-
-
-def least_gaps(kind, points_t0, points_t1, result):
-    """Least distances of the primitives at toi."""
-    t = result.toi[:, None, None]
-    v0, v1, v2, v3 = ((1 - t) * points_t0 + t * points_t1).transpose(1, 0, 2)
-    if kind == "vertex-face":
-        corners = np.stack([v0 - v1, v0 - v2, v0 - v3, v0 - v3], axis=1)
-    else:
-        corners = np.stack([v0 - v2, v0 - v3, v1 - v2, v1 - v3], axis=1)
-    return np.array([_root(square) for square in exact_squares(corners, kind == "vertex-face")])
-
-
-def test_edge_beside_an_edge_without_length(precision):
-    points = np.array([[(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 0)]], dtype=float)
-    options = {"minimum_separation": 0.5005, "length_scale": 1.0, "precision": precision}
-    result = ccd.edge_edge_ccd(points, points, **options)
-    assert result.parameters[0, 0] == pytest.approx(0.5, abs=1e-6)
-    swapped = ccd.edge_edge_ccd(points[:, [2, 3, 0, 1]], points[:, [2, 3, 0, 1]], **options)
-    assert swapped.parameters[0, 1] == pytest.approx(0.5, abs=1e-6)
-
-
-# of two points in one any share is right; where they are f1 and f2, the sum is 1/2
-@pytest.mark.parametrize(("face", "share"), [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])])
-def test_vertex_falls_on_the_middle_of_a_face_with_two_corners_in_one(face, share, precision):
-    p0 = np.array([[(0, 0, 1), *((x, 0, 0) for x in face)]], dtype=float)
-    result = ccd.vertex_face_ccd(p0, p0 * [1, 1, -1], minimum_separation=0.1, precision=precision)
-    assert result.parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
-
-
-@pytest.mark.parametrize("kind", ["vertex-face", "edge-edge"])
-@pytest.mark.parametrize("aspect", [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2])
-@pytest.mark.parametrize("limit", [None, 1], ids=["within_the_separation", "at_the_limit"])
-def test_parameters_of_a_sliver_are_of_the_closest_point(limit, aspect, kind, precision):
-    rng = np.random.default_rng(5)
-    n = 150
-    along, across = _directions(rng, n), _directions(rng, n)
-    start = rng.uniform(-1, 1, (n, 1, 3)) + rng.uniform(-1, 1, (n, 4, 1)) * along[:, None]
-    start += aspect * rng.uniform(-1, 1, (n, 4, 1)) * across[:, None]
-    moving = 1 if kind == "vertex-face" else 2
-    start[:, :moving] += 0.5 * _directions(rng, n)[:, None]
-    end = start.copy()
-    end[:, :moving] += rng.uniform(-1, 1, (n, 1, 3))
-    options = {} if limit is None else {"max_iterations": limit}
-    solve = {"minimum_separation": 0.2, "length_scale": 1.0, "precision": precision, **options}
-    hit = SOLVE[kind](start, end, **solve).hit
-    assert hit.sum() > 20
-    start, end = start[hit], end[hit]
-    result = SOLVE[kind](start, end, **solve)
-    # the pairs are about 3 across, and corners at toi carry roundings of their own (kernels/pair/rounding.py)
-    slack = 12 * ROUNDINGS * UNIT_ROUNDOFF[precision]
-    apart = np.linalg.norm(named_vector(kind, start, end, result), axis=1)
-    assert (apart <= least_gaps(kind, start, end, result) + slack).all()
-    assert (result.parameters >= 0).all()
-    # a sum of two numbers of float32 may be above 1 by a rounding
-    assert (result.parameters.sum(axis=1) <= (1 if kind == "vertex-face" else 2) + 2.0**-23).all()

@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from distance_oracle import exact_distance
-from distance_queries import KINDS, SOLVE, drawn_batches, failures, grazing, named_vector
+from distance_queries import KINDS, SOLVE, drawn_batches, failures, grazing
 from exact import exact_distance_tois
 from hard_cases import FAMILIES
 
@@ -102,68 +101,3 @@ def test_ball_meets_the_corner_of_a_box_where_its_surface_does():
     ball = ccd.point_point_ccd(start, end, minimum_distance=1.0)
     assert ball.toi[0] == pytest.approx(1 - 1 / math.sqrt(3), rel=1e-12)
     assert ccd.point_point_ccd(start, end, minimum_separation=1.0, length_scale=1.0).toi[0] == 0.0
-
-
-@every_kind
-def test_distance_lies_between_the_boxes_around_and_inside_the_ball(kind, dimension):
-    points = FAMILIES["random"](kind, 400, np.random.default_rng(65), dimension=dimension)
-    options = {"length_scale": 1.0, "tolerance": 1e-12}
-    ball = SOLVE[kind](*points, minimum_distance=0.3, **options).toi
-    around = SOLVE[kind](*points, minimum_separation=0.3, **options).toi
-    inside = SOLVE[kind](*points, minimum_separation=0.3 / math.sqrt(dimension), **options).toi
-    assert (around <= ball).all() and (ball <= inside).all()
-    assert (around < ball).any() and (ball < inside).any()
-
-
-@pytest.mark.parametrize("kind", ["vertex-face", "edge-edge"])
-def test_turning_a_scene_changes_toi_by_the_rounding_of_the_turned_positions_alone(kind):
-    rng = np.random.default_rng(66)
-    points = FAMILIES["random_colliding"](kind, 60, rng)
-    was, before = (f(*a, 0.02) for f, a in ((_tois, (kind, *points)), (exact_distance_tois, (kind, *points))))
-    for _ in range(3):
-        rotation = random_rotation(rng)
-        frames = [x @ rotation for x in points]
-        now, exact = _tois(kind, *frames, 0.02), exact_distance_tois(kind, *frames, 0.02)
-        for a, b, t, s in zip(before, exact, was, now, strict=True):
-            if a.hit and b.hit and a.approx > 0 and b.approx > 0:
-                # what the rotation did to the exact time, and what each answer is early by: no more than rounding,
-                # except where the pair only grazes the distance
-                early = a.early_by(t) + b.early_by(s)
-                assert abs(s - t) <= abs(a.approx - b.approx) + early + 1e-15 and early < 1e-6
-
-
-def _tois(kind, points_t0, points_t1, distance):
-    return SOLVE[kind](points_t0, points_t1, minimum_distance=distance).toi
-
-
-def test_scaling_by_a_power_of_two_with_the_distance_changes_no_bit(precision):
-    points = FAMILIES["random_colliding"]("edge-edge", 100, np.random.default_rng(67))
-    was = ccd.edge_edge_ccd(*points, minimum_distance=0.07, precision=precision)
-    for exponent in (-300, -20, 20, 300):
-        scaled, distance = [np.ldexp(x, exponent) for x in points], math.ldexp(0.07, exponent)
-        now = ccd.edge_edge_ccd(*scaled, minimum_distance=distance, precision=precision)
-        assert np.array_equal(now.toi, was.toi) and np.array_equal(now.parameters, was.parameters)
-        assert np.array_equal(now.gap, np.ldexp(was.gap, exponent))
-
-
-@every_kind
-def test_start_gap_fraction_is_that_of_the_euclidean_gap(kind, dimension):
-    points = FAMILIES["random_colliding"](kind, 60, np.random.default_rng(71), dimension=dimension)
-    options = {"minimum_distance": 0.4, "start_gap_fraction": 0.25}
-    for i, toi in enumerate(SOLVE[kind](*points, **options).toi):
-        gap = exact_distance(kind, points[0][i], points[1][i], 0.0)
-        if gap:
-            own = min(0.4, 0.25 * gap)
-            (truth,) = exact_distance_tois(kind, *(x[i : i + 1] for x in points), own * (1 - 1e-12))
-            assert not truth.late(toi) or toi - truth.approx < 1e-9
-            if truth.hit:
-                assert 0 < toi <= truth.approx * (1 + 1e-9) and truth.approx - toi < 1e-5
-
-
-def test_reported_gap_and_parameters_are_those_of_the_closest_points():
-    points = FAMILIES["random_colliding"]("vertex-face", 200, np.random.default_rng(72))
-    result = ccd.vertex_face_ccd(*points, minimum_distance=0.05)
-    hit = result.hit & (result.toi > 0)
-    apart = np.linalg.norm(named_vector("vertex-face", *points, result), axis=1)
-    assert hit.sum() > 100 and np.abs(apart - 0.05)[hit].max() < 1e-9
-    assert (apart <= (0.05 + result.gap) * (1 + 1e-14))[hit].all()
