@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import checkout  # noqa: F401
 import numpy as np
 from exact_toi import ExactToi
 from oracle import exact_tois

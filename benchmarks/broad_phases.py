@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.timing import figures, interleaved
-from ccd_warp.benchmarks.whole_step import ToolkitScene, disagreements
+from scenes import Scene
+from timing import figures, interleaved
+from whole_step import ToolkitScene, disagreements
 
 import ccd_warp as ccd
 
@@ -48,7 +48,7 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         "faces": len(scene.faces),
         "rounds": len(seconds[PEER]),
         **figures(seconds | stages),
-        "candidates": [len(tree.vertex_face), len(tree.edge_edge)],
+        "candidates": len(tree.vertex_face) + len(tree.edge_edge),
         "are_equal": bool(
             all((a == b).all() for a, b in zip(vars(tree).values(), vars(hashed).values(), strict=True))
             and (tree_result.vertex_toi == hash_result.vertex_toi).all()

@@ -1,7 +1,5 @@
 """Steps that stay on the device against the call on the host, and many worlds in one launch.
 
-    python -m ccd_warp.benchmarks.device_step --output benchmarks/results/device_step.json --docs docs/on_device.md
-
 Rounds are interleaved; times are medians. The tois of the launch are compared with those of the call on the host.
 """
 
@@ -10,10 +8,9 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import scenes
 import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
-from ccd_warp.benchmarks.numbers import table, time_text
-from ccd_warp.benchmarks.timing import interleaved, medians
+from timing import interleaved, medians
 
 import ccd_warp as ccd
 
@@ -81,32 +78,9 @@ def worlds(count: int) -> tuple[str, ccd.CollisionMesh, np.ndarray, np.ndarray]:
     return f"{count:,} world{'s' * (count > 1)}", mesh, start, end
 
 
-def rows_table(rows: list[dict]) -> list[str]:
-    """The table of docs/on_device.md."""
-    sizes = ("vertices", "pairs", "contacts")
-    header = ["scene", *sizes, "`mesh_ccd`", "`launch`", "in a graph", "`launch_line_search`, by vertex"]
-    cells = ([row["scene"], *(f"{row[k]:,}" for k in sizes), *map(time_text, row["seconds"].values())] for row in rows)
-    return table(header, cells)
-
-
 def measure_all(device: str) -> list[dict]:
     """The rows of all scenes."""
     cases = []
     for scene in (scenes.cloth_over_sphere(20_000), scenes.cloth_over_sphere(200_000), scenes.pile(1_000, 200)):
         cases.append((scene.name, scene.mesh(ccd), scene.vertices_t0, scene.vertices_t1))
     return [measure(*case, device) for case in [*cases, *map(worlds, WORLDS)]]
-
-
-def main() -> None:
-    """Measure, print a table and write the figures."""
-    parser = side_figures.parser("Steps on the device", "docs/on_device.md")
-    parser.add_argument("--device", default="cuda:0" if wp.is_cuda_available() else "cpu")
-    options = parser.parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    rows = side_figures.rows_of(options, lambda: measure_all(options.device))
-    side_figures.publish(options, "steps on the device", rows, rows_table(rows))
-    print(f"{sum(row['different_toi'] for row in rows)} tois differ, {sum(row['later_toi'] for row in rows)} are later")
-
-
-if __name__ == "__main__":
-    main()

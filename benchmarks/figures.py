@@ -2,26 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
 import matplotlib
+import raw
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from ccd_warp.benchmarks.machine import describe
-from ccd_warp.benchmarks.methods import REFERENCE
-from ccd_warp.benchmarks.numbers import DEFAULT_TOLERANCE, is_peer, ratio_text, set_name, time_text
-from ccd_warp.benchmarks.raw_file import frame
-from ccd_warp.benchmarks.rigid_sections import draw_turns, of_what
-from ccd_warp.benchmarks.scene_sections import machine_of, scene_name
-from ccd_warp.benchmarks.sections import FIRST_CALL
 from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
+from methods import DEFAULT_TOLERANCE, PEERS, REFERENCE
+from texts import count_text, ratio_text, scene_name, set_name, time_text
 
 # Errors of zero are drawn at the left edge.
 _LEAST_ERROR = 1e-18
@@ -52,25 +48,24 @@ def style(method: str, methods: list[str]) -> dict[str, Any]:
     """The style of a method, the same in every picture."""
     if method in _STYLES:
         return _STYLES[method]
-    others = [m for m in methods if m not in _STYLES]
-    color, marker = _OTHER[others.index(method) % len(_OTHER)]
+    color, marker = _OTHER[[m for m in methods if m not in _STYLES].index(method) % len(_OTHER)]
     return {"color": color, "linestyle": "-", "marker": marker}
 
 
-def draw_all(raw: dict, folder: Path, prefix: str = "bench_") -> list[Path]:
-    """Draw every picture that the raw figures have data for; the files written."""
-    folder.mkdir(parents=True, exist_ok=True)
+def draw_all(folder: Path, to: Path) -> list[Path]:
+    """Draw every picture whose part was measured; the files written."""
+    to.mkdir(parents=True, exist_ok=True)
     written = []
-    for name, (draw, section, has_data) in _PICTURES.items():
-        if not has_data(raw):
+    for name, (draw, part) in _PICTURES.items():
+        rows = raw.read(folder, part)
+        if not len(rows):
             continue
-        figure = draw(raw)
-        about = describe(machine_of(raw, section))
+        figure = draw(rows, folder)
+        about = raw.described(folder, part) if name.startswith("bench") else ""
         figure.text(0.995, 0.002, about, ha="right", va="bottom", fontsize=6, color="0.35")
-        path = folder / f"{prefix}{name}.png"
-        figure.savefig(path, dpi=110, metadata={"Software": None})
+        written.append(to / f"{name}.png")
+        figure.savefig(written[-1], dpi=110, metadata={"Software": None})
         plt.close(figure)
-        written.append(path)
     return written
 
 
@@ -81,21 +76,9 @@ def _panels(count: int, columns: int, width: float = 4.0, height: float = 3.3) -
         rows, columns, figsize=(width * columns, height * rows + 0.9), layout="constrained", squeeze=False
     )
     figure.get_layout_engine().set(rect=(0, 0.015, 1, 0.98))
-    flat = list(axes.flat)
-    for unused in flat[count:]:
+    for unused in axes.flat[count:]:
         unused.set_axis_off()
-    return figure, flat[:count]
-
-
-def _methods(raw: dict) -> list[str]:
-    return [m["name"] for m in raw["methods"]]
-
-
-def _sweep(raw: dict) -> pd.DataFrame:
-    """The sweep, with the name of its set in each row."""
-    sweep = frame(raw, "sweep")
-    sweep["name"] = [set_name(row) for row in sweep.to_dict("records")]
-    return sweep
+    return figure, list(axes.flat[:count])
 
 
 def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
@@ -103,76 +86,65 @@ def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    figure.legend(
-        handles.values(), handles.keys(), loc="outside upper center", ncols=columns, frameon=False, fontsize=8
-    )
+    options = {"ncols": columns, "frameon": False, "fontsize": 8}
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", **options)
 
 
-def draw_speed_error(raw: dict) -> Figure:
+def _speed_error(sweep: pd.DataFrame, _: Path) -> Figure:
     """Time of a query against the 99th percentile of the error, a few sets and methods: the picture of the README."""
-    sweep = _sweep(raw)
-    names = list(dict.fromkeys(sweep.name))
-    chosen = [name for name in _FEW_SETS if name in names] or names[:4]
+    names = set_name(sweep)
+    chosen = [name for name in _FEW_SETS if name in set(names)] or list(names.unique()[:4])
     figure, axes = _panels(len(chosen), 2, 4.6, 3.1)
     for ax, name in zip(axes, chosen, strict=True):
-        _plot_pareto(ax, sweep[sweep.name == name], _FEW_METHODS, raw, marker_size=6)
+        _plot_pareto(ax, sweep[names == name], _FEW_METHODS, list(sweep.method.unique()), marker_size=6)
         ax.set_title(name.replace(" EE", ", edge-edge").replace(" VF", ", vertex-face"), fontsize=11)
-        ax.set(xlabel="99 in 100 errors of toi are below", ylabel="time of a query")
-        ax.yaxis.set_major_formatter(lambda value, _: time_text(value))
     _legend_below(figure, axes, columns=3)
     return figure
 
 
-def draw_pareto(raw: dict) -> Figure:
+def _pareto(sweep: pd.DataFrame, _: Path) -> Figure:
     """Time of a query against the 99th percentile of the error, every set, at the size of a page."""
-    by_set = _sweep(raw).groupby("name", sort=False)
+    by_set = sweep.groupby(set_name(sweep), sort=False)
     figure, axes = _panels(len(by_set), 2, 5.4, 3.3)
-    methods = [m for m in _methods(raw) if m in _PARETO_METHODS or (m not in _STYLES and "threads" not in m)]
+    every = list(sweep.method.unique())
+    methods = [m for m in every if m in _PARETO_METHODS or (m not in _STYLES and "threads" not in m)]
     for ax, (name, rows) in zip(axes, by_set, strict=True):
-        _plot_pareto(ax, rows, methods, raw, marker_size=5)
+        _plot_pareto(ax, rows, methods, every, marker_size=5)
         ax.set_title(name, fontsize=11)
-        ax.set(xlabel="99 in 100 errors of toi are below", ylabel="time of a query")
-        ax.yaxis.set_major_formatter(lambda value, _: time_text(value))
     _legend_below(figure, axes, columns=4)
     return figure
 
 
-def _plot_pareto(ax: Axes, rows: pd.DataFrame, methods: Iterable[str], raw: dict, marker_size: float) -> None:
+def _plot_pareto(ax: Axes, rows: pd.DataFrame, methods: Iterable[str], every: list[str], marker_size: float) -> None:
     """A line for each method over the tolerances; crosses where a collision is missed or late."""
     rows = rows.assign(error=rows["error.p99"].clip(lower=_LEAST_ERROR)).dropna(subset="error")
     for method in methods:
         points = rows[rows.method == method]
         if points.empty:
             continue
-        ax.plot(points.error, points.seconds, label=method, markersize=marker_size, **style(method, _methods(raw)))
+        ax.plot(points.error, points.seconds, label=method, markersize=marker_size, **style(method, every))
         cut = points[points.limited.fillna(0) > _CUT_SHARE * points.queries]
         ax.plot(cut.error, cut.seconds, "o", color="white", markersize=0.45 * marker_size, zorder=4)
         bad = points[(points.missed > 0) | (points.late > 0)]
         ax.plot(bad.error, bad.seconds, "x", color="red", markersize=9, markeredgewidth=1.6, zorder=5)
     ax.plot([], [], "x", color="red", markersize=9, markeredgewidth=1.6, label="misses a collision, or is late")
     ax.plot([], [], "o", color="0.3", markerfacecolor="white", markersize=6, label="white dot: over 5 % cut short")
-    ax.set(xscale="log", yscale="log")
+    ax.set(xscale="log", yscale="log", xlabel="99 in 100 errors of toi are below", ylabel="time of a query")
+    ax.yaxis.set_major_formatter(lambda value, _: time_text(value))
     ax.grid(alpha=0.3)
 
 
-def draw_phantoms(raw: dict) -> Figure:
+def _phantoms(sweep: pd.DataFrame, _: Path) -> Figure:
     """Share of queries without a contact that a method reports as one, against the tolerance."""
-    shown = [m for m in _methods(raw) if "threads" not in m]
-    sweep = _sweep(raw)
-    sweep["free"] = sweep.queries - sweep.contacts
-    sweep = sweep[sweep.method.isin(shown) & (sweep.free > 0)]
+    every = list(sweep.method.unique())
+    sweep = sweep.assign(name=set_name(sweep), free=sweep.queries - sweep.contacts)
+    sweep = sweep[~sweep.method.str.contains("threads") & (sweep.free > 0)]
     by_set = sweep.groupby("name", sort=False)
     figure, axes = _panels(len(by_set), 4)
     for ax, (name, rows) in zip(axes, by_set, strict=True):
-        for method in shown:
-            points = rows[rows.method == method]
-            ax.plot(
-                points.tolerance,
-                points.phantom / points.free,
-                label=method,
-                markersize=4.5,
-                **style(method, _methods(raw)),
-            )
+        for method, points in rows.groupby("method", sort=False):
+            share = points.phantom / points.free
+            ax.plot(points.tolerance, share, label=method, markersize=4.5, **style(method, every))
         ax.set_yscale("symlog", linthresh=1e-3)
         ax.set(xscale="log", title=name, xlabel="tolerance", ylabel="phantoms / queries without contact")
         ax.set_ylim(-1e-4, 1.5)
@@ -181,33 +153,29 @@ def draw_phantoms(raw: dict) -> Figure:
     return figure
 
 
-def draw_cases(raw: dict) -> Figure:
+def _cases(cases: pd.DataFrame, _: Path) -> Figure:
     """Families by methods: red with the number where a collision is missed or late, else phantoms in grey."""
-    methods = [m for m in _methods(raw) if "threads" not in m]
-    cases = frame(raw, "cases")
-    cases["free"] = cases.queries - cases.contacts
+    cases = cases[~cases.method.str.contains("threads")].assign(free=cases.queries - cases.contacts)
+    families, methods = list(cases.family.unique()), list(cases.method.unique())
     counted = ["missed", "late", "phantom", "limited", "free"]
     sums = cases.groupby(["family", "method"], sort=False)[counted].sum().astype(int)
-    families = list(dict.fromkeys(cases.family))
-    cells = {
-        (families.index(family), methods.index(method)): dict(zip(counted, sum_of, strict=True))
-        for (family, method), *sum_of in sums.itertuples()
-        if method in methods
-    }
     level = np.full((len(families), len(methods)), 6)  # not applicable
-    for at, cell in cells.items():
+    texts = np.full(level.shape, "n/a", dtype=object)
+    for (family, method), cell in zip(sums.index, sums.to_dict("records"), strict=True):
+        at = families.index(family), methods.index(method)
         share = cell["phantom"] / max(cell["free"], 1)
         level[at] = 5 if cell["missed"] else 4 if cell["late"] else np.digitize(share, [1e-9, 0.05, 0.3])
+        parts = [f"{cell[key]} {word}" for key, word in (("missed", "MISSED"), ("late", "late")) if cell[key]]
+        parts += [f"{cell['phantom']} phantom"] if cell["phantom"] and not parts else []
+        parts += [f"{cell['limited']} limited"] if cell["limited"] else []
+        texts[at] = "\n".join(parts) or "·"
     figure, ax = plt.subplots(figsize=(1.15 * len(methods) + 3.4, 0.33 * len(families) + 2.2), layout="constrained")
     figure.get_layout_engine().set(rect=(0, 0.015, 1, 0.98))
     colors = ListedColormap(["white", "0.92", "0.84", "0.74", "#f4b6a6", "#b00020", "0.97"])
     ax.imshow(level, cmap=colors, vmin=0, vmax=6, aspect="auto")
     for i, j in np.ndindex(level.shape):
-        cell = cells.get((i, j))
-        color, weight = ("white", "bold") if level[i, j] == 5 else ("black", "normal")
-        ax.text(
-            j, i, _cell_text(cell), ha="center", va="center", fontsize=6, color=color, weight=weight, linespacing=0.95
-        )
+        options = {"color": "white", "weight": "bold"} if level[i, j] == 5 else {}
+        ax.text(j, i, texts[i, j], ha="center", va="center", fontsize=6, linespacing=0.95, **options)
     ax.set_xticks(range(len(methods)), methods, rotation=30, ha="left", fontsize=8)
     ax.xaxis.tick_top()
     ax.set_yticks(range(len(families)), [name.replace("_", " ") for name in families], fontsize=8)
@@ -224,43 +192,33 @@ def draw_cases(raw: dict) -> Figure:
     return figure
 
 
-def _cell_text(cell: dict[str, int] | None) -> str:
-    """The faults of a method's answers for a family; a dot if there are none."""
-    if cell is None:
-        return "n/a"
-    parts = [f"{cell[key]} {word}" for key, word in (("missed", "MISSED"), ("late", "late")) if cell[key]]
-    if cell["phantom"] and not parts:
-        parts.append(f"{cell['phantom']} phantom")
-    if cell["limited"]:
-        parts.append(f"{cell['limited']} limited")
-    return "\n".join(parts) or "·"
-
-
-def draw_scaling(raw: dict) -> Figure:
+def _scaling(batches: pd.DataFrame, folder: Path) -> Figure:
     """Throughput against the batch, seconds of a call with the first call's, speed-up by threads."""
     figure, (rate, call, threads) = _panels(3, 3, 4.6, 3.9)
-    threads.set_visible(bool(raw["threads"]))
-    methods = _methods(raw)
-    data = raw["batches"] or {"rows": []}
-    for method, rows in pd.DataFrame(data["rows"]).groupby("method", sort=False) if data["rows"] else ():
-        drawn = {"markersize": 4.5, **style(method, methods)}
+    every = list(raw.read(folder, "sweep").get("method", batches.method).unique())
+    for method, rows in batches.groupby("method", sort=False):
+        drawn = {"markersize": 4.5, **style(method, every)}
         rate.loglog(rows["count"], rows["count"] / rows.seconds, label=method, **drawn)
         call.loglog(rows["count"], rows.seconds, **drawn)
-    for unit in raw["sweep"]:
-        if (unit["set"], unit["kind"], unit["tolerance"]) == ("random_colliding", "vertex-face", DEFAULT_TOLERANCE):
-            for row in (row for row in unit["rows"] if is_peer(row)):
-                each = row["seconds"] + row["call_overhead"]
-                line = {k: v for k, v in style(row["method"], methods).items() if k != "marker"}
-                rate.axhline(1 / each, label=f"{row['method']}, one by one", **line)
-    starts = [row for row in raw["start"] if row.get("call", FIRST_CALL) == FIRST_CALL]
-    for row, line in zip(starts, ("-", "--", "-.", ":") * 4, strict=False):
-        where = f"{row['precision']}, {row['device']}"
-        call.axhline(row["compile"], color="0.3", linestyle=line, linewidth=1, label=f"first call, compiling: {where}")
-        call.axhline(row["load"], color="0.7", linestyle=line, linewidth=1, label=f"first call, cached: {where}")
+    sweep = raw.read(folder, "sweep")
+    if len(sweep):
+        at = (sweep["set"] == "random_colliding") & (sweep.kind == "vertex-face")
+        for row in sweep[at & (sweep.tolerance == DEFAULT_TOLERANCE) & sweep.method.isin(PEERS)].itertuples():
+            line = {k: v for k, v in style(row.method, every).items() if k != "marker"}
+            rate.axhline(1 / (row.seconds + row.call_overhead), label=f"{row.method}, one by one", **line)
+    start = raw.read(folder, "start")
+    if len(start):
+        first = start[start.call == start.call.iloc[0]] if "call" in start else start
+        for row, line in zip(first.itertuples(), ("-", "--", "-.", ":") * 4, strict=False):
+            for color, seconds, how in (("0.3", row.compile, "compiling"), ("0.7", row.load, "cached")):
+                label = f"first call, {how}: {row.precision}, {row.device}"
+                call.axhline(seconds, color=color, linestyle=line, linewidth=1, label=label)
     rate.set(xlabel="queries of a call", ylabel="queries a second", title="random colliding, vertex-face")
     call.set(xlabel="queries of a call", ylabel="seconds of the call", title="launch and compile overhead")
-    if raw["threads"]:
-        speedups = frame(raw, "threads").pivot_table(index="threads", columns="what", values="speedup", sort=False)
+    of_threads = raw.read(folder, "threads")
+    threads.set_visible(bool(len(of_threads)))
+    if len(of_threads):
+        speedups = of_threads.pivot_table(index="threads", columns="what", values="speedup", sort=False)
         for k, (what, of) in enumerate(speedups.items()):
             drawn = {"color": "black", "linestyle": ("-", "--", "-.", ":", "-")[k % 5], "marker": "osD^v"[k % 5]}
             threads.plot(of.index, of, label=what, **drawn)
@@ -275,9 +233,8 @@ def draw_scaling(raw: dict) -> Figure:
     return figure
 
 
-def draw_steps(raw: dict) -> Figure:
+def _steps(rows: pd.DataFrame, _: Path) -> Figure:
     """Time of a step of each scene, ours and the peer's, with their ratio."""
-    rows = raw["steps"]
     calls = {
         "find_candidates": "find_candidates and LBVH",
         "collision_free_step": "collision_free_step and LBVH with its step",
@@ -286,10 +243,10 @@ def draw_steps(raw: dict) -> Figure:
     figure, axes = _panels(3, 3, 4.4, 0.34 * len(rows) + 1.1)
     places = np.arange(len(rows))
     for ax, (call, title) in zip(axes, calls.items(), strict=True):
-        ours = np.array([row["seconds"][call] for row in rows])
-        peer = np.array([row["seconds"]["peer build"] for row in rows])
+        ours = rows[f"seconds.{call}"].to_numpy()
+        peer = rows["seconds.peer build"].to_numpy()
         if call != "find_candidates":
-            peer += [row["seconds"]["peer step"] for row in rows]
+            peer = peer + rows["seconds.peer step"].to_numpy()
         ax.hlines(places, ours, peer, color="0.7", linewidth=1.2, zorder=1)
         ax.plot(ours, places, "o", color="black", label="ccd_warp", zorder=2)
         ax.plot(peer, places, "s", color="tab:red", label="ipc-toolkit", zorder=2)
@@ -297,31 +254,35 @@ def draw_steps(raw: dict) -> Figure:
             ax.annotate(f"{ratio_text(ratio)} ×", (max(ours[y], peer[y]), y), (7, 0), **_BESIDE)
         ax.set(xscale="log", xlabel="time of a step", title=title)
         ax.xaxis.set_major_formatter(lambda value, _: time_text(value))
-        ax.set_xlim(right=ax.get_xlim()[1] * 5)  # room for the ratios
+        ax.set_xlim(right=ax.get_xlim()[1] * 5)  # space for the ratios
         ax.title.set_fontsize(10)
-        ax.set_yticks(places, [scene_name(row) for row in rows] if ax is axes[0] else [""] * len(rows), fontsize=9)
+        ax.set_yticks(places, list(scene_name(rows)) if ax is axes[0] else [""] * len(rows), fontsize=9)
         ax.invert_yaxis()
         ax.grid(axis="x", alpha=0.3)
     _legend_below(figure, axes)
     return figure
 
 
-def draw_growth(raw: dict) -> Figure:
+def exponents(growth: pd.DataFrame) -> dict[str, float]:
+    """Powers of the number of faces with which time and memory grow."""
+    columns = {name.partition(".")[2] or "peak memory": growth[name] for name in growth if name != "faces"}
+    faces = np.log(growth.faces)
+    return {name: float(np.polyfit(faces, np.log(v), 1)[0]) for name, v in columns.items() if v.notna().all()}
+
+
+def _growth(rows: pd.DataFrame, _: Path) -> Figure:
     """Time and peak memory of a step against the faces of the scene."""
-    rows, powers = raw["growth"], raw["exponents"]
+    powers, faces = exponents(rows), rows.faces
     figure, (time, memory) = _panels(2, 2, 4.6, 3.8)
-    faces = [row["faces"] for row in rows]
-    for (name, line), marker in zip(
-        {"find_candidates": ":", "collision_free_step": "-", "mesh_ccd": "--"}.items(), "so^", strict=True
-    ):
-        seconds = [row["seconds"][name] for row in rows]
-        time.loglog(faces, seconds, line, marker=marker, color="black", label=f"{name}: faces^{powers[name]:.2f}")
-    time.loglog(faces, [rows[-1]["seconds"]["mesh_ccd"] * n / faces[-1] for n in faces], color="0.7", label="linear")
+    for name, line in {"find_candidates": "s:", "collision_free_step": "o-", "mesh_ccd": "^--"}.items():
+        time.loglog(faces, rows[f"seconds.{name}"], line, color="black", label=f"{name}: faces^{powers[name]:.2f}")
+    last = rows.iloc[-1]
+    time.loglog(faces, last["seconds.mesh_ccd"] * faces / last.faces, color="0.7", label="linear")
     time.set(xlabel="faces", ylabel="seconds a step", title="cloth over sphere: time")
     if "peak memory" in powers:
-        peak = [row["peak_bytes_above_input"] / 2**20 for row in rows]
+        peak = rows.peak_bytes_above_input / 2**20
         memory.loglog(faces, peak, "-", marker="o", color="black", label=f"faces^{powers['peak memory']:.2f}")
-        memory.loglog(faces, [peak[-1] * n / faces[-1] for n in faces], color="0.7", label="linear")
+        memory.loglog(faces, peak.iloc[-1] * faces / last.faces, color="0.7", label="linear")
     memory.set(xlabel="faces", ylabel="MiB beside the input, at the peak", title="memory")
     for ax in (time, memory):
         ax.legend(frameon=False, fontsize=8)
@@ -329,14 +290,28 @@ def draw_growth(raw: dict) -> Figure:
     return figure
 
 
-# How each picture is drawn, of which part, and whether the raw figures have what it needs.
-_PICTURES = {
-    "speed_error": (draw_speed_error, "sweep", lambda raw: raw["sweep"]),
-    "pareto": (draw_pareto, "sweep", lambda raw: raw["sweep"]),
-    "phantoms": (draw_phantoms, "sweep", lambda raw: raw["sweep"]),
-    "cases": (draw_cases, "cases", lambda raw: raw["cases"]),
-    "scaling": (draw_scaling, "batches", lambda raw: raw["batches"]),
-    "steps": (draw_steps, "steps", lambda raw: raw["steps"]),
-    "growth": (draw_growth, "growth", lambda raw: len(raw["growth"]) > 1),
-    "turns": (draw_turns, "rigid", lambda raw: of_what(raw, "turns")),
+def _ranks(rows: pd.DataFrame, _: Path) -> Figure:
+    """The modelled time of a step against the number of ranks."""
+    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for (name, faces), chosen in rows.groupby(["scene", "faces"], sort=False):
+        (line,) = axes.loglog(chosen.ranks, 1e3 * chosen.step_seconds, "o-", label=f"{name}, {count_text(faces)} faces")
+        alone = 1e3 * chosen.one_core_seconds.iloc[0] / chosen.ranks
+        axes.loglog(chosen.ranks, alone, ":", color=line.get_color())
+    axes.set(xlabel="ranks", ylabel="ms of a step", title="A model, not a measurement; dotted: one core's time / ranks")
+    axes.set_xticks(chosen.ranks, [f"{n:,}" for n in chosen.ranks])
+    axes.minorticks_off()
+    axes.legend(frameon=False)
+    return figure
+
+
+# How each picture is drawn, and of which part.
+_PICTURES: dict[str, tuple[Callable[[pd.DataFrame, Path], Figure], str]] = {
+    "bench_speed_error": (_speed_error, "sweep"),
+    "bench_pareto": (_pareto, "sweep"),
+    "bench_phantoms": (_phantoms, "sweep"),
+    "bench_cases": (_cases, "cases"),
+    "bench_scaling": (_scaling, "batches"),
+    "bench_steps": (_steps, "steps"),
+    "bench_growth": (_growth, "growth"),
+    "distributed_model": (_ranks, "ranks_model"),
 }

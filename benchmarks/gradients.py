@@ -1,7 +1,5 @@
 """What gradients of times of impact cost: launches and line searches on a tape, and their backward passes.
 
-    python -m ccd_warp.benchmarks.gradients --docs docs/gradients.md
-
 Processor time on one thread. A round makes each call without a tape, on a tape, and its backward pass; a figure is the
 median over rounds, and a part of the call without a tape is the quotient of two of them.
 """
@@ -13,10 +11,9 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scenes
 import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
-from ccd_warp.benchmarks.numbers import table
-from ccd_warp.benchmarks.timing import interleaved, medians
+from timing import interleaved, medians
 
 import ccd_warp as ccd
 
@@ -102,32 +99,3 @@ def measure(scene: scenes.Scene, rounds: int) -> list[dict]:
         seconds = medians(interleaved(of_call, rounds, clock=time.process_time))
         rows.append({"scene": scene.name, "contacts": measured.contacts, "call": name, "seconds": seconds})
     return rows
-
-
-def rows_table(rows: list[dict]) -> list[str]:
-    """The table of docs/gradients.md."""
-    header = ["scene", "contacts", "call", "ms", "on a tape", "backward"]
-    lines, before = [], None
-    for row in rows:
-        seconds, is_new = row["seconds"], row["scene"] != before
-        before = row["scene"]
-        taped, backward = (100.0 * seconds[name] / seconds[PLAIN] for name in (TAPED, BACKWARD))
-        cells = [row["scene"], f"{row['contacts']:,}"] if is_new else ["", ""]
-        cells += [row["call"], f"{1e3 * seconds[PLAIN]:.3g}", f"{taped - 100.0:+.1f} %", f"{backward:.1f} %"]
-        lines.append(cells)
-    return table(header, lines)
-
-
-def main() -> None:
-    """Measure, print a table and write the figures."""
-    parser = side_figures.parser("What gradients of times of impact cost", "docs/gradients.md")
-    parser.add_argument("--rounds", type=int, default=31)
-    parser.add_argument("--scale", type=float, default=1.0, help="size of the scenes")
-    options = parser.parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    rows = [row for scene in all_scenes(options.scale) for row in measure(scene, options.rounds)]
-    side_figures.publish(options, "what gradients cost", rows, rows_table(rows))
-
-
-if __name__ == "__main__":
-    main()

@@ -6,14 +6,11 @@ import time
 from dataclasses import dataclass, field
 
 import numpy as np
-from ccd_warp.benchmarks.accuracy import judged
-from ccd_warp.benchmarks.memory import PeakMemory
-from ccd_warp.benchmarks.methods import REFERENCE, Answer, Method
-from ccd_warp.benchmarks.peers import Peer
-from ccd_warp.benchmarks.query_sets import QuerySet
-
-# Number of queries of the reference whose times are kept, so that two runs can be compared on the same work.
-REFERENCE_QUERIES = 200
+from accuracy import judged
+from memory import PeakMemory
+from methods import Answer, Method
+from peers import Peer
+from query_sets import QuerySet
 
 
 @dataclass(frozen=True)
@@ -107,7 +104,7 @@ def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
     answered = answered_by(peer)[:count]
     passes = np.array(answers.rounds)
     floor = answers.resolution
-    row = {
+    return {
         "method": method.name,
         **_speed([max(seconds - answers.overhead, floor) for seconds in passes.mean(axis=1)]),
         "below_resolution": bool(np.median(passes.mean(axis=1)) - answers.overhead < floor),
@@ -120,14 +117,6 @@ def _peer_row(method: Method, queries: QuerySet, peer: Peer) -> dict:
         "undecided": int(np.isnan(answers.toi[:count]).sum()) - len(answers.capped),
         "peak_bytes": answers.peak_bytes,
     }
-    if method.name == REFERENCE:
-        # for the comparison of two runs: the minimum over the rounds, which noise can only raise, with the call's
-        # overhead
-        times = passes.min(axis=0)[:REFERENCE_QUERIES]
-        row["query_seconds"] = [
-            float(f"{t:.3g}") if ok else None for t, ok in zip(times, answered[: len(times)], strict=True)
-        ]
-    return row
 
 
 def answered_by(peer: Peer) -> np.ndarray:

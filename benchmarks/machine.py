@@ -6,6 +6,7 @@ import datetime
 import importlib.metadata
 import os
 import platform
+import subprocess
 from pathlib import Path
 
 import warp as wp
@@ -29,31 +30,34 @@ def processor() -> dict:
 
 
 def machine() -> dict:
-    """The processor and the GPUs, memory, versions, date."""
+    """The processor and the GPUs, memory, versions, date and code."""
     return {
         **processor(),
         "memory_gib": round(_memory() / 2**30),
-        "gpus": [device.name for device in wp.get_cuda_devices()],
-        "versions": {package: importlib.metadata.version(package) for package in _PACKAGES},
+        "gpus": " and ".join(device.name for device in wp.get_cuda_devices()),
+        "versions": ", ".join(filter(None, map(_version, _PACKAGES))),
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
+        "code": _commit(),
     }
+
+
+def _version(package: str) -> str:
+    try:
+        return f"{package} {importlib.metadata.version(package)}"
+    except importlib.metadata.PackageNotFoundError:
+        return ""
 
 
 def _memory() -> int:
     """Bytes that this process may use: those of the machine, or fewer in a container."""
-    import psutil  # of the extra
-
-    total = psutil.virtual_memory().total
+    total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     limit = Path("/sys/fs/cgroup/memory.max")
     text = limit.read_text().strip() if limit.exists() else ""
     return min(total, int(text)) if text.isdigit() else total
 
 
-def describe(about: dict) -> str:
-    """One line on a machine."""
-    versions = ", ".join(f"{package} {version}" for package, version in about["versions"].items())
-    gpus = "".join(f", {name}" for name in about["gpus"])
-    return (
-        f"{about['cpu']}, {about['cores']} cores{gpus}, {about['memory_gib']} GiB, {about['system']}, "
-        f"Python {about['python']}, {versions}, {about['date']}"
-    )
+def _commit() -> str:
+    """The commit of this checkout, marked where files are changed; empty outside of one."""
+    command = ["git", "describe", "--always", "--dirty", "--abbrev=12"]
+    done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return done.stdout.strip()

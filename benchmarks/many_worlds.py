@@ -11,13 +11,14 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import scenes
 import warp as wp
-from ccd_warp.benchmarks import scenes
-from ccd_warp.benchmarks.device_step import worlds as sheets_and_balls
-from ccd_warp.benchmarks.timing import figures, interleaved
+from device_step import worlds as sheets_and_balls
+from timing import figures, interleaved
 
 import ccd_warp as ccd
 
+WORLD_CALLS = ("mesh_ccd", "launch", "collision_free_step", "launch_line_search", "mesh_ccd, hash", "launch, hash")
 _CAPACITY = 160  # pairs of a kind for each world
 _Frames = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 

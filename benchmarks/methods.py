@@ -6,23 +6,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import checkout  # noqa: F401
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.univariate import ends_ccd, univariate_ccd
+from pair_functions import SOLVE
+from univariate import ends_ccd, univariate_ccd
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads
 
 KINDS = ("vertex-face", "edge-edge")
 SHORT = {"vertex-face": "VF", "edge-edge": "EE"}
-SOLVE = {
-    "vertex-face": ccd.vertex_face_ccd,
-    "edge-edge": ccd.edge_edge_ccd,
-    "point-segment": ccd.point_segment_ccd,
-    "point-point": ccd.point_point_ccd,
-}
-# The method whose times divide ours where two runs are compared.
-REFERENCE = "Tight-Inclusion"
+OURS, REFERENCE = "ours float64", "Tight-Inclusion"
+PEERS = (REFERENCE, "additive CCD")
+DEFAULT_TOLERANCE = 1e-6
 _BISECTION_ITERATIONS = 100_000
 
 

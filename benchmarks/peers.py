@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.memory import PeakMemory, resident
+from memory import PeakMemory, resident
 
 # Number of calls for measuring the cost of a Python call, around every piece of a pass.
 _OVERHEAD_CALLS = 60
@@ -156,7 +156,7 @@ class Peer:
         methods = multiprocessing.get_all_start_methods()
         self._context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
         if "forkserver" in methods:
-            self._context.set_forkserver_preload(["ccd_warp.benchmarks.peers", "ipctk"])
+            self._context.set_forkserver_preload(["peers", "ipctk"])
         n = len(points_t0)
         self._shared = tuple(
             self._context.RawArray(number, max(1, size))

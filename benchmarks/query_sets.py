@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from ccd_warp.benchmarks.accuracy import ExactTimes
-from ccd_warp.benchmarks.methods import KINDS
+from accuracy import ExactTimes
+from checkout import ROOT
 from hard_cases import FAMILIES
+from methods import KINDS
+from pair_functions import size_of_motion
 
 from ccd_warp import datasets
 
@@ -52,13 +53,6 @@ class QuerySet:
             return np.full(len(self), self.length_scale)
         return size_of_motion(self.points_t0, self.points_t1)
 
-    def fingerprint(self) -> str:
-        """Fingerprint of the queries: only sets that are the same in two runs are compared."""
-        digest = hashlib.sha256(f"{self.separation} {self.length_scale}".encode())
-        digest.update(self.points_t0.tobytes())
-        digest.update(self.points_t1.tobytes())
-        return digest.hexdigest()[:16]
-
     def describe(self) -> dict:
         """The description of the set for the raw file."""
         return {
@@ -70,12 +64,6 @@ class QuerySet:
             "length_scale": self.length_scale,
             "truth_disagreements": self.truth_disagreements,
         }
-
-
-def size_of_motion(points_t0: np.ndarray, points_t1: np.ndarray) -> np.ndarray:
-    """Longest side of the box around each query's motion: its default length scale, shape [n]."""
-    both = np.concatenate([points_t0, points_t1], axis=1)
-    return (both.max(axis=1) - both.min(axis=1)).max(axis=1)
 
 
 def make_set(
@@ -137,5 +125,5 @@ def default_data() -> Path | None:
     named = os.environ.get("CCD_WARP_DATA")
     if named:
         return Path(named)
-    beside = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+    beside = ROOT.parent / "shared" / "data"
     return beside if beside.is_dir() else None

@@ -1,31 +1,85 @@
 """Rigid bodies that turn: ours and what users have today, time against what is missed, on the same steps.
 
 Ours is one call for all steps, each a world of its own or all in one scene, and a call for each step. An answer is
-missed where ours finds a contact and the other finds none; what ours says is itself held against many exact looks at
-each step (`rigid_truth`). All on one thread, the processor time of each in interleaved rounds.
+missed where ours finds a contact and the other finds none. What ours says is itself held against intersections at many
+times of each step: positions come from `rigid_scenes`, which shares no code with the package, and `find_intersections`
+decides by integer arithmetic. All on one thread, the processor time of each in interleaved rounds.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from functools import partial
-from importlib.metadata import version
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks import rigid_arm, rigid_dice, rigid_nonlinear, rigid_turns
-from ccd_warp.benchmarks.rigid_peers import PEERS, missing, peers_of
-from ccd_warp.benchmarks.rigid_scenes import SCENES, RigidSteps
-from ccd_warp.benchmarks.rigid_truth import evidence, mesh_of, starting_apart, worlds_of
-from ccd_warp.benchmarks.timing import figures, interleaved
+from rigid_peers import peers_of
+from rigid_scenes import SCENES, RigidSteps
+from timing import figures, interleaved
 
 import ccd_warp as ccd
 
 OURS, OURS_TOGETHER, OURS_EACH = "ours, a world for each step", "ours, all in one scene", "ours, a call for each step"
 # A toi of another differs from that of ours by more than its tolerance and rounding.
-_LATE = 1e-5
+LATE = 1e-5
+# How far apart the bodies may be at a toi that is right: the tolerance of ours, and rounding, in parts of the size.
+GAP = 1e-5
+# Steps of each scene, times at which each is looked at, and rounds.
+SIZES, QUICK_SIZES = (1_000, 1_001, 3), (100, 101, 2)
+
+
+def positions_at(steps: RigidSteps, times: np.ndarray) -> np.ndarray:
+    """Positions of all vertices, each step at a time of its own, shape [n, V, 3]."""
+    moving, fixed = steps.body.mesh[0], steps.obstacles.mesh[0]
+    matrices = np.stack([steps.poses_at(k, times[k : k + 1])[0] for k in range(len(steps))])
+    placed = moving @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
+    return np.concatenate([placed, np.broadcast_to(fixed, (len(steps), *fixed.shape))], axis=1)
+
+
+def mesh_of(steps: RigidSteps, bodies: int = 1, **options: Any) -> ccd.CollisionMesh:
+    """The body, so many times, and the obstacles, which are static; none collides with itself."""
+    arrays = [each.mesh for each in [steps.body] * bodies + [steps.obstacles]]
+    return ccd.CollisionMesh.from_arrays(arrays, static=[bodies], self_collision=False, **options)
+
+
+def touching_at(steps: RigidSteps, t: float, mesh: ccd.CollisionMesh) -> np.ndarray:
+    """Whether surfaces meet in each step at a time, shape [n]; the mesh has a world for each."""
+    touching = np.zeros(len(steps), dtype=bool)
+    touching[ccd.find_intersections(mesh, positions_at(steps, np.full(len(steps), t))).world] = True
+    return touching
+
+
+def starting_apart(steps: RigidSteps) -> RigidSteps:
+    """The steps at whose start surfaces do not meet, and no obstacle is inside the body."""
+    apart = ~(touching_at(steps, 0.0, mesh_of(steps).replicate(len(steps))) | _inside(steps))
+    return replace(steps, poses=steps.poses[apart], omega=steps.omega[apart], moves=steps.moves[apart])
+
+
+def _inside(steps: RigidSteps) -> np.ndarray:
+    """Whether the centre of an obstacle is in a box of the body at the start, shape [n]."""
+    start = np.stack([steps.poses_at(k, np.zeros(1))[0] for k in range(len(steps))])
+    places = (steps.obstacles.centers - start[:, None, :3, 3]) @ start[:, :3, :3]
+    offsets = np.abs(places[:, :, None] - steps.body.centers)
+    return (offsets <= 0.5 * steps.body.sizes).all(axis=-1).any(axis=(1, 2))
+
+
+def evidence(steps: RigidSteps, toi: np.ndarray, samples: int) -> dict[str, int]:
+    """What looks at many times of each step, and at the toi of ours, say of ours.
+
+    Returns:
+        samples; missed: steps in which a sample touches, and ours says that none does; late: in which a sample before
+        the toi touches; apart: that are not near a contact at the toi.
+    """
+    mesh = mesh_of(steps).replicate(len(steps))
+    first = np.full(len(steps), np.inf)
+    for t in np.linspace(0.0, 1.0, samples):
+        first[touching_at(steps, t, mesh) & (first == np.inf)] = t
+    hit, is_near = toi < np.inf, np.zeros(len(steps), dtype=bool)
+    near = ccd.find_proximity(mesh, positions_at(steps, np.where(hit, toi, 0.0)), GAP * steps.body.reach)
+    is_near[mesh.vertex_world[near.vertices[:, 0]]] = True
+    wrong = {"missed": ~hit & (first < np.inf), "late": hit & (first < toi), "apart": hit & ~is_near}
+    return {"samples": samples} | {name: int(which.sum()) for name, which in wrong.items()}
 
 
 def matrices_of(steps: RigidSteps) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +93,7 @@ def matrices_of(steps: RigidSteps) -> tuple[np.ndarray, np.ndarray]:
 def ours(steps: RigidSteps) -> dict[str, Callable[[], np.ndarray]]:
     """The calls of ours, each of which gives the toi of every step."""
     first, last = matrices_of(steps)
-    worlds = worlds_of(steps)
+    worlds = mesh_of(steps).replicate(len(steps))
     count = len(steps)
     meets = np.zeros((count + 1, count + 1), dtype=bool)
     meets[-1] = meets[:, -1] = True
@@ -63,16 +117,15 @@ def judged(toi: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     both = hit & is_true
     error = np.abs(toi[both] - truth[both])
     return {
-        "hits": int(hit.sum()),
         "missed": int((is_true & ~hit).sum()),
         "phantom": int((hit & ~is_true).sum()),
-        "late": int((both & (toi > truth + _LATE)).sum() if both.any() else 0),
+        "late": int((both & (toi > truth + LATE)).sum() if both.any() else 0),
         "error": float(error.max()) if both.any() else None,
     }
 
 
-def measure(make: Callable[[int], RigidSteps], count: int, samples: int, rounds: int) -> dict:
-    """One record: a scene with a row for each program, and what exact samples say of ours.
+def measure(make: Callable[[int], RigidSteps], count: int, samples: int, rounds: int) -> list[dict]:
+    """A row for each program on a scene, and what looks at exact positions say of ours.
 
     Args:
         make: Makes the steps.
@@ -83,87 +136,17 @@ def measure(make: Callable[[int], RigidSteps], count: int, samples: int, rounds:
     steps = starting_apart(make(count))
     calls = ours(steps) | dict(peers_of(steps))
     answers: dict[str, np.ndarray] = {}
-    seconds = interleaved(calls, rounds, clock=time.process_time, after=answers.__setitem__)
-    times = figures(seconds)
+    times = figures(interleaved(calls, rounds, clock=time.process_time, after=answers.__setitem__))
     truth = answers[OURS]
-    rows = [
-        {
-            "method": name,
-            "seconds": times["seconds"][name] / len(steps),
-            "spread": [value / len(steps) for value in times["spread"][name]],
-            **judged(answer, truth),
-        }
-        for name, answer in answers.items()
+    about = {"scene": steps.name, "steps": len(steps), "hits": int((truth < np.inf).sum())}
+    about["evidence"] = evidence(steps, truth, samples)
+    each = [
+        {"method": name, "seconds": times["seconds"][name] / len(steps), **judged(answers[name], truth)}
+        for name in calls
     ]
-    return {
-        "what": "steps",
-        "scene": steps.name,
-        "path": steps.path,
-        "steps": len(steps),
-        "hits": int((truth < np.inf).sum()),
-        "evidence": asdict(evidence(steps, truth, samples)),
-        "not_installed": missing(),
-        "versions": {name: version(name) for name in PEERS if name not in missing()},
-        "rows": rows,
-    }
+    return [about | row for row in each]
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """How much is measured.
-
-    Attributes:
-        steps: Steps of each scene.
-        samples: Exact looks at each step.
-        pairs: Pairs of each kind and turn whose narrow phase is timed.
-        turns: Turns of these, in radians.
-        counted: Pairs of each kind and turn whose steps are counted.
-        nonlinear: Pairs of each kind that ipc-toolkit takes.
-        dice: Number of dice.
-        edges: Edges of a planner.
-        rounds: Rounds of each call.
-        seconds: Estimated duration of a task.
-    """
-
-    steps: int
-    samples: int
-    pairs: int
-    turns: tuple[float, ...]
-    counted: int
-    nonlinear: int
-    dice: int
-    edges: int
-    rounds: int
-    seconds: float
-
-
-QUICK = Sizes(100, 101, 4_000, (1e-3, 0.5, np.pi), 500, 40, 100, 30, 2, 10.0)
-FULL = Sizes(1_000, 1_001, 20_000, rigid_turns.TURNS, 5_000, 200, 1_000, 500, 3, 100.0)
-
-
-def calls(sizes: Sizes) -> dict[str, Callable[[], dict]]:
-    """What is measured, each by its name: the scenes, the price of a pair, pairs beside a peer, dice, a planner."""
-    made: dict[str, Callable[[], dict]] = {
-        make.__name__: partial(measure, make, sizes.steps, sizes.samples, sizes.rounds) for make in SCENES
-    }
-    for kind in rigid_turns.KINDS:
-        made[f"turns of {kind}"] = partial(_turns, kind, sizes)
-        made[f"pairs of {kind}"] = partial(rigid_nonlinear.measure, kind, 0.5, sizes.nonlinear, sizes.rounds)
-    looks = (sizes.samples + 49) // 50  # with all faces of the arm a look takes seconds
-    return made | {
-        "dice": partial(rigid_dice.measure, sizes.dice, sizes.rounds),
-        "edges": partial(rigid_arm.measure, sizes.edges, looks),
-    }
-
-
-def _turns(kind: str, sizes: Sizes) -> dict:
-    """The price of a pair by its turn, with the number of its steps."""
-    from ccd_warp.benchmarks import rigid_iterations  # whose kernel is compiled from templates that few parts need
-
-    record = rigid_turns.measure(kind, sizes.pairs, sizes.rounds, sizes.turns)
-    counted = rigid_iterations.measure(kind, sizes.counted, sizes.turns)
-    rows = [
-        row | {"steps": {name: steps[name] for name in ("free", "hit")}}
-        for row, steps in zip(record["rows"], counted, strict=True)
-    ]
-    return record | {"rows": rows}
+def measure_all(is_quick: bool) -> list[dict]:
+    """The rows of all scenes."""
+    return [row for make in SCENES for row in measure(make, *(QUICK_SIZES if is_quick else SIZES))]

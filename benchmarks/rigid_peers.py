@@ -1,18 +1,18 @@
 """Programs that users take for rigid bodies in motion, on the same steps; a program that is not installed is left out.
 
-Each takes the bodies as it does best: python-fcl and coal as hierarchies of triangles, drake and parry as boxes, and
-drake alone as spheres. What is made once for a scene is not timed, nor are the poses along a step, which a planner has
-anyway. All run on one thread.
+Each takes the bodies as it does best: python-fcl and coal as hierarchies of triangles, drake and parry as boxes. What
+is made once for a scene is not timed, nor are the poses along a step, which a planner has anyway. One thread each.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
-from ccd_warp.benchmarks.rigid_scenes import Boxes, RigidSteps, Spheres
+from rigid_scenes import Boxes, RigidSteps
 
 # Modules of the peers, by the name under which they are installed.
 PEERS = {"python-fcl": "fcl", "coal": "coal", "drake": "pydrake", "py-parry3d": "py_parry3d"}
@@ -23,11 +23,6 @@ _GAP, _MOST_STEPS = 1e-6, 1_000
 Solve = Callable[[], np.ndarray]
 
 
-def missing() -> list[str]:
-    """Peers that are not installed."""
-    return [name for name, module in PEERS.items() if find_spec(module) is None]
-
-
 def peers_of(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
     """The peers that are installed and know such steps, each with a name and a call."""
     makers: dict[str, Callable[[RigidSteps], Iterator[tuple[str, Solve]]]] = {
@@ -36,8 +31,6 @@ def peers_of(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
         "drake": _drake,
         "py-parry3d": _parry,
     }
-    if isinstance(steps.body, Spheres):
-        makers = {"drake": _drake}
     for name, make in makers.items():
         if find_spec(PEERS[name]) is not None:
             yield from make(steps)
@@ -162,12 +155,37 @@ def _parry(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
 
 
 def _drake(steps: RigidSteps) -> Iterator[tuple[str, Solve]]:
-    """drake's checker of edges between configurations, by the size of its steps."""
-    from ccd_warp.benchmarks.rigid_drake import checkers
+    """drake's checker of edges between configurations of a floating body, by the size of its steps."""
+    from pydrake.geometry import Box
+    from pydrake.math import RigidTransform, RotationMatrix
+    from pydrake.multibody.plant import CoulombFriction
+    from pydrake.multibody.tree import SpatialInertia
+    from pydrake.planning import RobotDiagramBuilder, SceneGraphCollisionChecker
 
-    for size, checker, starts, ends in checkers(steps):
+    logging.getLogger("drake").setLevel(logging.WARNING)
 
-        def toi_of(k: int, checker: Any = checker, starts: np.ndarray = starts, ends: np.ndarray = ends) -> float:
+    def add(plant: Any, body: Any, made_of: Boxes, name: str) -> None:
+        for k, center in enumerate(made_of.centers):
+            box, friction = Box(*made_of.sizes[k]), CoulombFriction(1.0, 1.0)
+            plant.RegisterCollisionGeometry(body, RigidTransform(center), box, f"{name}{k}", friction)
+
+    def configurations(matrices: np.ndarray) -> np.ndarray:
+        turns = [RotationMatrix(matrix[:3, :3]).ToQuaternion().wxyz() for matrix in matrices]
+        return np.hstack([turns, matrices[:, :3, 3]])
+
+    starts = configurations(np.stack([steps.poses_at(k, np.zeros(1))[0] for k in range(len(steps))]))
+    ends = configurations(steps.ends())
+    for size in steps.edge_steps:
+        builder = RobotDiagramBuilder()
+        plant = builder.plant()
+        robot = plant.AddModelInstance("robot")
+        body = plant.AddRigidBody("body", robot, SpatialInertia.SolidSphereWithMass(1.0, 0.01))
+        add(plant, body, steps.body, "body")
+        add(plant, plant.world_body(), steps.obstacles, "obstacle")
+        plant.Finalize()
+        checker = SceneGraphCollisionChecker(model=builder.Build(), robot_model_instances=[robot], edge_step_size=size)
+
+        def toi_of(k: int, checker: Any = checker) -> float:
             measure = checker.MeasureEdgeCollisionFree(starts[k], ends[k])
             return np.inf if measure.completely_free() else measure.alpha_or(0.0)
 

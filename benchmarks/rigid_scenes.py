@@ -1,7 +1,7 @@
-"""Steps of rigid bodies for the benchmark: one body moves through obstacles that stand still, and dice in a pile.
+"""Steps of rigid bodies that turn for the benchmark: one body moves through obstacles that stand still.
 
-Bodies are made of boxes, which every peer knows, as a primitive or as a mesh, or of spheres. Poses are positions and
-quaternions, scalar last. What is here of rotations shares no code with the package.
+Bodies are made of boxes, which every peer knows, as a primitive or as a mesh. Poses are positions and quaternions,
+scalar last. What is here of rotations shares no code with the package.
 """
 
 from __future__ import annotations
@@ -44,36 +44,13 @@ class Boxes:
 
 
 @dataclass(frozen=True)
-class Spheres:
-    """A rigid body of spheres of one radius.
-
-    Attributes:
-        radius: Their radius.
-        centers: Their centres in the frame of the body, shape [N, 3].
-    """
-
-    radius: float
-    centers: np.ndarray
-
-    @property
-    def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """The centres as vertices, and no faces."""
-        return self.centers, np.empty((0, 3), dtype=int)
-
-    @property
-    def reach(self) -> float:
-        """Distance of the farthest point from the origin."""
-        return float(np.linalg.norm(self.centers, axis=1).max()) + self.radius
-
-
-@dataclass(frozen=True)
 class RigidSteps:
     """Steps of one body, each on its own, among the same obstacles.
 
     Attributes:
         name: What they are.
         body: The one that moves.
-        obstacles: What stands still, in the frame of the world, of boxes or of spheres as the body.
+        obstacles: What stands still, in the frame of the world.
         poses: Poses at t = 0, shape [n, 7].
         omega: Rotation vectors of the steps in the frame of the world, of less than π, shape [n, 3].
         moves: Displacements of the origin of the body, shape [n, 3].
@@ -82,8 +59,8 @@ class RigidSteps:
     """
 
     name: str
-    body: Boxes | Spheres
-    obstacles: Boxes | Spheres
+    body: Boxes
+    obstacles: Boxes
     poses: np.ndarray
     omega: np.ndarray
     moves: np.ndarray
@@ -171,17 +148,6 @@ def tool_and_plate(n: int) -> RigidSteps:
     return RigidSteps("tool of 5 mm, plate of 1 mm", body, plate, poses, turns, moves, "linear", EDGE_STEPS)
 
 
-def tool_and_beads(n: int) -> RigidSteps:
-    """The same with spheres: a tool of 12, each 5 mm thick, passes a curtain of 49 beads of 1 mm."""
-    poses, moves, turns = _thrown(n)
-    along = np.linspace(-0.0275, 0.0275, 12)
-    tool = Spheres(0.0025, along[:, None] * [0.0, 0.0, 1.0])
-    places = np.linspace(-0.03, 0.03, 7)
-    grid = np.stack(np.meshgrid(places, places, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
-    name = "tool of spheres of 5 mm, beads of 1 mm"
-    return RigidSteps(name, tool, Spheres(0.0005, grid), poses, turns, moves, "linear", EDGE_STEPS)
-
-
 def wire_among_grains(n: int) -> RigidSteps:
     """A wire of 1 mm, as of a whisk, turns by 1 rad among 100 grains of 0.5 mm."""
     rng = np.random.default_rng(2)
@@ -217,37 +183,4 @@ def bar_in_a_cage(n: int) -> RigidSteps:
     return RigidSteps("bar in a cage, on a screw", body, cage, poses, turns, moves, "screw", ())
 
 
-def dice(count: int, turn: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Dice of 500 faces in a heap: vertices and faces of one, poses at t = 0 and rotation vectors of a turn."""
-    rng = np.random.default_rng(4)
-    vertices, faces = divided_box((5, 5, 10))
-    side = int(np.ceil(count ** (1 / 3)))
-    places = np.stack(np.meshgrid(*[np.arange(side)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    places = places[np.argsort(places[:, 2], kind="stable")][:count]
-    tilt = 0.15  # half the angle by which a die is tilted: all are apart at the start
-    poses = np.empty((count, 7))
-    poses[:, :3] = 1.4 * places + rng.uniform(-0.01, 0.01, (count, 3)) + [0, 0, 0.7]
-    poses[:, 3:] = np.column_stack([np.sin(tilt) * _directions(rng, count), np.full(count, np.cos(tilt))])
-    return vertices, faces, poses, turn * _directions(rng, count)
-
-
-def divided_box(cells: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """The surface of a cube of side 1 around the origin, divided along its axes."""
-    points: dict[tuple[float, ...], int] = {}
-    faces = []
-    for axis in range(3):
-        u, v = (axis + 1) % 3, (axis + 2) % 3
-        for side in (0, 1):
-            for i in range(cells[u]):
-                for j in range(cells[v]):
-                    corners = []
-                    for di, dj in ((0, 0), (1, 0), (1, 1), (0, 1)):
-                        point = [0.0, 0.0, 0.0]
-                        point[axis], point[u], point[v] = side, (i + di) / cells[u], (j + dj) / cells[v]
-                        corners.append(points.setdefault(tuple(point), len(points)))
-                    a, b, c, d = corners if side else corners[::-1]
-                    faces += [[a, b, c], [a, c, d]]
-    return np.array(list(points)) - 0.5, np.array(faces)
-
-
-SCENES: tuple[Callable[[int], RigidSteps], ...] = (tool_and_plate, tool_and_beads, wire_among_grains, bar_in_a_cage)
+SCENES: tuple[Callable[[int], RigidSteps], ...] = (tool_and_plate, wire_among_grains, bar_in_a_cage)

@@ -12,10 +12,12 @@ from functools import partial
 from itertools import product
 from typing import Any
 
+import checkout  # noqa: F401
 import numpy as np
-from ccd_warp.benchmarks.methods import SOLVE, Method
-from ccd_warp.benchmarks.timing import interleaved
 from hard_cases import FAMILIES
+from methods import Method
+from pair_functions import SOLVE
+from timing import interleaved
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads
@@ -40,16 +42,15 @@ _FIRST_CALLS = {
 }
 
 
-def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: float) -> dict:
-    """Seconds of a warm call for each number of pairs, for ours and the cubic; counts beyond the memory are listed."""
+def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: int) -> list[dict]:
+    """Seconds of a warm call for each number of pairs, for ours and the cubic; none beyond the memory."""
     few = FAMILIES[FAMILY]("vertex-face", 100_000, np.random.default_rng(4))
     chosen = [m for m in methods if m.group == "ours" or m.name == "cubic, closed form"]
-    rows, left_out = [], []
+    rows = []
     for count in counts:
         # positions of twelve float64 at both ends, once in NumPy and once in Warp, and as much again for results and
         # temporaries
         if count * 400 > 0.5 * memory_gib * 2**30:
-            left_out.append(count)
             continue
         points = [np.ascontiguousarray(np.resize(p, (count, 4, 3))) for p in few]
         calls = {
@@ -60,7 +61,7 @@ def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int,
         times = interleaved(calls, rounds * (20 if count <= 1000 else 1))
         for name, seconds in times.items():
             rows.append({"method": name, "count": count, "seconds": float(np.median(seconds[len(seconds) // 4 :]))})
-    return {"family": FAMILY, "rows": rows, "left_out": left_out}
+    return rows
 
 
 def measure_start(devices: list[str]) -> list[dict]:

@@ -1,14 +1,9 @@
-"""The cost of a minimum separation: pairs, contacts and time of a step for different separations.
-
-python -m ccd_warp.benchmarks.separation --output benchmarks/results/separation.json --docs docs/choosing.md
-"""
+"""The cost of a minimum separation: pairs, contacts and time of a step for different separations."""
 
 from __future__ import annotations
 
-import warp as wp
-from ccd_warp.benchmarks import scenes, side_figures
-from ccd_warp.benchmarks.numbers import table, time_text
-from ccd_warp.benchmarks.timing import interleaved, medians
+import scenes
+from timing import interleaved, medians
 
 import ccd_warp as ccd
 
@@ -36,30 +31,3 @@ def measure(num_faces: int, separations: tuple[float, ...] = SEPARATIONS) -> lis
         rows.append({"separation": separation, "edge_length": edge_length, **both, "toi": result.toi})
         rows[-1]["seconds"] = seconds[separation]
     return rows
-
-
-def rows_table(rows: list[dict]) -> list[str]:
-    """The table of docs/choosing.md."""
-    cells = (
-        [
-            f"{row['separation']:g}",
-            f"{row['separation'] / row['edge_length']:.2g}",
-            *(f"{row[stage]:,}" for stage in STAGES),
-            f"{row['toi']:.5f}",
-            time_text(row["seconds"]),
-        ]
-        for row in rows
-    )
-    return table(["separation", "in edge lengths", *STAGES, "toi", "`mesh_ccd`"], cells)
-
-
-def main() -> None:
-    """Measure, print a table and write the figures."""
-    options = side_figures.parser("What a minimum separation costs", "docs/choosing.md").parse_args()
-    wp.config.log_level = wp.LOG_WARNING
-    rows = side_figures.rows_of(options, lambda: measure(NUM_FACES))
-    side_figures.publish(options, "separation", rows, rows_table(rows))
-
-
-if __name__ == "__main__":
-    main()

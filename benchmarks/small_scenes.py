@@ -7,19 +7,19 @@ milliseconds, and takes the mean; medians over the rounds.
 
 from __future__ import annotations
 
+import checkout  # noqa: F401
 import ipctk
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.scene_sections import SMALL_PEERS
-from ccd_warp.benchmarks.scenes import Scene
-from ccd_warp.benchmarks.timing import figures, interleaved
-from ccd_warp.benchmarks.whole_step import ToolkitScene
 from hard_cases import FAMILIES
+from scenes import Scene
+from timing import figures, interleaved
+from whole_step import ToolkitScene
 
 import ccd_warp as ccd
 
-# The call by which the figures are divided, in tables and by --compare.
-PEER = SMALL_PEERS[1]
+PEERS = ("LBVH, Tight-Inclusion", "LBVH, additive")
+CALLS = ("collision_free_step", "mesh_ccd", "pipeline.collision_free_step", "pipeline.mesh_ccd", "launch")
 PAIR_KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
 _SECONDS = 4e-3  # of a call's repetitions in a round
 
@@ -40,8 +40,8 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
         return result
 
     calls = {
-        SMALL_PEERS[0]: lambda: peer.step(peer.build()),
-        PEER: lambda: peer.step(peer.build(), ipctk.AdditiveCCD()),
+        PEERS[0]: lambda: peer.step(peer.build()),
+        PEERS[1]: lambda: peer.step(peer.build(), ipctk.AdditiveCCD()),
         "collision_free_step": lambda: ccd.collision_free_step(mesh, *frames, device=device),
         "mesh_ccd": lambda: ccd.mesh_ccd(mesh, *frames, device=device),
         "pipeline.collision_free_step": lambda: pipeline.collision_free_step(*frames),
@@ -58,8 +58,8 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
         "step": calls["collision_free_step"](),
         "launch_toi": float(launch().toi.numpy()[0]),
         "launch_flags": int(launch().flags.numpy()[0]),
-        "peer_step": calls[SMALL_PEERS[0]](),
-        "additive_step": calls[PEER](),
+        "peer_step": calls[PEERS[0]](),
+        "additive_step": calls[PEERS[1]](),
     }
     return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))
 
@@ -72,6 +72,6 @@ def measure_pair(kind: str, device: str, rounds: int) -> dict:
     query = getattr(ipctk.AdditiveCCD(), f"{names.get(kind, kind)}_ccd")
     corners = [*points[0], *points[1]]
     batch = [x[None] for x in points]
-    calls = {PEER: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
+    calls = {PEERS[1]: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
     row = {"pair": kind, "device": device, "toi": float(calls["ours"]().toi[0])}
     return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))

@@ -16,10 +16,8 @@ References:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
-from ccd_warp.benchmarks.cubic_roots import ROOTS
+from cubic_roots import ROOTS
 
 CHUNK = 100_000  # queries at a time, which limits the memory to about 200 MB
 
@@ -102,35 +100,13 @@ def _within(kind: str, frame: np.ndarray, reach: np.ndarray) -> np.ndarray:
     return _distance(kind, *frame) <= reach
 
 
-def _within_by_barycentric(kind: str, frame: np.ndarray, reach: np.ndarray) -> np.ndarray:
-    """The test of Bridson et al.: near the plane of the face, and over the face by barycentric coordinates.
-
-    The bounds of the coordinates are widened by reach over the length of the face. Their test of edges is the distance.
-    """
-    if kind == "edge-edge":
-        return _within(kind, frame, reach)
-    p, q, r = frame
-    qq, qr, rr, pq, pr = _dot(q, q), _dot(q, r), _dot(r, r), _dot(p, q), _dot(p, r)
-    determinant = qq * rr - qr * qr
-    u, v = (qr * pr - rr * pq) / determinant, (qr * pq - qq * pr) / determinant
-    normal = _cross(q, r)
-    slack = reach / np.sqrt(np.maximum(qq, rr))
-    over = (u >= -slack) & (v >= -slack) & (u + v <= 1.0 + slack)
-    return over & (np.abs(_dot(p, normal)) / np.sqrt(_dot(normal, normal)) <= reach)
-
-
-INSIDE = {"distance": _within, "barycentric": _within_by_barycentric}
-
-
-def _earliest(
-    kind: str, frames: np.ndarray, times: np.ndarray, reach: np.ndarray, within: Callable[..., np.ndarray]
-) -> np.ndarray:
+def _earliest(kind: str, frames: np.ndarray, times: np.ndarray, reach: np.ndarray) -> np.ndarray:
     """Earliest of the times [n, k] at which the primitives are within reach [n], or inf."""
     times = times.copy()
     query, slot = np.nonzero(np.isfinite(times))
     t = times[query, slot]
     start, end = frames[..., query]
-    apart = ~within(kind, (1.0 - t) * start + t * end, reach[query])
+    apart = ~_within(kind, (1.0 - t) * start + t * end, reach[query])
     times[query[apart], slot[apart]] = np.inf
     return times.min(axis=1)
 
@@ -145,22 +121,6 @@ def _check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray) -> None:
         raise ValueError(f"points have shapes {points_t0.shape} and {points_t1.shape}; expected (n, 4, 3) twice")
 
 
-def coplanarity_cubic(kind: str, points_t0: np.ndarray, points_t1: np.ndarray) -> np.ndarray:
-    """Coefficients of f(t) = P · (Q × R), each query's times a power of two of its own.
-
-    Args:
-        kind: "vertex-face" or "edge-edge".
-        points_t0: Positions at t = 0, float64, shape [n, 4, 3].
-        points_t1: Positions at t = 1, same shape.
-
-    Returns:
-        Coefficients, lowest degree first, float64, shape [n, 4].
-    """
-    _check(kind, points_t0, points_t1)
-    with np.errstate(all="ignore"):
-        return _cubic(_scaled(kind, points_t0, points_t1)[0])
-
-
 def univariate_ccd(
     kind: str,
     points_t0: np.ndarray,
@@ -168,7 +128,6 @@ def univariate_ccd(
     *,
     tolerance: float = 1e-6,
     roots: str = "closed_form",
-    inside: str = "distance",
     length_scale: float | None = None,
     t_max: float = 1.0,
 ) -> np.ndarray:
@@ -177,8 +136,8 @@ def univariate_ccd(
     Differs from Bridson et al. 2002, in its favour, in
     1. the scale: everything is normalised by a power of two, so that no product of six lengths leaves the range;
     2. the tolerance: a multiple of a length scale, by default of each query's size;
-    3. the test of a face at a root: by default its distance, as in El Topo. Theirs, the distance of its plane and
-       bounds of the barycentric coordinates, is `inside="barycentric"`; it fails on needles and faces without area;
+    3. the test of a face at a root: its distance, as in El Topo, in place of that of its plane and bounds of the
+       barycentric coordinates, which fails on needles and faces without area;
     4. the ends: the same test is made at t = 0 and at t = t_max, and the result includes them.
 
     Args:
@@ -187,7 +146,6 @@ def univariate_ccd(
         points_t1: Positions at t = 1, same shape.
         tolerance: Distance that counts as contact, as a multiple of the length scale.
         roots: Finder of the roots, a key of `ROOTS`.
-        inside: Test at a root, a key of `INSIDE`; for edges both are the distance.
         length_scale: Unit of the tolerance, a length; None: the longest side of the box around each query's motion.
         t_max: End of the step, in [0, 1].
 
@@ -197,8 +155,6 @@ def univariate_ccd(
     _check(kind, points_t0, points_t1)
     if roots not in ROOTS:
         raise ValueError(f"roots is {roots!r}; expected one of {tuple(ROOTS)}")
-    if inside not in INSIDE:
-        raise ValueError(f"inside is {inside!r}; expected one of {tuple(INSIDE)}")
     toi = np.full(len(points_t0), np.inf)
     for first in range(0, len(toi), CHUNK):
         chunk = slice(first, first + CHUNK)
@@ -207,7 +163,7 @@ def univariate_ccd(
             found = ROOTS[roots](_cubic(frames))
             ends = np.full((len(found), 2), [0.0, t_max])
             times = np.concatenate([np.where(found <= t_max, found, np.inf), ends], axis=1)
-            toi[chunk] = _earliest(kind, frames, times, tolerance * scale, INSIDE[inside])
+            toi[chunk] = _earliest(kind, frames, times, tolerance * scale)
     return toi
 
 
@@ -238,5 +194,5 @@ def ends_ccd(
         with np.errstate(all="ignore"):
             frames, scale = _scaled(kind, points_t0[chunk], points_t1[chunk], length_scale)
             times = np.full((len(scale), 2), [0.0, 1.0])
-            toi[chunk] = _earliest(kind, frames, times, tolerance * scale, _within)
+            toi[chunk] = _earliest(kind, frames, times, tolerance * scale)
     return toi

@@ -15,10 +15,10 @@ from functools import partial
 import ipctk
 import numpy as np
 import warp as wp
-from ccd_warp.benchmarks.memory import PeakMemory
-from ccd_warp.benchmarks.scaling import run_apart
-from ccd_warp.benchmarks.scenes import Scene, cloth_over_sphere
-from ccd_warp.benchmarks.timing import figures, interleaved, medians
+from memory import PeakMemory
+from scaling import run_apart
+from scenes import Scene, cloth_over_sphere
+from timing import figures, interleaved, medians
 
 import ccd_warp as ccd
 
@@ -61,17 +61,9 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         call()
         first[name] = time.perf_counter() - begin
     peer = ToolkitScene(scene, mesh)
-    stages: dict[str, dict[str, list[float]]] = {name: {} for name in calls}
-    results = {}
-
-    def keep(name: str, result: object) -> None:
-        results[name] = result
-        for stage, value in pipeline.timings.items() if name in stages else ():
-            stages[name].setdefault(stage, []).append(value)
-
-    results["peer build"] = peer.build()
+    results: dict = {"peer build": peer.build()}
     theirs = {"peer build": peer.build, "peer step": lambda: peer.step(results["peer build"])}
-    seconds = interleaved(theirs | calls, least, budget=budget, is_settled=True, after=keep)
+    seconds = interleaved(theirs | calls, least, budget=budget, is_settled=True, after=results.__setitem__)
     times = figures(seconds)
     found, contacts, candidates = (results[name] for name in ("find_candidates", "mesh_ccd", "peer build"))
     middle = times["seconds"]
@@ -83,15 +75,14 @@ def measure(scene: Scene, device: str, budget: float, least: int = 3) -> dict:
         "rounds": len(seconds["peer build"]),
         **times,
         "first": first,
-        "stages": {name: medians(by_stage) for name, by_stage in stages.items()},
         "ratio": {
             "find_candidates": middle["peer build"] / middle["find_candidates"],
             "collision_free_step": whole / middle["collision_free_step"],
             "mesh_ccd": whole / middle["mesh_ccd"],
         },
-        "candidates": [len(found.vertex_face), len(found.edge_edge)],
+        "candidates": len(found.vertex_face) + len(found.edge_edge),
         "disagreements": disagreements(scene, mesh, found, candidates),
-        "peer_candidates": [len(candidates.fv_candidates), len(candidates.ee_candidates)],
+        "peer_candidates": len(candidates.fv_candidates) + len(candidates.ee_candidates),
         "contacts": len(contacts.contacts),
         "step": results["collision_free_step"],
         "toi": contacts.toi,
@@ -138,17 +129,7 @@ def grow(num_faces: int) -> dict:
 
 def grow_apart(num_faces: int) -> dict:
     """`grow` in a separate process, whose memory contains nothing else."""
-    command = [sys.executable, "-P", "-m", "ccd_warp.benchmarks.whole_step", str(num_faces)]
-    return json.loads(run_apart(command).splitlines()[-1])
-
-
-def exponents(rows: list[dict]) -> dict[str, float]:
-    """Powers of the number of faces with which time and memory grow, fitted to the rows of `grow`."""
-    faces = np.log([row["faces"] for row in rows])
-    values = {name: [row["seconds"][name] for row in rows] for name in rows[0]["seconds"]}
-    if all(row["peak_bytes_above_input"] for row in rows):
-        values["peak memory"] = [row["peak_bytes_above_input"] for row in rows]
-    return {name: float(np.polyfit(faces, np.log(v), 1)[0]) for name, v in values.items()}
+    return json.loads(run_apart([sys.executable, __file__, str(num_faces)]).splitlines()[-1])
 
 
 if __name__ == "__main__":

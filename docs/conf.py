@@ -28,17 +28,12 @@ version = release = _PROJECT["version"]
 root_doc = "README"
 
 
-def _in_order(folder):
-    """The pages of a folder of docs/ in the order in which the page of its name links them."""
-    text = Path(__file__).with_name(f"{folder}.md").read_text(encoding="utf-8")
-    return [f"docs/{page}" for page in re.findall(rf"\(({folder}/\w+)\.md\)", text)]
-
-
-_NOTES = "benchmarks/NOTES"
+_REFERENCE = re.findall(
+    r"\((reference/\w+)\.md\)", Path(__file__).with_name("reference.md").read_text(encoding="utf-8")
+)
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
-    "Start": ["docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
-    "By task": ["Overview <docs/tasks>", *_in_order("tasks")],
+    "Start": ["docs/tasks", "docs/examples", "docs/command_line", "docs/glossary"],
     "Guides": [
         "docs/solver",
         "docs/on_device",
@@ -51,21 +46,18 @@ _NAVIGATION = {
         "docs/cuda",
         "docs/newton",
         "docs/coming_from_ipc_toolkit",
-        "docs/coming_from_engines",
         "docs/beside_other_libraries",
     ],
     "Mathematics": ["docs/method", "docs/architecture"],
-    "Reference": ["docs/calls", "Every name <docs/reference>", *_in_order("reference")],
-    "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", _NOTES, "CONTRIBUTING", "CHANGELOG"],
+    "Reference": ["docs/calls", "Every name <docs/reference>", *(f"docs/{page}" for page in _REFERENCE)],
+    "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", "CONTRIBUTING", "CHANGELOG"],
 }
 _LISTED = {page.rpartition("<")[2].rstrip(">") for pages in _NAVIGATION.values() for page in pages}
 _NAVIGATION["Guides"] += sorted({f"docs/{path.stem}" for path in Path(__file__).parent.glob("*.md")} - _LISTED)
-# Pages that lead to all pages of a folder.
-_BELOW = {_NOTES: "notes/*", "docs/examples": "/examples/*"}
 _FIGURES = Path(__file__).with_name("figures")
-include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "benchmarks/*.md", "benchmarks/notes/*.md", "examples/*.py"]
+include_patterns = ["*.md", "docs/*.md", "docs/**/*.md", "examples/*.py"]
 source_suffix = {".md": "markdown", ".py": "markdown"}  # a program becomes a page of Markdown, see _page_of_program
-exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks/results", "tests", "**/node_modules"]
+exclude_patterns = ["**/.*", "build", "dist", "ccd_warp", "kernels", "benchmarks", "tests", "**/node_modules"]
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.napoleon"]
 myst_heading_anchors = 4  # links to headings are checked, too
@@ -127,6 +119,35 @@ def _faults():
     return table()
 
 
+def _described(fence):
+    """A block `names MODULE` of a page of the reference: a table of its names, and each with its docstring.
+
+    Names with a dot, as methods, and those of modules that another block of the page describes, are in the table alone.
+    """
+    module, names = fence[1], fence[2].split()
+    lines = [f".. automodule:: {module}", ""] if module != "ccd_warp" else []
+    lines += [
+        f".. currentmodule:: {module}",
+        "",
+        ".. autosummary::",
+        "   :nosignatures:",
+        "",
+        *(f"   {n}" for n in names),
+        "",
+    ]
+    for name in names:
+        if "." in name:
+            continue
+        lines += [f".. auto{'class' if name[0].isupper() else 'function'}:: {module}.{name}"]
+        if name[0].isupper():
+            lines += [
+                "   :members:",
+                "   :inherited-members: dict, int",
+                *["   :undoc-members:"] * (name == "PairKind"),
+            ]
+    return "\n".join(["```{eval-rst}", *lines, "```"])
+
+
 def _page_of_program(docname, code):
     """A page that says what a program is about, shows its picture where it has one, and its code."""
     name = docname.rpartition("/")[2]
@@ -143,10 +164,10 @@ def _with_contents(app, docname, source):
     folder = (_ROOT / docname).parent
 
     def followed(link):
-        """A link that the site can follow: a folder is a name alone, and code is a file, but for the examples."""
+        """A link that the site can follow: code is a file, but for the examples; folders and notes are names alone."""
         label, target = link.groups()
         path = (folder / target).resolve()
-        if path.is_dir():
+        if path.is_dir() or (_ROOT / "benchmarks" in path.parents and path.suffix != ".py"):
             return label
         is_code = path.suffix == ".py" and path.parent.name != "examples"
         return f"[{label}](path:{target})" if is_code else link[0]
@@ -155,8 +176,9 @@ def _with_contents(app, docname, source):
     if docname == "docs/how_it_is_tested":
         before, begin, shown = source[0].partition("<!-- planted faults: begin -->")
         source[0] = f"{before}{begin}\n\n{_faults()}\n{shown[shown.index('<!-- planted faults: end') :]}"
-    if docname in _BELOW:
-        source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n\n{_BELOW[docname]}\n```\n"
+    source[0] = re.sub(r"^```\{names\} (\S+)\n(.*?)^```$", _described, source[0], flags=re.DOTALL | re.MULTILINE)
+    if docname == "docs/examples":
+        source[0] += "\n```{toctree}\n:hidden:\n:glob:\n\n/examples/*\n```\n"
     if docname == root_doc:
         for caption, pages in _NAVIGATION.items():
             source[0] += "\n".join(["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *pages, "```", ""])

@@ -1,4 +1,4 @@
-"""Draw every figure and write every table of the pages again, or say which are stale.
+"""Draw the figures and write the tables of the pages again, or say which are stale.
 
     python docs/redraw.py                    draw all but the figures of examples
     python docs/redraw.py --check            draw them elsewhere, and name those that differ; exit status 1 if any does
@@ -9,7 +9,7 @@ Nothing is measured: benchmarks are drawn from the raw figures in benchmarks/res
 figure of an example takes the example's whole run, so ``--check`` does not draw it: it is stale where the program has
 changed, but for its comments, since its figure was drawn, or where the figure is another than the one then drawn.
 ``--record NAME ...`` notes that an example's own command has just drawn its figure. It needs
-``pip install -e '.[bench,docs,viz]'``, and a Chromium for the pictures of ``ccd-warp explore``.
+``pip install -e '.[benchmarks,docs,viz]'``, and a Chromium for the pictures of ``ccd-warp explore``.
 """
 
 import argparse
@@ -32,14 +32,6 @@ ROOT = Path(__file__).resolve().parents[1]
 RECORDS = Path("docs", "figures", "examples.json")
 # A colour that differs by less is that of another version of what draws; and pixels whose colour may differ by more.
 _ALIKE, _MOST_UNLIKE = 0.2, 8
-
-
-# Tables between marks that only a run makes, as no raw figures are kept: by mark its page and command.
-ONLY_MEASURED = {
-    "stacks": ("docs/cuda.md", "-m ccd_warp.benchmarks.cuda_code"),
-    "what gradients cost": ("docs/gradients.md", "-m ccd_warp.benchmarks.gradients --docs docs/gradients.md"),
-    "planted faults": ("docs/how_it_is_tested.md", "tests/planted --table"),  # on the site alone
-}
 
 
 @dataclass(frozen=True)
@@ -68,40 +60,26 @@ class Maker:
     def run(self, root: Path) -> float:
         """Make all in a folder; the seconds that it took."""
         begin = time.monotonic()
-        command = [part.format(root=root, results=ROOT / "benchmarks" / "results") for part in self.command.split()]
+        command = [part.format(root=root) for part in self.command.split()]
         done = subprocess.run([sys.executable, *command], cwd=ROOT, capture_output=True, text=True, check=False)
         if done.returncode != 0:
             sys.exit(f"{self.name}: python {' '.join(command)} failed\n{done.stdout}{done.stderr}")
         return time.monotonic() - begin
 
 
-_SIDE = "-m ccd_warp.benchmarks.{0} --render {{results}}/{0}.json --docs {{root}}/docs/{1}.md"
 MAKERS = [
     Maker("method", "docs/make_figures.py {root}/docs/figures", ("simple", "grazing", "in_plane")),
     Maker("rigid", "docs/make_rigid_figure.py {root}/docs/figures", ("arcs",)),
     Maker("readme", "docs/make_pictures.py {root}/docs/figures", ("demo_cloth", "readme_bullet")),
     Maker("explore", "docs/make_explore_pictures.py {root}/docs/figures", ("explore_bullet", "explore_pair")),
     Maker(
-        "regions",
-        "-m ccd_warp.benchmarks.distributed_regions {root}/docs/figures/distributed_regions.png",
-        ("distributed_regions",),
-    ),
-    Maker(
-        "ranks",
-        _SIDE.format("distributed_simulation", "distributed") + " --figure {root}/docs/figures/distributed_model.png",
-        ("distributed_model",),
-        ("docs/distributed.md",),
-    ),
-    Maker("separation", _SIDE.format("separation", "choosing"), pages=("docs/choosing.md",)),
-    Maker("device", _SIDE.format("device_step", "on_device"), pages=("docs/on_device.md",)),
-    Maker(
         "benchmark",
-        "-m ccd_warp bench --render --quiet --output {root}/results --docs {root}",
-        tuple(
-            f"bench_{name}"
-            for name in ("speed_error", "pareto", "phantoms", "cases", "scaling", "steps", "growth", "turns")
+        "benchmarks/report.py --docs {root}",
+        (
+            *(f"bench_{name}" for name in ("speed_error", "pareto", "phantoms", "cases", "scaling", "steps", "growth")),
+            "distributed_model",
         ),
-        ("README.md", "docs/benchmarks.md", "docs/choosing.md"),
+        ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))),
     ),
 ]
 
@@ -119,10 +97,8 @@ def examples(root: Path = ROOT) -> list[Maker]:
 def copy_pages(to: Path) -> None:
     """Copy the pages, which makers write, without what they draw."""
     (to / "docs" / "figures").mkdir(parents=True)
-    (to / "results").mkdir()
     for page in ("README.md", *(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))):
         shutil.copy(ROOT / page, to / page)
-    shutil.copy(ROOT / "benchmarks" / "results" / "bench.json", to / "results")
 
 
 def make(maker: Maker, to: Path) -> float:
@@ -243,10 +219,9 @@ def listed(makers: list[Maker]) -> list[str]:
     lines = []
     for maker in makers:
         took = read_records().get(maker.name, {}).get("seconds")
-        makes = ", ".join(path.name for path in maker.outputs)
+        makes = ", ".join(maker.figures)
         lines.append(f"{maker.name}: {makes}" + ("" if took is None else f" ({took} s)"))
-        command = maker.command.replace("{root}/results", "{results}").replace("{results}", "benchmarks/results")
-        lines.append(f"    python {command.replace('{root}/', '').replace('{root}', '.')}")
+        lines.append(f"    python {maker.command.replace('{root}/', '').replace('{root}', '.')}")
     return lines
 
 
@@ -275,9 +250,6 @@ def main() -> int:
     chosen = [by_name[name] for name in names] or everything
     if options.list:
         print("\n".join(listed(chosen)))
-        if not names:
-            print("only measured, and not redrawn:")
-            print("\n".join(f"    {page}, {mark}: python {command}" for mark, (page, command) in ONLY_MEASURED.items()))
     elif options.check:
         return check(chosen)
     elif options.record:

@@ -1,7 +1,7 @@
 """Three users of an installed package, each with a program of their own; run by `.ci/run` and `nox`, not by pytest.
 
 One replaces ipc-toolkit's CCD in the line search of a cloth code, one has a loop on the device with a graph and arrays
-of Warp, NumPy and another library, one has STL and OBJ files and a command line. The environment holds the package and
+of Warp and NumPy, one has STL and OBJ files and a command line. The environment holds the package and
 what it depends on, nothing else, and the current folder is empty: `python -P …/tests/as_users.py [OBJECTS]`. OBJECTS is
 a folder in which Pythons that are checked one after another leave what they have compiled.
 """
@@ -27,7 +27,7 @@ from warp._src import build
 import ccd_warp as ccd
 
 BARE = {"ccd-warp", "numpy", "trimesh", "warp-lang", "pip", "setuptools"}
-_STIFFNESS, _BARRIER, _FRAMES, _ITERATIONS = 0.5, 1e-4, 20, 6
+_STIFFNESS, _STEPS = 0.2, 60
 COMMAND = Path(sysconfig.get_path("scripts"), "ccd-warp")
 
 
@@ -75,7 +75,7 @@ def sheet(cells: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def run_cloth_code() -> str:
-    """A cloth of springs by implicit Euler falls on a ball; CCD and the step are those of this package."""
+    """A cloth of springs falls on a ball and comes to rest there; CCD and the step are those of this package."""
     vertices, faces = sheet(12)
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
     bodies = [(vertices + [0, 0, 0.32], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
@@ -85,38 +85,25 @@ def run_cloth_code() -> str:
     i, j = mesh.edges[mesh.edges.max(axis=1) < len(vertices)].T
     rest = np.linalg.norm(vertices[i] - vertices[j], axis=1)
     moves = ~mesh.static[mesh.vertex_body, None]
-
-    def energy(x: np.ndarray, inertia: np.ndarray) -> tuple[float, np.ndarray]:
+    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
+    for _ in range(_STEPS):
         side = x[i] - x[j]
         length = np.linalg.norm(side, axis=1)
-        gradient = x - inertia
         pull = (_STIFFNESS * (length - rest) / length)[:, None] * side
-        np.add.at(gradient, i, pull)
-        np.add.at(gradient, j, -pull)
-        # the code's own response, a barrier around the ball
-        away = np.linalg.norm(x, axis=1, keepdims=True)
-        inside = np.clip((away - 0.3) / 0.02, 1e-9, 1.0)
-        barrier = -((inside - 1) ** 2) * np.log(inside)
-        gradient += -_BARRIER / 0.02 * (2 * (inside - 1) * np.log(inside) + (inside - 1) ** 2 / inside) * x / away
-        value = 0.5 * np.sum((x - inertia)[: len(vertices)] ** 2) + 0.5 * _STIFFNESS * np.sum((length - rest) ** 2)
-        return value + _BARRIER * np.sum(barrier[: len(vertices)]), gradient * moves
-
-    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
-    for _ in range(_FRAMES):
-        before, inertia = x, x + velocity - [0, 0, 0.005] * moves
-        for _ in range(_ITERATIONS):
-            value, gradient = energy(x, inertia)
-            direction = -gradient / (1 + 12 * _STIFFNESS)  # by a bound of the diagonal
-            step = pipeline.collision_free_step(x, x + direction)
-            bounded += step < 1
-            assert step > 0, "the line search is stuck"
-            while energy(x + step * direction, inertia)[0] > value and step > 1e-9:
-                step /= 2
-            assert ccd.is_step_collision_free(mesh, x, x + step * direction)
-            x = x + step * direction
-        velocity = 0.95 * (x - before)
+        np.add.at(velocity, i, -pull)
+        np.add.at(velocity, j, pull)
+        velocity = 0.9 * (velocity - [0, 0, 2e-4]) * moves
+        away = x / (radius := np.linalg.norm(x, axis=1, keepdims=True))  # the code's own response, a soft shell
+        inward = np.minimum(np.sum(velocity * away, axis=1, keepdims=True), 0)
+        velocity += (0.1 * (0.315 - radius) - inward) * away * moves * (radius < 0.315)
+        step = pipeline.collision_free_step(x, x + velocity)
+        bounded += step < 1
+        assert step > 0, "the step is stuck"
+        velocity *= step
+        assert ccd.is_step_collision_free(mesh, x, x + velocity)
+        x = x + velocity
     lowest = np.linalg.norm(x[: len(vertices)], axis=1).min()
-    assert bounded and 0.3 < lowest < 0.32, (bounded, lowest)
+    assert bounded and 0.29 < lowest < 0.32, (bounded, lowest)
     assert ccd.mesh_ccd(mesh, x, x).first is None
     down = x - [0, 0, 0.5] * moves
     result = ccd.mesh_ccd(mesh, x, down)
@@ -128,27 +115,12 @@ def run_cloth_code() -> str:
     again = pickle.loads(pickle.dumps(mesh))  # for the workers of a pool
     assert ccd.mesh_ccd(again, x, down).toi == result.toi
     try:
-        ccd.mesh_ccd(mesh, x, down, minimum_seperation=1e-4)  # type: ignore[call-arg]
+        ccd.mesh_ccd(mesh, x, down, minimum_seperation=1e-4)
     except TypeError as error:
         assert "minimum_separation" in str(error) and "\n" not in str(error)
     else:
         raise AssertionError("a misspelled option was accepted")
-    count = _FRAMES * _ITERATIONS
-    return f"{bounded} of {count} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
-
-
-class OfAnotherLibrary:
-    """An array that only speaks DLPack, as those of PyTorch, JAX and CuPy do."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self.values = values
-        self.shape, self.dtype = values.shape, values.dtype
-
-    def __dlpack__(self, **options: object) -> object:
-        return self.values.__dlpack__(**options)
-
-    def __dlpack_device__(self) -> tuple[int, int]:
-        return self.values.__dlpack_device__()
+    return f"{bounded} of {_STEPS} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
 
 
 @wp.kernel
@@ -159,23 +131,10 @@ def fall(x: wp.array[wp.vec3f], velocity: wp.array[wp.vec3f], dt: float, wished:
 
 
 @wp.kernel
-def respond(
-    wished: wp.array[wp.vec3f],
-    count: wp.array[wp.int32],
-    bodies: wp.array[wp.vec2i],
-    points: wp.array[wp.vec3d],
-    order: wp.array[wp.int32],
-    dt: float,
-    x: wp.array[wp.vec3f],
-    velocity: wp.array[wp.vec3f],
-    first: wp.array[wp.vec3d],
-):
+def respond(wished: wp.array[wp.vec3f], dt: float, x: wp.array[wp.vec3f], velocity: wp.array[wp.vec3f]):
     i = wp.tid()
     velocity[i] = (wished[i] - x[i]) / dt
     x[i] = wished[i]
-    if i == 0 and count[0] > 0:
-        first[0] = points[order[0]]
-        first[1] = wp.vec3d(wp.float64(bodies[order[0]][0]), wp.float64(bodies[order[0]][1]), wp.float64(0.0))
 
 
 def run_loop_on_the_device() -> str:
@@ -187,15 +146,14 @@ def run_loop_on_the_device() -> str:
     start = mesh.vertices.astype(np.float32)
     pipeline, probe = (ccd.CollisionPipeline(mesh, length_scale=1.0) for _ in range(2))
     x, wished = wp.array(start, dtype=wp.vec3f), wp.array(start, dtype=wp.vec3f)
-    velocity, first = wp.zeros_like(x), wp.zeros(2, dtype=wp.vec3d)
-    contacts = probe.launch(x, wished).contacts
+    velocity, contacts = wp.zeros_like(x), probe.launch(x, wished).contacts
+    order = contacts.order_by_toi()
 
     def step(dt: float = 0.03) -> None:
         wp.launch(fall, dim=len(vertices), inputs=[x, velocity, dt], outputs=[wished])
         probe.launch(x, wished)
-        places = [contacts.count, contacts.bodies, contacts.points, contacts.order_by_toi()]
         pipeline.launch_line_search(x, wished, per="body", safety=0.99)
-        wp.launch(respond, dim=len(vertices), inputs=[wished, *places, dt], outputs=[x, velocity, first])
+        wp.launch(respond, dim=len(vertices), inputs=[wished, dt], outputs=[x, velocity])
 
     step()
     with wp.ScopedCapture() as capture:
@@ -203,24 +161,20 @@ def run_loop_on_the_device() -> str:
     for _ in range(30):
         wp.capture_launch(capture.graph)
     height = float(x.numpy()[: len(vertices), 2].min())
-    point, pair = first.numpy()
+    contacts.order_by_toi()
+    first = int(order.numpy()[0])
+    point, pair = contacts.points.numpy()[first], contacts.bodies.numpy()[first]
     assert 0.3 < height < 0.31, height
-    assert abs(np.linalg.norm(point) - 0.3) < 1e-2 and set(pair[:2].tolist()) == {0.0, 1.0}
+    assert abs(np.linalg.norm(point) - 0.3) < 1e-2 and set(pair.tolist()) == {0, 1}
 
     end = start.copy()
     end[: len(vertices), 2] -= 1.0
-    results = []
-    device = wp.get_device()
-    kinds = [np.copy, OfAnotherLibrary] if device.is_cpu else []
-    for make in (lambda v: wp.array(v, dtype=wp.vec3f), *kinds):
-        result = probe.launch(make(start), make(end))
-        assert ccd.LaunchFlag(int(result.flags.numpy()[0])) == ccd.LaunchFlag(0)
-        results.append(result.to_host())
-        shared = np.from_dlpack(result.vertex_toi) if device.is_cpu else result.vertex_toi.numpy()
-        assert np.array_equal(shared, results[-1].vertex_toi)
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
-    for host in results:
-        assert host.toi == expected.toi and np.array_equal(host.contacts.points, expected.contacts.points)
+    result = probe.launch(wp.array(start, dtype=wp.vec3f), end)
+    assert ccd.LaunchFlag(int(result.flags.numpy()[0])) == ccd.LaunchFlag(0)
+    host, expected = result.to_host(), ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
+    if wp.get_device().is_cpu:  # as other libraries take it
+        assert np.array_equal(np.from_dlpack(result.vertex_toi), host.vertex_toi)
+    assert host.toi == expected.toi and np.array_equal(host.contacts.points, expected.contacts.points)
     return f"the cloth stops {height:.4f} above the middle of the ball; first contact of its fall: {point.round(3)}"
 
 

@@ -338,3 +338,15 @@ def test_rigid_bodies_that_are_not_in_the_order_of_worlds_are_refused():
     motion = ccd.JointMotion(ARM, *edges(2), links=LINKS)
     with pytest.raises(ValueError, match="rigid bodies are in the order of their worlds"):
         ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, device="cpu")
+
+
+def test_slides_as_short_as_squares_that_vanish_do_not_lose_a_face():
+    """A point at the end of six slides of 1.4e-162 each, whose squares are 0, comes to a face after nine tenths."""
+    count, size = 6, 1.4e-162
+    slides = [ccd.Joint(f"s{k}", f"l{k}", f"l{k + 1}", "prismatic", axis=[1, 0, 0]) for k in range(count)]
+    face = size * (np.array([[0.0, -1, -1], [0, 1, -1], [0, 0, 1]]) + [0.9 * count, 0, 0])
+    bodies = [(np.zeros((1, 3)), np.zeros((0, 3), dtype=int)), (face, [[0, 1, 2]])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], codimensional_points=True)
+    motion = ccd.JointMotion(slides, np.zeros(count), np.full(count, size), links=[f"l{count}"])
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion).toi
+    assert toi == pytest.approx(0.9, abs=1e-6) and toi <= 0.9

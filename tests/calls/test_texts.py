@@ -1,22 +1,27 @@
-"""The text of every public call and result: each argument and each field is described once, also where it is shared."""
+"""What calls and results say of themselves: docstrings, a line or two in a session, tables in notebooks, and help."""
 
 import inspect
+import math
+import pydoc
 import re
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
+from xml.etree import ElementTree
 
+import numpy as np
 import pytest
+import warp as wp
+from scenes import crowd, named_cloth_and_ball, random_pairs
 
 import ccd_warp as ccd
 from ccd_warp import datasets, distributed
-from ccd_warp._texts import text_completed_by
+from ccd_warp._display import point_text
 
-PUBLIC = [getattr(part, name) for part in (ccd, datasets, distributed) for name in part.__all__]
+PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, datasets, distributed) for name in part.__all__]
 INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
-OBJECTS = [each for each in PUBLIC if inspect.isclass(each)]
 CALLS = [each for each in PUBLIC if inspect.isfunction(each)]
 CALLS += [
     each
-    for of in OBJECTS
+    for of in filter(inspect.isclass, PUBLIC)
     for name, each in inspect.getmembers(of, lambda each: inspect.isfunction(each) or inspect.ismethod(each))
     if not name.startswith("_") and name not in INDEXED
 ]
@@ -28,85 +33,95 @@ def described(documented: object, section: str) -> list[str]:
     return re.findall(r"^    \*{0,2}(\w+):", found[1], re.M) if found else []
 
 
-@pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__qualname__)
-def test_every_argument_of_a_call_is_described_once_and_in_order(call):
-    names = [name for name in inspect.signature(call).parameters if name != "self"]
-    assert described(call, "Args") == names
+def test_every_argument_of_a_call_and_every_field_of_a_result_is_described_once():
+    for call in CALLS:
+        names = [name for name in inspect.signature(call).parameters if name != "self"]
+        assert described(call, "Args") == names, call
+    for table in filter(is_dataclass, PUBLIC):
+        names = [field.name for field in fields(table) if not field.name.startswith("_")]
+        assert sorted(described(table, "Attributes")) == sorted(names), table
 
 
-@pytest.mark.parametrize("table", [*filter(is_dataclass, PUBLIC)], ids=lambda table: table.__name__)
-def test_every_field_of_a_result_is_described_once(table):
-    names = [field.name for field in fields(table) if not field.name.startswith("_")]
-    assert sorted(described(table, "Attributes")) == sorted(names)
+def test_a_method_of_a_pipeline_says_what_its_function_says():
+    for name in filter(lambda name: hasattr(ccd.CollisionPipeline, name), ccd.__all__):
+        function, method = getattr(ccd, name), getattr(ccd.CollisionPipeline, name)
+        of_function, of_method = inspect.getdoc(function), inspect.getdoc(method)
+        assert f":func:`ccd_warp.{name}`" in of_method
+        assert of_function[of_function.index("\n\nReturns:") : of_function.index("\n\nRaises:")] in of_method
+        assert of_method.endswith(of_function[of_function.index("\n\nGuarantee:") :])
+        assert described(function, "Raises") == ["ValueError", "TypeError"]
+        assert described(method, "Raises") == ["ValueError"]  # a pipeline has its options
 
 
-@pytest.mark.parametrize("name", [name for name in ccd.__all__ if hasattr(ccd.CollisionPipeline, name)])
-def test_a_method_of_a_pipeline_says_what_its_function_says(name):
-    function, method = getattr(ccd, name), getattr(ccd.CollisionPipeline, name)
-    of_function, of_method = inspect.getdoc(function), inspect.getdoc(method)
-    assert f":func:`ccd_warp.{name}`" in of_method
-    assert of_function[of_function.index("\n\nReturns:") : of_function.index("\n\nRaises:")] in of_method
-    assert of_method.endswith(of_function[of_function.index("\n\nGuarantee:") :])
-    assert described(function, "Raises") == ["ValueError", "TypeError"]
-    assert described(method, "Raises") == ["ValueError"]  # a pipeline has its options
+def test_help_of_every_call_fits_on_a_screen_or_two():
+    calls = list(CALLS)
+    for of in filter(inspect.isclass, PUBLIC):
+        calls += [each for _, each in inspect.getmembers(of, lambda each: isinstance(each, property))]
+    assert len(calls) > 100
+    for call in calls:
+        text = pydoc.plain(pydoc.render_doc(call))
+        # lines as a terminal shows them that is 120 columns wide: a signature is one line of the text
+        assert sum(max(1, math.ceil(len(line) / 120)) for line in text.splitlines()) <= 80, call
 
 
-def test_what_a_text_says_itself_comes_before_what_completes_it():
-    def whole(first, second, **options):
-        """All.
+# --- in a session ---
 
-        A paragraph.
 
-        Args:
-            first: One,
-                on two lines.
-            second: Two.
-            **options: More.
+@pytest.fixture(scope="module")
+def public():
+    """An object of every public class that holds something."""
+    mesh, start, end = crowd(np.random.default_rng(0), num_faces=1500)
+    result = ccd.mesh_ccd(mesh, start, end)
+    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-3)
+    launched = pipeline.launch(start, end)
+    points, points_t1 = random_pairs("edge_edge", 5000)
+    poses, affine = np.ones((50, 40, 7)), np.ones((50, 40, 3, 4))
+    objects = [mesh, named_cloth_and_ball()[0].replicate(1000), pipeline, result, result.first, result.contacts]
+    objects += [result.counts, launched, launched.contacts, launched.to_host(), ccd.line_search(mesh, start, end)]
+    objects += [ccd.find_candidates(mesh, start, end), ccd.edge_edge_ccd(points, points_t1)]
+    objects += [datasets.Queries("a", "edge-edge", points, points, None, (("a.csv", 2500), ("b.csv", 2500)))]
+    objects += [datasets.SimulationStep(start, end, mesh.faces), ccd.RigidMotion(poses, poses, path="screw")]
+    return [*objects, ccd.AffineMotion(affine, affine)]
 
-        Raises:
-            ValueError: If bad.
-            TypeError: If wrong.
 
-        Guarantee: certain.
-        """
+def test_every_public_object_shows_itself_in_a_line_or_two(public):
+    mesh, start, end = named_cloth_and_ball()
+    low = int(mesh.body_vertex_range[1])
+    bodies = [(start[:low], mesh.faces[mesh.face_body == 0]), (start[low:], mesh.faces[mesh.face_body == 1] - low)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], names=["c" * 500, "b" * 500])  # which are cut
+    for value in [*public, mesh, ccd.mesh_ccd(mesh, start, end)]:
+        text = repr(value)
+        assert text.startswith(f"{type(value).__name__}(") and text.endswith(")")
+        assert len(text) < 240 and text.count("\n") <= 1 and "array(" not in text and "object at" not in text, text
 
-    @text_completed_by(whole, without=("TypeError",))
-    def part(second, first):
-        """Some.
 
-        Args:
-            second: Its own.
+def test_tables_for_notebooks_are_short_and_well_formed(public):
+    tables = [value._repr_html_() for value in public if hasattr(value, "_repr_html_")]
+    assert len(tables) >= 6
+    for html in tables:
+        table = ElementTree.fromstring(f"<div>{html}</div>").find("table")
+        assert table is not None and 1 <= len(table.find("tbody")) <= 30 and len(html) < 10_000
+    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])], names=["<script>"])
+    assert "<script>" not in mesh._repr_html_() and "&lt;script&gt;" in mesh._repr_html_()
 
-        Returns:
-            A number: 1.
-        """
 
-    assert inspect.getdoc(part) == inspect.cleandoc(
-        """
-        Some.
-
-        Args:
-            second: Its own.
-            first: One,
-                on two lines.
-
-        Returns:
-            A number: 1.
-
-        Raises:
-            ValueError: If bad.
-
-        Guarantee: certain.
-        """
+def test_results_say_toi_contacts_and_the_first_by_name():
+    result = ccd.mesh_ccd(*named_cloth_and_ball())
+    text = (
+        rf"MeshResult\(toi={result.toi!r}, {len(result.contacts):,} contacts, first: vertex-face of ball and cloth at"
     )
+    assert re.match(text, repr(result))
+    assert repr(ccd.mesh_ccd(*named_cloth_and_ball(), t_max=0.1)) == "MeshResult(toi=inf, no contact)"
+    pairs = ccd.edge_edge_ccd(*random_pairs("edge_edge", 5000))
+    num_hits = f"{np.isfinite(pairs.toi).sum():,}"
+    assert repr(pairs) == f"PairResult(5,000 pairs, {num_hits} touching, earliest toi={float(pairs.toi.min())!r})"
+    zeros = [wp.zeros((3, 4), dtype=wp.vec3d) for _ in range(2)]
+    assert repr(ccd.edge_edge_ccd(*zeros)) == f"PairResult(3 pairs, arrays on {zeros[0].device})"
+    pipeline = ccd.CollisionPipeline(named_cloth_and_ball()[0], minimum_separation=1e-3)
+    assert re.search(r", minimum_separation=0\.001\b.* on \w", repr(pipeline))
 
 
-def test_without_docstrings_nothing_is_completed():
-    """As under python -OO."""
-
-    @dataclass
-    class Row:
-        count: int
-
-    Row.__doc__ = None
-    assert text_completed_by(test_without_docstrings_nothing_is_completed)(Row).__doc__ is None
+def test_a_place_shows_no_rounding():
+    assert point_text([1.0, 6e-17, -0.0]) == "(1, 0, 0)" and point_text([0.0, -0.0, 0.0]) == "(0, 0, 0)"
+    assert point_text([1e-300, 2e-300, -1e-311]) == "(1e-300, 2e-300, -1e-311)"
+    assert point_text([np.inf, 1.0, np.nan]) == "(inf, 1, nan)"

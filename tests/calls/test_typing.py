@@ -6,7 +6,6 @@ from pathlib import Path
 import pytest
 import warp as wp
 
-ROOT = Path(__file__).resolve().parents[2]
 SETUP = """
 import numpy as np
 import ccd_warp as ccd
@@ -20,7 +19,6 @@ ccd.vertex_face_ccd(x, x, precision="float32", method="bisection", tolerance=1, 
 ccd.point_point_ccd(x[:, :2], x[:, :2], **pair_options)
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds=["vertex_face", ccd.PairKind.EDGE_EDGE], memory_limit=None, t_max=0.5)
 ccd.mesh_ccd(mesh, x[0], x[0], **mesh_options)
-ccd.collision_free_step(mesh, x[0], x[0], start_gap_fraction=0.5, length_scale=1.0, max_work=10)
 free: bool = ccd.is_step_collision_free(mesh, x[0], x[0], t_max=0.5)
 ccd.line_search(mesh, x[0], x[0], per="vertex", safety=0.5, minimum_separation=0.1)
 ccd.find_candidates(mesh, x[0], x[0], 0.1, pair_kinds=("edge_edge",), broad_phase="hash", num_threads=1)
@@ -30,7 +28,6 @@ bound: float = ccd.displacement_bounds(mesh, x[0], 0.1, minimum_distance=0.01)[0
 through: int = len(found[found.is_crossing]) + found.by_bodies()["a", "b"]
 ccd.CollisionPipeline(mesh, max_pairs=10, **mesh_options).line_search(x[0], x[0], per="world")
 ccd.viz.draw_step(mesh.replicate(2), x[0], x[0], ccd.mesh_ccd(mesh, x[0], x[0])).save("step.png")
-ccd.datasets.find_queries("folder")[0].points_t0
 frames = ccd.read_frames("a.stl", "b.stl", static=["wall.stl"])
 for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0, 0, 1])], surface=True)[1:]:
     inside: int = len(ccd.CollisionMesh.from_volume(vertices, {"tetra": [[0, 1, 2, 3]]}, static=[0]).inner_vertices)
@@ -40,8 +37,6 @@ places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.
 motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
-arm = ccd.JointMotion([ccd.Joint("hinge", "wall", "door", "revolute", (0, 0, 1))], [0.0], x[0], links=["door"])
-reach: float = arm.shortened(0.5).at([0.5])[0, 0, 0] + ccd.read_urdf("arm.urdf", base=x[0]).motion(x, x).poses_t1[0, 0]
 moved = ccd.AffineMotion(x, x).positions_t1(x[0], [0, 0, 0, 0]) * motion.num_bodies
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
@@ -50,91 +45,36 @@ ccd.vertex_face_ccd(x, x, precision="float16")
 ccd.vertex_face_ccd(x, x, presicion="float32")
 ccd.edge_edge_ccd(x, x, method=3)
 ccd.edge_edge_ccd(x, x, max_work=10)
-ccd.point_segment_ccd(x, x, tolerance="small")
 ccd.point_point_ccd(x, x, 1e-6)
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds=["vertex-face"])
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds="vertex_face")
-ccd.mesh_ccd(mesh, x[0], x[0], memory_limits=10)
 ccd.mesh_ccd(mesh, x[0], x[0], device=0)
 ccd.collision_free_step(mesh, x[0], x[0], max_iterations=0.5)
 ccd.line_search(mesh, x[0], x[0], t_max=0.5)
-ccd.line_search(mesh, x[0], x[0], broad_phase="grid")
 ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
 ccd.find_intersections(mesh, x[0], tolerance=0.1)
-ccd.find_intersections(mesh, x[0], x[0])
 ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
 ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
 ccd.RigidMotion(x, x, path="spline")
-ccd.Joint("a", "b", "c", "ball")
 ccd.RigidMotion(x, x, "screw")
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)
 ccd.mesh_ccd(mesh, x[0], x[0]).first.toi
-ccd.CollisionMesh.from_trimesh([], names=3)
 ccd.mesh_ccd(mesh, mesh, x[0])
 ccd.vertex_face_ccd(x, None)
 ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts.sorted_by_toi()
 """
-# A program as a user writes it, and for each mistake what the type checker has to name.
-CLIENT = """
-import numpy as np
-from numpy.typing import NDArray
-
-import ccd_warp as ccd
-
-
-def drop(faces: NDArray[np.int32], start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-    mesh = ccd.CollisionMesh.from_arrays([(start, faces)], static=["floor"], names=["floor"])
-    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-3, precision="float32")
-    options: ccd.MeshOptions = {"tolerance": 1e-8, "pair_kinds": ["vertex_face", "edge_edge"]}
-    result = ccd.mesh_ccd(mesh, start, end, **options)
-    for contact in result.contacts.sorted_by_toi():
-        print(contact.kind.name, contact.body_names, contact.point.round(3), contact.toi)
-    found = pipeline.line_search(start, end, per="body")
-    return min(result.toi, found.fraction)
-"""
-MISTAKES = {
-    "a misspelled option": ("minimum_separation=", "minimum_seperation=", "minimum_seperation"),
-    "an unknown precision": ('"float32"', '"float16"', "precision"),
-    "an unknown part of the mesh": ('per="body"', 'per="face"', "per"),
-    "an unknown kind of pair": ('"edge_edge"', '"edge-edge"', "edge-edge"),
-    "an option of another function": ("start, end, **options", "start, end, safety=0.9, **options", "safety"),
-    "positions of another type": ("mesh, start, end", "mesh, start, None", "None"),
-    "names of another type": ('names=["floor"]', "names={0: b'floor'}", "names"),
-}
-
-
-def checked(arguments: list[str]) -> str:
-    """What mypy, strict, says of a program; nothing of what it finds in the package itself."""
-    api = pytest.importorskip("mypy.api", reason="the extra lint is not installed")
-    options = ["--config-file=", "--strict", "--ignore-missing-imports", "--follow-imports=silent", "--no-pretty"]
-    wp.init()  # which says where kernels are kept: what mypy knows of the packages stays there from run to run as well
-    cache = Path(wp.config.kernel_cache_dir, "ccd_warp_mypy")
-    output, errors, _ = api.run([*options, f"--cache-dir={cache}", *arguments])
-    assert not errors
-    return output
 
 
 def test_mistakes_in_options_are_found_and_right_calls_pass(monkeypatch):
-    monkeypatch.chdir(ROOT)  # where mypy finds the package, however it was installed
+    api = pytest.importorskip("mypy.api", reason="the extra lint is not installed")
+    monkeypatch.chdir(Path(__file__).resolve().parents[2])  # where mypy finds the package, however it was installed
+    wp.init()  # which says where kernels are kept: what mypy knows of the packages stays there from run to run as well
+    options = ["--config-file=", "--strict", "--ignore-missing-imports", "--follow-imports=silent", "--no-pretty"]
+    options += [f"--cache-dir={Path(wp.config.kernel_cache_dir, 'ccd_warp_mypy')}"]
     code = (SETUP + RIGHT + WRONG).splitlines()
-    output = checked(["-c", "\n".join(code)])
+    output, errors, _ = api.run([*options, "-c", "\n".join(code)])
     found = dict.fromkeys(code[int(line) - 1] for line in re.findall(r"^<string>:(\d+): error:", output, re.M))
-    assert list(found) == WRONG.split("\n")[1:-1], output
-
-
-def test_mistakes_of_a_user_are_found_in_the_line_where_they_are(monkeypatch, tmp_path):
-    monkeypatch.chdir(ROOT)
-    wrong = {}
-    for k, (right, planted, _) in enumerate(MISTAKES.values()):
-        assert CLIENT.count(right) == 1
-        wrong[f"client_{k}"] = CLIENT.replace(right, planted)
-    for name, code in {"client": CLIENT, **wrong}.items():
-        (tmp_path / f"{name}.py").write_text(code, encoding="utf-8")
-    output = checked([str(path) for path in sorted(tmp_path.iterdir())])
-    errors = sorted(re.findall(r"(client\w*)\.py:(\d+): error: (.*)", output))
-    assert [name for name, _, _ in errors] == list(wrong), output
-    for (name, line, message), (_, planted, word) in zip(errors, MISTAKES.values(), strict=True):
-        assert planted in wrong[name].splitlines()[int(line) - 1] and word in message
+    assert not errors and list(found) == WRONG.split("\n")[1:-1], output

@@ -1,271 +1,72 @@
-"""Steps whose input and results stay on the device: compared with host calls, captured, with too little capacity."""
+"""Steps whose input and results stay on the device: capacities, captures, what is read when, and what is left out."""
 
 import gc
 import weakref
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import trimesh
 import warp as wp
-from exact import exact_tois
 from expected_warnings import OF_ROUNDING
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from launches import CAPACITIES, check_same, host, on_device
-from oracles import corners_of
-from scenes import crowd, sheet, sheet_over_ball, single, soup
+from hard_cases import FAMILIES
+from scenes import FACE, TRIANGLE, crowd, pairs_in_worlds, sheet_over_ball
 
 import ccd_warp as ccd
-from ccd_warp import LaunchFlag, PairKind
+from ccd_warp import LaunchFlag
+from ccd_warp._runtime import launch
+from ccd_warp._runtime.launch import Execution, Recording
 
 pytestmark = OF_ROUNDING
 
 
-@settings(max_examples=40, deadline=None)
-@given(
-    seed=st.integers(0, 2**32),
-    size=st.sampled_from([1e-3, 0.1, 1.0]),
-    flat=st.booleans(),
-    t_max=st.sampled_from([0.3, 1]),
-)
-def test_random_soups_are_never_late(seed, size, flat, t_max):
-    rng = np.random.default_rng(seed)
-    vertices, faces = soup(rng, 12, size, 20)
-    mesh = single(vertices, faces)
-    end = vertices + rng.normal(size=vertices.shape) * 0.3
-    if flat:
-        vertices[:, 2] = end[:, 2] = 0.25
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, t_max=t_max, num_threads=1)
-    result = host(pipeline.launch(on_device(vertices), on_device(end)))
-    expected = ccd.mesh_ccd(mesh, vertices, end, length_scale=1.0, t_max=t_max, num_threads=1)
-    np.testing.assert_array_equal(result["vertex_toi"], expected.vertex_toi)
-    candidates = ccd.find_candidates(mesh, vertices, end)
-    for kind, pairs in (("vertex-face", candidates.vertex_face[:40]), ("edge-edge", candidates.edge_edge[:40])):
-        if len(pairs) == 0:
-            continue
-        corners = corners_of(mesh, PairKind[kind.upper().replace("-", "_")], pairs)
-        for truth, four in zip(exact_tois(kind, vertices[corners], end[corners], t_max=t_max), corners, strict=True):
-            assert not any(truth.late(toi) for toi in [*result["vertex_toi"][four], result["toi"][0]])
+def array(x):
+    """Positions as an array of Warp."""
+    return wp.array(x, dtype=wp.vec3d)
 
 
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_capture_follows_a_static_body_that_is_moved(device, broad_phase):
-    mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, broad_phase=broad_phase, **CAPACITIES)
-    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(vertices_t0, vertices_t1)
-    with wp.ScopedCapture(device=device) as capture:
-        pipeline.launch(vertices_t0, vertices_t1)
-    is_static = mesh.static[mesh.vertex_body]
-    for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
-        a, b = start.copy(), end.copy()
-        a[is_static, 0] += shift
-        b[is_static, 0] += shift
-        vertices_t0.assign(a)
-        vertices_t1.assign(b)
-        wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device=device))
-
-
-def test_nothing_is_allocated_copied_or_waited_for(device, monkeypatch):
-    mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, device=device)
-    arrays = [on_device(start, device), on_device(end, device), on_device(end, device)]
-    pipeline.launch(*arrays[:2])
-
-    def forbidden(*args, **kwargs):
-        raise AssertionError("not in the loop")
-
-    allocator = wp.get_device(device).get_allocator()
-    monkeypatch.setattr(type(allocator), "allocate", forbidden)
-    for name in ("copy", "synchronize", "synchronize_device", "synchronize_stream", "clone"):
-        monkeypatch.setattr(wp, name, forbidden)
-    monkeypatch.setattr(wp.array, "numpy", forbidden)
-    with pytest.raises(AssertionError, match="not in the loop"):
-        wp.empty(1, device=device)
-    for k in (1, 2, 1, 2):
-        pipeline.launch(arrays[0], arrays[k])
-
-
-@pytest.mark.parametrize("max_pairs", [1, 7, 500])
-def test_pairs_beyond_the_capacity_count_as_touching(device, max_pairs):
-    mesh, start, end = crowd(np.random.default_rng(3))
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=max_pairs, max_contacts=60_000)
-    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(vertices_t0, vertices_t1)
-    short = host(result)
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
-    assert short["flags"][0] == LaunchFlag.PAIRS_OVERFLOW
-    assert short["toi"][0] == 0.0
+def check_same(result, expected):
+    """A launch says what the call on the host says, bit by bit."""
+    found = result.to_host()
+    assert found.flags == 0 and found.toi == expected.toi
     for name in ("vertex_toi", "body_toi", "world_toi"):
-        assert (short[name] <= getattr(expected, name)).all()
-    assert set(np.unique(short["vertex_toi"])) <= {0.0, *expected.vertex_toi}
-    needed = result.num_pairs.numpy().max()
-    assert needed > max_pairs
-    pipeline.reserve(max_pairs=int(needed))
-    check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
-
-
-def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone(device):
-    mesh, start, end = crowd(np.random.default_rng(3))
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, max_pairs=60_000, max_contacts=10)
-    vertices_t0, vertices_t1 = on_device(start, device), on_device(end, device)
-    result = pipeline.launch(vertices_t0, vertices_t1)
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
-    short = host(result)
-    assert short["flags"][0] == LaunchFlag.CONTACTS_OVERFLOW
-    assert len(result.contacts.to_host()) == 10
-    np.testing.assert_array_equal(short["vertex_toi"], expected.vertex_toi)
-    count = int(result.contacts.count.numpy()[0])
-    assert count == len(expected.contacts)
-    check_same((pipeline.reserve(max_contacts=count), pipeline.launch(vertices_t0, vertices_t1))[0], expected)
-
-
-def worlds_of(scenes):
-    """Scenes as worlds of one mesh: the mesh, start and end positions, and where the vertices of each world begin."""
-    bodies = [(mesh.vertices, mesh.faces) for mesh, _, _ in scenes]
-    counts = [mesh.num_vertices for mesh, _, _ in scenes]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(len(scenes)), counts))
-    frames = (np.concatenate([scene[k] for scene in scenes]) for k in (1, 2))
-    return mesh, *frames, np.concatenate([[0], np.cumsum(counts)])
-
-
-@pytest.mark.parametrize("num_worlds", [2, 9, 65])
-def test_worlds_in_one_place_are_scenes_of_their_own(device, num_worlds):
-    rng = np.random.default_rng(num_worlds)
-    scenes = [crowd(rng, num_faces=int(rng.integers(1, 25)), size=0.3) for _ in range(num_worlds)]
-    mesh, start, end, first = worlds_of(scenes)
-    options = {"length_scale": 1.0, "device": device}
-    result = ccd.CollisionPipeline(mesh, **options, **CAPACITIES).launch(
-        on_device(start, device), on_device(end, device)
-    )
-    on_host = ccd.mesh_ccd(mesh, start, end, **options)
-    check_same(result, on_host)
-    world_toi = result.world_toi.numpy()
-    vertex_toi = result.vertex_toi.numpy()
-    for world, scene in enumerate(scenes):
-        alone = ccd.mesh_ccd(*scene, **options)
-        assert world_toi[world] == alone.toi
-        np.testing.assert_array_equal(vertex_toi[first[world] : first[world + 1]], alone.vertex_toi)
-    assert np.isfinite(world_toi).any()
-    assert result.toi.numpy()[0] == world_toi.min()
-
-
-def test_world_that_is_no_number_stops_itself_alone(device):
-    rng = np.random.default_rng(1)
-    scenes = [crowd(rng, num_faces=20, size=0.3) for _ in range(5)]
-    mesh, start, end, first = worlds_of(scenes)
-    options = {"length_scale": 1.0, "device": device}
-    expected = ccd.mesh_ccd(mesh, start, end, **options)
-    pipeline = ccd.CollisionPipeline(mesh, **options, **CAPACITIES)
-    for value in (np.nan, np.inf, -np.inf):
-        for broken in (start, end):
-            kept = broken[first[2] + 7].copy()
-            broken[first[2] + 7] = [value, 0.0, 1.0]
-            result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
-            broken[first[2] + 7] = kept
-            assert result["flags"][0] == LaunchFlag.INVALID_INPUT
-            assert result["world_flags"].tolist() == [0, 0, LaunchFlag.INVALID_INPUT, 0, 0]
-            assert result["toi"][0] == result["world_toi"][2] == result["body_toi"][2] == 0.0
-            assert (result["vertex_toi"][first[2] : first[3]] == 0.0).all()
-            others = mesh.vertex_world != 2
-            np.testing.assert_array_equal(result["vertex_toi"][others], expected.vertex_toi[others])
-    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), expected)
-
-
-def test_static_body_that_is_no_number_stops_its_world(device):
-    mesh, start, end = sheet_over_ball()
-    start[-1] = np.nan
-    pipeline = ccd.CollisionPipeline(mesh, device=device, **CAPACITIES)
-    result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
-    assert result["flags"][0] == LaunchFlag.INVALID_INPUT
-    assert (result["vertex_toi"] == 0.0).all()
-    assert (result["body_toi"] == 0.0).all()
-
-
-def test_static_body_that_was_no_number_is_where_it_was_before(device):
-    mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
-    broken = start.copy()
-    broken[-1] = np.nan
-    pipeline.launch(on_device(broken, device), on_device(end, device))
-    rows = mesh.moving_vertices
-    check_same(pipeline.launch(on_device(start[rows], device), on_device(end[rows], device)), expected)
-
-
-def test_a_thousand_worlds(device):
-    vertices, faces = sheet(3)
-    ball = trimesh.creation.icosphere(subdivisions=1, radius=0.3)
-    count = 1000
-    mesh = ccd.CollisionMesh.from_arrays(
-        [(vertices, faces), (ball.vertices, ball.faces)] * count,
-        static=range(1, 2 * count, 2),
-        vertex_world=np.repeat(np.arange(count), len(vertices) + len(ball.vertices)),
-    )
-    rng = np.random.default_rng(0)
-    start = np.tile(np.concatenate([vertices + [0.01, 0.02, 0.5], ball.vertices]), (count, 1))
-    end = start.copy()
-    end[mesh.moving_vertices, 2] -= np.repeat(rng.uniform(0.0, 1.0, count), len(vertices))
-    options = {"length_scale": 1.0, "device": device}
-    pipeline = ccd.CollisionPipeline(mesh, **options, max_contacts=200_000)
-    result = pipeline.launch(on_device(start, device), on_device(end, device))
-    world_toi = result.world_toi.numpy()
-    assert result.flags.numpy()[0] == 0
-    assert 0.6 < np.isfinite(world_toi).mean() < 0.9
-    size = len(vertices) + len(ball.vertices)
-    alone = ccd.CollisionMesh.from_arrays([(vertices, faces), (ball.vertices, ball.faces)], static=[1])
-    for world in range(0, count, 101):
-        rows = slice(size * world, size * (world + 1))
-        assert world_toi[world] == ccd.mesh_ccd(alone, start[rows], end[rows], **options).toi
-
-
-def test_result_before_a_launch_lets_nothing_move(device):
-    mesh, _, _ = sheet_over_ball()
-    result = ccd.CollisionPipeline(mesh, device=device).reserve()
-    assert result.toi.numpy()[0] == 0.0
-    assert (result.vertex_toi.numpy() == 0.0).all()
-
-
-@pytest.mark.parametrize(
-    "bodies",
-    [
-        [(np.zeros((0, 3)), np.zeros((0, 3), dtype=int))],
-        [(np.eye(3), np.zeros((0, 3), dtype=int))],
-        [(np.eye(3), [[0, 1, 2]]), (np.zeros((0, 3)), np.zeros((0, 3), dtype=int))],
-    ],
-)
-def test_scenes_without_pairs(device, bodies):
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
-    x = on_device(mesh.vertices, device)
-    result = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device).launch(x, x)
-    check_same(result, ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, device=device))
-
-
-def test_all_static(device):
-    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])] * 2, static=[0, 1])
-    x = on_device(mesh.vertices, device)
-    result = host(ccd.CollisionPipeline(mesh, device=device).launch(x, x))
-    assert result["toi"][0] == np.inf
-
-
-LOW, HIGH = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]), np.array([[0.2, 0.2, 1], [1.2, 0.2, 1], [0.2, 1.2, 1]])
-ONE_FACE = [[0, 1, 2]]
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    for name, values in vars(expected.contacts).items():
+        np.testing.assert_array_equal(getattr(found.contacts, name), values)
 
 
 def falling(**options):
     """A face that falls through another: mesh, start and end positions."""
-    mesh = ccd.CollisionMesh.from_arrays([(LOW, ONE_FACE), (HIGH, ONE_FACE)], **options)
-    end = mesh.vertices.copy()
-    end[3:, 2] -= 2.0
-    return mesh, mesh.vertices.copy(), end
+    bodies = [(TRIANGLE, FACE), (TRIANGLE + [0.1, 0.1, 1], FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    return mesh, mesh.vertices, mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
+
+
+# --- capacities ---
+
+
+@pytest.mark.parametrize("max_pairs", [1, 7, 500])
+def test_pairs_beyond_the_capacity_count_as_touching_and_contacts_are_missing_from_the_list_alone(max_pairs):
+    mesh, start, end = crowd(np.random.default_rng(3))
+    expected = ccd.mesh_ccd(mesh, start, end)
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, max_contacts=10)
+    result = pipeline.launch(start, end)
+    short, needed = result.to_host(), int(result.num_pairs.numpy().max())
+    assert LaunchFlag.PAIRS_OVERFLOW in LaunchFlag(short.flags) and short.toi == 0.0 and needed > max_pairs
+    for name in ("vertex_toi", "body_toi", "world_toi"):
+        assert (getattr(short, name) <= getattr(expected, name)).all()
+    assert {*short.vertex_toi} <= {0.0, *expected.vertex_toi}
+    pipeline.reserve(max_pairs=needed)
+    short = pipeline.launch(start, end).to_host()
+    assert short.flags == LaunchFlag.CONTACTS_OVERFLOW and len(short.contacts) == 10
+    assert short.num_contacts == len(expected.contacts) and np.array_equal(short.vertex_toi, expected.vertex_toi)
+    pipeline.reserve(max_contacts=short.num_contacts)
+    check_same(pipeline.launch(start, end), expected)
 
 
 def test_capacities_for_which_there_is_no_memory_are_named_and_the_pipeline_goes_on(monkeypatch):
     mesh, start, end = falling()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    pipeline, empty = ccd.CollisionPipeline(mesh), wp.empty
     expected = pipeline.launch(start, end).to_host().toi
-    empty = wp.empty
 
     def out_of_memory(shape, *arguments, **options):
         if np.prod(shape) > 1e9:
@@ -274,14 +75,101 @@ def test_capacities_for_which_there_is_no_memory_are_named_and_the_pipeline_goes
 
     monkeypatch.setattr(wp, "empty", out_of_memory)
     monkeypatch.setattr(wp, "zeros", out_of_memory)
-    sentence = "max_pairs is 4,096 and max_contacts is 2,147,483,647, which take 171,798,7.* bytes on cpu"
+    sentence = "max_pairs is 4,096 and max_contacts is 2,147,483,647, which take 171,798,7.* bytes on "
     with pytest.raises(MemoryError, match=sentence):
         pipeline.reserve(max_contacts=2**31 - 1)
     assert pipeline.launch(start, end).to_host().toi == expected
-    pipeline.reserve(max_contacts=10)
-    assert pipeline.launch(start, end).to_host().toi == expected
     with pytest.raises(MemoryError, match=sentence):
-        ccd.CollisionPipeline(mesh, device="cpu", max_contacts=2**31 - 1).launch(start, end)
+        ccd.CollisionPipeline(mesh, max_contacts=2**31 - 1).launch(start, end)
+
+
+def test_reserve_that_fails_changes_nothing_and_a_layout_is_kept_as_it_was_given():
+    mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
+    expected, pipeline = ccd.mesh_ccd(mesh, start, end), ccd.CollisionPipeline(mesh)
+    with pytest.raises(ValueError, match="vertices holds nan in row 0"):
+        pipeline.reserve(max_pairs=7, vertices=np.full(start.shape, np.nan))
+    layout = mesh.vertices.copy()
+    pipeline.reserve(max_contacts=60_000, vertices=layout)
+    layout[:] = np.nan  # the caller's own array
+    check_same(pipeline.launch(start, end), expected)
+    pipeline.reserve(max_pairs=7)  # the capacity that the failed call requested is too small
+    assert pipeline.launch(start, end).to_host().flags & LaunchFlag.PAIRS_OVERFLOW
+
+
+def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved():
+    mesh, low, _ = falling(static=[0])
+    start = low - [0, 0, 5.0] * (mesh.vertex_body == 0)[:, None] - [0, 0, 3.0] * (mesh.vertex_body == 1)[:, None]
+    end = start - [0, 0, 6.0] * (mesh.vertex_body == 1)[:, None]  # through the one that was put at -5
+    pipeline, moving = ccd.CollisionPipeline(mesh), mesh.moving_vertices
+    pipeline.launch(start, end)
+    pipeline.reserve(max_pairs=10_000)
+    result = pipeline.launch(start[moving], end[moving])
+    check_same(result, ccd.mesh_ccd(mesh, start, end))
+    assert result.toi.numpy()[0] == pytest.approx(0.5)
+    pipeline.reserve(vertices=mesh.vertices)
+    assert pipeline.launch(start[moving], end[moving]).toi.numpy()[0] == np.inf
+
+
+# --- what stops ---
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_what_is_no_number_stops_its_world_alone_and_once(value):
+    one, start, end = sheet_over_ball()
+    mesh, count = one.replicate(3), one.num_vertices
+    frames = np.tile(start, (3, 1)), np.tile(end, (3, 1))
+    expected, capacities = ccd.mesh_ccd(mesh, *frames), {"max_pairs": 60_000, "max_contacts": 60_000}
+    pipeline = ccd.CollisionPipeline(mesh, **capacities)
+    is_stopped = mesh.vertex_world == 1
+    # of a moving vertex at either end, and of a static one
+    for row, of in ((7, 0), (7, 1), (count - 1, 0)):
+        broken = [x.copy() for x in frames]
+        broken[of][count + row] = [value, 0.0, 1.0]
+        found = pipeline.launch(*broken).to_host()
+        assert found.flags == LaunchFlag.INVALID_INPUT and found.world_flags.tolist() == [0, found.flags, 0]
+        assert found.toi == found.world_toi[1] == 0.0 == found.body_toi[2:4].max()
+        np.testing.assert_array_equal(found.vertex_toi, np.where(is_stopped, 0.0, expected.vertex_toi))
+        y = broken[1].copy()
+        pipeline.launch_line_search(broken[0], y, per="vertex")
+        moving = is_stopped & ~mesh.static[mesh.vertex_body]
+        np.testing.assert_array_equal(y[moving], broken[0][moving])
+        # a static body is where it was before
+        check_same(pipeline.launch(*(x[mesh.moving_vertices] for x in frames)), expected)
+
+
+@pytest.mark.parametrize("far", [1e40, 1e300])
+@pytest.mark.parametrize("count", [20, 5_000])
+def test_face_whose_box_is_infinite_in_quantized_coordinates(count, far):
+    rng = np.random.default_rng(0)
+    vertices = (rng.uniform(-1, 1, (count, 1, 3)) + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
+    bodies = [(vertices, np.arange(3 * count).reshape(-1, 3)), (np.eye(3), FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    start, end = mesh.vertices.copy(), mesh.vertices + [0, 0, 0.01]
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=60_000, max_contacts=60_000)
+    pipeline.reserve(vertices=start)
+    start[-2:] = end[-2:] = np.array([[far], [-far]])
+    result, expected = pipeline.launch(start, end).to_host(), ccd.mesh_ccd(mesh, start, end)
+    assert result.flags or (result.vertex_toi <= expected.vertex_toi).all()
+    assert ccd.collision_free_step(mesh, start, end) <= min(expected.toi, 1.0)
+
+
+# --- captures ---
+
+
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_capture_follows_a_static_body_that_is_moved(broad_phase):
+    mesh, start, end = sheet_over_ball()
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, max_contacts=60_000)
+    vertices_t0, vertices_t1 = array(start), array(end)
+    result = pipeline.launch(vertices_t0, vertices_t1)
+    with wp.ScopedCapture() as capture:
+        pipeline.launch(vertices_t0, vertices_t1)
+    for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
+        a, b = (x + [shift, 0, 0] * mesh.static[mesh.vertex_body][:, None] for x in (start, end))
+        vertices_t0.assign(a)
+        vertices_t1.assign(b)
+        wp.capture_launch(capture.graph)
+        check_same(result, ccd.mesh_ccd(mesh, a, b))
 
 
 @pytest.mark.parametrize(
@@ -290,102 +178,38 @@ def test_capacities_for_which_there_is_no_memory_are_named_and_the_pipeline_goes
 def test_first_launch_in_a_capture_of_the_cpu(options):
     """The arrays of a mesh on the device are made before the capture; otherwise only the graph would own the copies."""
     mesh, start, end = falling(**options)
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
-    result = pipeline.reserve()
-    vertices_t0, vertices_t1 = on_device(start), on_device(end)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    result, expected = pipeline.reserve(), ccd.mesh_ccd(*falling(**options), device="cpu")
+    assert result.toi.numpy()[0] == 0.0 == result.vertex_toi.numpy().max()  # before a launch nothing may move
+    vertices_t0, vertices_t1 = (wp.array(x, dtype=wp.vec3d, device="cpu") for x in (start, end))
     with wp.ScopedCapture(device="cpu") as capture:
         pipeline.launch(vertices_t0, vertices_t1)
-    expected = ccd.mesh_ccd(falling(**options)[0], start, end, length_scale=1.0, device="cpu")
-    assert expected.hit
     wp.capture_launch(capture.graph)
+    assert expected.hit
     check_same(result, expected)
     check_same(pipeline.launch(vertices_t0, vertices_t1), expected)
-    assert ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu").toi == expected.toi
+    assert ccd.mesh_ccd(mesh, start, end, device="cpu").toi == expected.toi
 
 
 def test_calls_that_a_graph_cannot_hold_say_so():
     mesh, start, end = falling()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    pipeline, x = ccd.CollisionPipeline(mesh), array(start)
+    with pytest.raises(RuntimeError, match=r"call reserve\(\) before the capture"), wp.ScopedCapture():
+        pipeline.launch(x, x)
     for call in (
         pipeline.reserve,
         lambda: pipeline.mesh_ccd(start, end),
-        lambda: ccd.collision_free_step(mesh, start, end, device="cpu"),
-        lambda: ccd.CollisionPipeline(falling()[0], device="cpu"),
+        lambda: ccd.collision_free_step(mesh, start, end),
+        lambda: ccd.CollisionPipeline(falling()[0]),
     ):
-        with pytest.raises(RuntimeError, match="a graph is being captured"), wp.ScopedCapture(device="cpu"):
+        with pytest.raises(RuntimeError, match="a graph is being captured"), wp.ScopedCapture():
             call()
-
-
-@pytest.mark.parametrize("far", [1e40, 1e300])
-@pytest.mark.parametrize("count", [20, 5_000])
-def test_face_whose_box_is_infinite_in_quantized_coordinates(device, count, far):
-    rng = np.random.default_rng(0)
-    vertices = (rng.uniform(-1, 1, (count, 1, 3)) + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
-    faces = np.arange(3 * count).reshape(-1, 3)
-    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (np.eye(3), ONE_FACE)], self_collision=False)
-    start = mesh.vertices.copy()
-    end = start + [0, 0, 0.01]
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device, **CAPACITIES)
-    pipeline.reserve(vertices=start)
-    start[-2] = end[-2] = far
-    start[-1] = end[-1] = -far
-    result = host(pipeline.launch(on_device(start, device), on_device(end, device)))
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
-    if result["flags"][0] == 0:
-        assert (result["vertex_toi"] <= expected.vertex_toi).all()
-    assert ccd.collision_free_step(mesh, start, end, length_scale=1.0, device=device) <= min(expected.toi, 1.0)
-
-
-def test_separation_beyond_the_quantized_coordinates(device):
-    mesh, start, end = falling()
-    options = {"minimum_separation": 1e40, "length_scale": 1.0, "device": device}
-    result = ccd.CollisionPipeline(mesh, **options).launch(on_device(start, device), on_device(end, device))
-    assert result.toi.numpy()[0] == ccd.mesh_ccd(mesh, start, end, **options).toi == 0.0
-
-
-def test_layout_is_kept_as_it_was_given(device):
-    mesh, start, end = falling()
-    layout = mesh.vertices.copy()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-    pipeline.reserve(vertices=layout)
-    layout[:] = np.nan  # the caller's own array
-    pipeline.reserve(max_pairs=10_000)
-    expected = ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device)
-    check_same(pipeline.launch(on_device(start, device), on_device(end, device)), expected)
-
-
-def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved(device):
-    mesh = ccd.CollisionMesh.from_arrays([(HIGH, ONE_FACE), (LOW, ONE_FACE)], static=[1])
-    start = np.concatenate([HIGH - [0, 0, 2.0], LOW - [0, 0, 5.0]])
-    end = np.concatenate([HIGH - [0, 0, 10.0], start[3:]])
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device=device)
-    pipeline.launch(on_device(start, device), on_device(end, device))
-    pipeline.reserve(max_pairs=10_000)
-    moving = pipeline.launch(on_device(start[:3], device), on_device(end[:3], device))
-    check_same(moving, ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device=device))
-    assert moving.toi.numpy()[0] == pytest.approx(0.5)
-    pipeline.reserve(vertices=mesh.vertices)
-    assert pipeline.launch(on_device(start[:3], device), on_device(end[:3], device)).toi.numpy()[0] == np.inf
-
-
-def test_reserve_that_fails_changes_nothing(device):
-    mesh, start, end = crowd(np.random.default_rng(3), num_faces=50)
-    frames = on_device(start, device), on_device(end, device)
-    expected = ccd.mesh_ccd(mesh, start, end, device=device)
-    pipeline = ccd.CollisionPipeline(mesh, device=device)
-    with pytest.raises(ValueError, match="vertices holds nan in row 0"):
-        pipeline.reserve(max_pairs=7, vertices=np.full(start.shape, np.nan))
-    pipeline.reserve(max_contacts=CAPACITIES["max_contacts"])
-    check_same(pipeline.launch(*frames), expected)
-    pipeline.reserve(max_pairs=7)  # the capacity that the failed call requested is too small
-    assert host(pipeline.launch(*frames))["flags"][0] & LaunchFlag.PAIRS_OVERFLOW
 
 
 def test_result_keeps_what_a_graph_uses():
     mesh, start, end = falling()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu")
-    vertices_t0, vertices_t1 = on_device(start), on_device(end)
-    result = pipeline.launch(vertices_t0, vertices_t1)
+    pipeline = ccd.CollisionPipeline(mesh)
+    result = pipeline.launch(start, end)
     step = weakref.ref(result._step)
     pipeline.reserve()
     gc.collect()
@@ -395,67 +219,91 @@ def test_result_keeps_what_a_graph_uses():
     assert step() is None
 
 
-def test_no_rows(device):
-    empty = np.zeros((0, 3))
-    mesh = ccd.CollisionMesh.from_arrays([(empty, np.zeros((0, 3), dtype=int))])
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-    assert pipeline.launch(empty, empty).toi.numpy()[0] == np.inf
-    assert pipeline.launch_line_search(empty, empty).toi.numpy()[0] == np.inf
+# --- what is read when ---
 
 
-TRIANGLE = np.eye(3)
+def test_nothing_is_allocated_copied_or_waited_for(monkeypatch):
+    mesh, start, end = sheet_over_ball()
+    pipeline, arrays = ccd.CollisionPipeline(mesh), [array(start), array(end), array(end)]
+    pipeline.launch(*arrays[:2])
+
+    def forbidden(*args, **kwargs):
+        raise AssertionError("not in the loop")
+
+    monkeypatch.setattr(type(wp.get_device().get_allocator()), "allocate", forbidden)
+    for name in ("copy", "synchronize", "synchronize_device", "synchronize_stream", "clone"):
+        monkeypatch.setattr(wp, name, forbidden)
+    monkeypatch.setattr(wp.array, "numpy", forbidden)
+    with pytest.raises(AssertionError, match="not in the loop"):
+        wp.empty(1)
+    for k in (1, 2, 1, 2):
+        pipeline.launch(arrays[0], arrays[k])
 
 
-def test_capture_without_capacity_says_what_to_do():
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, [[0, 1, 2]])])
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-    with pytest.raises(RuntimeError, match=r"call reserve\(\) before the capture"), wp.ScopedCapture(device="cpu"):
-        pipeline.launch(on_device(TRIANGLE), on_device(TRIANGLE))
-
-
-def test_few_positions_of_numpy_are_copied():
+def test_few_positions_of_numpy_are_copied_but_by_a_graph_of_the_cpu():
     """So the caller may change them after a launch; the next one reads them anew."""
     mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_contacts=60_000)
     a, b = start.copy(), end.copy()
+
+    def place(shift):
+        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
+        return ccd.mesh_ccd(mesh, a, b, device="cpu")
+
     for shift in (0.0, 0.1, -0.2):
-        a[:] = start + [0, 0, shift]
-        b[:] = end + [0, 0, shift]
-        expected = ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device="cpu")
+        expected = place(shift)
         result = pipeline.launch(a, b)
         a[:], b[:] = np.nan, np.nan
         check_same(result, expected)
         np.testing.assert_array_equal(result.contacts.to_host().points, expected.contacts.points)
-
-
-def test_many_positions_of_numpy_are_read_where_they_are():
-    """More than are copied: contacts that are located later are those of the positions at that time."""
-    vertices, faces = sheet(200)
-    mesh = ccd.CollisionMesh.from_arrays(
-        [(vertices, faces), (0.05 * TRIANGLE + [0, 0, 0.5], ONE_FACE)], self_collision=False
-    )
-    start, end = mesh.vertices.copy(), mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
-    for _ in range(2):
-        result = pipeline.launch(start, end)
-        check_same(result, ccd.mesh_ccd(mesh, start, end, length_scale=1.0, device="cpu"))
-    count = len(result.contacts.to_host())
-    points = result.contacts.points.numpy()[:count].copy()
-    start += 1.0
-    end += 1.0
-    np.testing.assert_allclose(result.contacts.points.numpy()[:count], points + 1.0, rtol=1e-12)
-
-
-def test_a_graph_of_the_cpu_reads_the_arrays_of_numpy_that_it_was_captured_with():
-    """Also if launches before and after the capture copy theirs."""
-    mesh, start, end = sheet_over_ball()
-    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", **CAPACITIES)
-    a, b = start.copy(), end.copy()
-    result = pipeline.launch(a, b)
+    place(0.0)
     with wp.ScopedCapture(device="cpu") as capture:
         pipeline.launch(a, b)
     pipeline.launch(start + [0, 0, 5], end + [0, 0, 5])
     for shift in (0.1, -0.2):
-        a[:], b[:] = start + [0, 0, shift], end + [0, 0, shift]
+        expected = place(shift)
         wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, a, b, length_scale=1.0, device="cpu"))
+        check_same(result, expected)
+
+
+# --- what has nothing to do is left out: of graphs by a flag on the device, otherwise by the same flag ---
+
+
+def test_the_second_round_runs_in_a_graph_where_a_pair_is_open():
+    """Of needles that cross each other: a graph of the CPU holds the branch."""
+    options = {"tolerance": 1e-15, "length_scale": 1.0, "device": "cpu"}
+    points = FAMILIES["needle_against_needle"]("edge-edge", 1000, np.random.default_rng(0))
+    is_hard = ccd.edge_edge_ccd(*points, **options).iterations > 256  # of a first round
+    mesh, start, end = pairs_in_worlds("edge-edge", *(x[is_hard] for x in points))
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    pipeline.reserve()
+    x, y = (wp.array(start, dtype=wp.vec3d, device="cpu") for _ in range(2))
+    with wp.ScopedCapture(device="cpu") as capture:
+        result = pipeline.launch(x, y)
+    for positions, is_open in ((start, False), (end, True)):
+        y.assign(positions)
+        wp.capture_launch(capture.graph)
+        assert bool(result._step._is_open.numpy()[0]) is is_open
+    check_same(result, ccd.mesh_ccd(mesh, start, end, **options))
+
+
+@pytest.mark.parametrize(
+    ("is_cpu", "is_ours", "is_supported", "expected"),
+    [(True, False, False, True), (False, True, True, True), (False, True, False, False), (False, False, True, False)],
+)
+def test_a_graph_leaves_out_launches_where_warp_captures_it_and_the_driver_can(
+    is_cpu, is_ours, is_supported, expected, monkeypatch
+):
+    """torch captures without Warp, which would then wait for the flag, and a driver before 12.4 has no such nodes."""
+    monkeypatch.setattr(wp, "is_conditional_graph_supported", lambda: is_supported)
+    device = SimpleNamespace(is_cpu=is_cpu, stream="stream", captures={"stream": "graph"} if is_ours else {})
+    assert launch.leaves_out_launches(device) is expected
+    if is_ours and expected:  # a capture on CUDA records the branch and not the launches
+        branches, flag = [], wp.array([0], dtype=wp.int32, device="cpu")
+        monkeypatch.setattr(wp, "capture_if", lambda condition, on_true: branches.append(condition))
+        device = SimpleNamespace(is_cuda=True, is_capturing=True, **vars(device))
+        recording = Recording(Execution(device, 1), {})
+        with recording.section("step"), recording.only_if(flag):
+            pass
+        recording.play("step")
+        assert branches == [flag]

@@ -1,14 +1,11 @@
-"""Worlds in quantized coordinates: each in a cell of its own, wherever it is and however large, with all its pairs."""
-
-from dataclasses import dataclass
+"""Worlds: copies of a mesh, positions with an axis of worlds, and a cell of quantized coordinates for each world."""
 
 import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
 from expected_warnings import OF_ROUNDING
-from oracles import brute_force
-from scenes import soup
+from scenes import FACE, NO_FACES, TRIANGLE, cloth_and_ball_in_worlds, soup
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh.samples import uneven_samples
@@ -18,232 +15,211 @@ from ccd_warp._runtime.launch import Execution
 
 pytestmark = OF_ROUNDING
 
-DEVICE = wp.get_device("cpu")
 _LARGEST = np.finfo(np.float64).max
 
-
-@dataclass
-class Worlds:
-    """Faces at random places, two bodies to a world, of which every third has a static one."""
-
-    mesh: ccd.CollisionMesh
-    start: np.ndarray
-    end: np.ndarray
-    hides_gaps: bool = False  # coordinates are so large that by rounding all may touch: what a search keeps may differ
+# --- copies of a mesh ---
 
 
-def worlds(count, numbers=None, sizes=1.0, seed=0):
-    rng = np.random.default_rng(seed)
+def test_copies_of_a_mesh_are_worlds_of_their_own():
+    one, mesh, start, _ = cloth_and_ball_in_worlds(3)
+    n = one.num_vertices
+    assert mesh.num_worlds == 3 and mesh.num_bodies == 6 and np.array_equal(mesh.vertices, start.reshape(-1, 3))
+    assert mesh.names == ("cloth[0]", "ball[0]", "cloth[1]", "ball[1]", "cloth[2]", "ball[2]")
+    assert mesh.static.tolist() == [False, True] * 3 and mesh.vertex_world.tolist() == np.repeat(range(3), n).tolist()
+    assert np.array_equal(mesh.faces.reshape(3, -1, 3)[2], one.faces + 2 * n)
+    assert np.array_equal(mesh.edges.reshape(3, -1, 2)[1], one.edges + n) and "3 worlds" in repr(mesh)
+    bodies, pairs = [(TRIANGLE, FACE), (np.eye(4, 3), NO_FACES, [[0, 1]])], ~np.eye(2, dtype=bool)
+    options = {"codimensional_points": [False, True], "self_collision": [True, False], "body_pairs": pairs}
+    one = ccd.CollisionMesh.from_arrays(bodies, exclusion_rings=2, **options)
+    mesh = one.replicate(2).replicate(2)
+    assert mesh.num_worlds == 4 and mesh.exclusion_rings == 2 and mesh.self_collision.tolist() == [True, False] * 4
+    assert mesh.codimensional_points.tolist() == [k + 7 * w for w in range(4) for k in one.codimensional_points]
+    assert mesh.edges[mesh.codimensional_edges].tolist() == [[3 + 7 * w, 4 + 7 * w] for w in range(4)]
+    assert np.array_equal(mesh.body_pairs[2:4, 2:4], pairs) and mesh.body_pairs.shape == (8, 8)
+    for count, expected in ((0, "a positive integer"), (10**9, "at most")):
+        with pytest.raises(ValueError, match=f"count is {count}; expected {expected}"):
+            one.replicate(count)
+
+
+def test_every_call_takes_positions_with_an_axis_of_worlds():
+    one, mesh, start, end = cloth_and_ball_in_worlds()
+    flat_start, flat_end = start.reshape(-1, 3), end.reshape(-1, 3)
+    expected, alone = ccd.mesh_ccd(mesh, flat_start, flat_end), ccd.mesh_ccd(one, start[0], end[0])
+    assert expected.world_toi.tolist() == [alone.toi, alone.toi, np.inf, np.inf] and alone.hit
+    assert expected.first.world == 0 and expected.first.body_names == tuple(f"{n}[0]" for n in alone.first.body_names)
+    assert np.bincount(expected.contacts.world).tolist() == [len(alone.contacts)] * 2
+    for form in (end, end[:, :25], end.tolist(), wp.array(end, dtype=wp.vec3d)):  # all, or the cloths alone
+        for t0 in (start, start.tolist()):
+            assert np.array_equal(ccd.mesh_ccd(mesh, t0, form).vertex_toi, expected.vertex_toi)
+    assert ccd.collision_free_step(mesh, start, end) <= alone.toi
+    candidates = [ccd.find_candidates(mesh, *x).edge_edge for x in ((start, end), (flat_start, flat_end))]
+    assert len(candidates[0]) == len(candidates[1])
+    searched = [ccd.line_search(mesh, *x, per="world").vertices for x in ((start, end), (flat_start, flat_end))]
+    assert np.array_equal(*searched) and mesh.frame(start).shape == (mesh.num_vertices, 3)
+
+
+@pytest.mark.parametrize("make", ["numpy", "numpy float32", "warp float64", "warp vec3d", "warp vec3f"])
+def test_launches_take_an_axis_of_worlds_and_write_through_it(make):
+    _, mesh, start, end = cloth_and_ball_in_worlds()
+    real = np.float32 if make.endswith(("f", "32")) else np.float64
+
+    def array(x):
+        dtype = {"warp float64": wp.float64, "warp vec3d": wp.vec3d, "warp vec3f": wp.vec3f}.get(make)
+        return wp.array(x.astype(real), dtype=dtype) if dtype else x.astype(real)
+
+    expected = ccd.mesh_ccd(mesh, *(x.astype(real).astype(np.float64) for x in (start, end)))
+    pipeline = ccd.CollisionPipeline(mesh)
+    pipeline.reserve(vertices=start)
+    result = pipeline.launch(array(start), array(end)).to_host()
+    assert np.array_equal(result.world_toi, expected.world_toi)
+    assert np.array_equal(result.contacts.points, expected.contacts.points)
+    assert np.array_equal(pipeline.launch(array(start), array(end[:, :25])).world_toi.numpy(), expected.world_toi)
+    moved = pipeline.launch(array(start), displacements=array(end - start)).world_toi.numpy()
+    assert np.isfinite(moved).tolist() == [True, True, False, False]
+    wished = array(end)
+    pipeline.launch_line_search(array(start), wished, per="world")
+    shortened = (wished.numpy() if isinstance(wished, wp.array) else wished).reshape(end.shape)
+    assert (shortened[:2, :25, 2] > end[:2, :25, 2]).all() and np.array_equal(shortened[2:], end[2:].astype(real))
+
+
+def test_copies_of_several_worlds_have_an_axis_of_copies_and_worlds_of_different_sizes_none():
+    bodies = [(TRIANGLE, FACE), (np.eye(4, 3), FACE)]
+    one = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 4, static=[1])
+    mesh, start = one.replicate(3), np.tile(one.vertices, (3, 1, 1))
+    end = start + [0.0, 0.0, 0.5] * (np.arange(7) < 3)[:, None]
+    assert np.array_equal(mesh.frames(start, end[:, :3])[1], mesh.frames(mesh.vertices, end.reshape(-1, 3))[1])
+    assert ccd.CollisionPipeline(mesh).launch(start, end[:, :3].copy()).to_host().toi == np.inf
+    twice = cloth_and_ball_in_worlds(2)[1].replicate(3)
+    for blocks in (6, 3, 2, 1):
+        assert np.array_equal(twice.frame(twice.vertices.reshape(blocks, -1, 3)), twice.vertices)
+    even = ccd.CollisionMesh.from_arrays(bodies[:1]).replicate(2)
+    for of, x, message in (
+        (mesh, mesh.vertices.reshape(7, 3, 3), r"\(7, 3, 3\); expected .*, or \(3, 7, 3\), with an axis"),
+        (one, one.vertices[:, None], r"\(7, 1, 3\); expected \(7, 3\) one row a vertex"),
+        (even, np.zeros((3, 2, 3)), r"\(3, 2, 3\); expected .*, or \(2, 3, 3\), with"),
+    ):
+        with pytest.raises(ValueError, match=rf"vertices_t0 has shape {message}"):
+            of.frame(x)
+
+
+def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
+    """A point passes a wall in each of 20 worlds; later one wall stands far away, and one moves, which is refused."""
+    bodies = [(np.array([[0.0, 0, 1]]), NO_FACES), (TRIANGLE, FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], codimensional_points=True).replicate(20)
+    pipeline, down = ccd.CollisionPipeline(mesh), np.outer([1, 0, 0, 0], [0, 0, -2.0])
+    for elsewhere in ([], [13], [4], []):
+        x = mesh.vertices.copy().reshape(20, 4, 3)
+        x[elsewhere, 1:, 0] += 9.0
+        for result in (pipeline.mesh_ccd(x, x + down), pipeline.launch(x, x + down).to_host()):
+            found = result.world_toi
+            assert np.array_equal(np.flatnonzero(np.isinf(found)), elsewhere) and found.min() == pytest.approx(0.5)
+    end = x + down
+    end[17, 2] += 0.1
+    with pytest.raises(ValueError, match=r"vertex 1 of body 35 .* \(row 70\)"):
+        pipeline.mesh_ccd(x, end)
+
+
+# --- in quantized coordinates ---
+
+
+def worlds(count, numbers=None, sizes=1.0):
+    """Faces at random places, two bodies to a world, of which every third has a static one: mesh, start and end."""
+    rng, size = np.random.default_rng(0), np.broadcast_to(sizes, count)
+    bodies = [(vertices * size[k // 2], faces) for k in range(2 * count) for vertices, faces in [soup(rng, 2, 0.3)]]
     numbers = np.arange(count) if numbers is None else numbers
-    bodies = [soup(rng, 2, 0.3) for _ in range(2 * count)]
-    size = np.broadcast_to(sizes, count)
-    bodies = [(vertices * size[k // 2], faces) for k, (vertices, faces) in enumerate(bodies)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=range(1, 2 * count, 6), vertex_world=np.repeat(numbers, 12))
     motion = 0.2 * rng.standard_normal((len(mesh.vertices), 3)) * np.repeat(size, 12)[:, None]
-    motion[mesh.static[mesh.vertex_body]] = 0.0
-    return Worlds(mesh, mesh.vertices.copy(), mesh.vertices + motion)
-
-
-def in_one_place():
-    return worlds(24)
+    return mesh, mesh.vertices.copy(), mesh.vertices + motion * ~mesh.static[mesh.vertex_body][:, None]
 
 
 def far_apart():
-    scene = worlds(9)
-    offset = 1e12 * scene.mesh.vertex_world[:, None] ** 3
-    scene.start += offset
-    scene.end += offset
-    return scene
-
-
-def of_very_different_sizes():
-    return worlds(10, sizes=10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290]))
+    mesh, start, end = worlds(9)
+    offset = 1e12 * mesh.vertex_world[:, None] ** 3
+    return mesh, start + offset, end + offset
 
 
 def vertices_that_have_flown_away():
-    scene = worlds(9)
+    mesh, start, end = worlds(9)
     for world, values in {1: [1e9], 2: [_LARGEST], 3: [-_LARGEST, _LARGEST, 1e300], 4: [1e40] * 7}.items():
-        scene.start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
-    scene.end[60:63] = -1e200
-    scene.hides_gaps = True
-    return scene
+        start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
+    end[60:63] = -1e200
+    return mesh, start, end
 
 
 def of_a_wall_much_larger_than_what_moves():
-    scene = worlds(20)
-    scene.start[18::12] *= 1e4
-    scene.end[18::12] *= 1e4
-    return scene
-
-
-def seen_from_a_place_that_is_none_of_theirs():
-    scene = worlds(9)
-    scene.mesh = scene.mesh.replicate(1)
-    scene.start, scene.end = scene.start * 50.0 - 2000.0, scene.end * 50.0 - 2000.0
-    return scene
-
-
-def with_numbers_left_out():
-    return worlds(4, numbers=np.array([0, 3, 9, 40]))
+    mesh, start, end = worlds(20)
+    start[18::12] *= 1e4
+    end[18::12] *= 1e4
+    return mesh, start, end
 
 
 def of_vertices_that_take_turns():
     """Two worlds, each with half of every body."""
     rng = np.random.default_rng(3)
-    vertices, faces = soup(rng, 12, 0.3)
-    mesh = ccd.CollisionMesh.from_arrays([(vertices, faces)] * 2, vertex_world=np.arange(72) // 3 % 2)
-    return Worlds(mesh, mesh.vertices.copy(), mesh.vertices + 0.2 * rng.standard_normal((72, 3)))
+    mesh = ccd.CollisionMesh.from_arrays([soup(rng, 12, 0.3)] * 2, vertex_world=np.arange(72) // 3 % 2)
+    return mesh, mesh.vertices, mesh.vertices + 0.2 * rng.standard_normal((72, 3))
 
 
-SCENES = [
-    in_one_place,
-    far_apart,
-    of_very_different_sizes,
-    vertices_that_have_flown_away,
-    of_a_wall_much_larger_than_what_moves,
-    seen_from_a_place_that_is_none_of_theirs,
-    with_numbers_left_out,
-    of_vertices_that_take_turns,
-]
+SIZES = 10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290])
+SCENES = {
+    "in one place": lambda: worlds(24),
+    "far apart": far_apart,
+    "of very different sizes": lambda: worlds(10, sizes=SIZES),
+    "vertices that have flown away": vertices_that_have_flown_away,
+    "of a wall much larger than what moves": of_a_wall_much_larger_than_what_moves,
+    "with numbers left out": lambda: worlds(4, numbers=np.array([0, 3, 9, 40])),
+    "of vertices that take turns": of_vertices_that_take_turns,
+}
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=lambda make: make.__name__)
-def scene(request):
-    return request.param()
-
-
-def quantized(scene, positions=None):
+def quantized(mesh, *frames, positions=None):
     """Lower and upper corners of the AABBs of all vertices at both ends, in quantized coordinates, [V, 2, 3] each."""
-    mesh = scene.mesh
-    topology = Topology(mesh, DEVICE)
-    quantization = choose_quantization(topology, positions or (scene.start, scene.end), 2)
-    every = wp.array(np.arange(mesh.num_vertices), dtype=wp.int32)
-    active = wp.ones(mesh.num_bodies, dtype=wp.int32)
-    aabbs = wp.empty(mesh.num_vertices * 16, dtype=wp.float32)
-    frames = [wp.array(x, dtype=wp.vec3d) for x in (scene.start, scene.end)]
-    inputs = [every, *topology.of_vertices(active), *frames, 1.0, 0.0, topology.box_radius, quantization.packed, 2]
-    Execution(DEVICE, 1).launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
+    with wp.ScopedDevice("cpu") as device:
+        topology = Topology(mesh, device)
+        quantization = choose_quantization(topology, positions or frames, 2)
+        every = wp.array(np.arange(mesh.num_vertices), dtype=wp.int32)
+        inputs = [every, *topology.of_vertices(wp.ones(mesh.num_bodies, dtype=wp.int32))]
+        inputs += [*(wp.array(x, dtype=wp.vec3d) for x in frames), 1.0, 0.0, topology.box_radius]
+        aabbs = wp.empty(mesh.num_vertices * 16, dtype=wp.float32)
+        inputs += [quantization.packed, 2]
+        Execution(device, 1).launch(fill_vertex_aabbs, mesh.num_vertices, inputs=inputs, outputs=[aabbs])
     corners = aabbs.numpy().reshape(-1, 2, 2, 4)[..., :3]
     return corners[:, :, 0], -corners[:, :, 1]
 
 
-def test_all_boxes_of_a_world_lie_in_its_cell(scene):
+@pytest.mark.parametrize("name", SCENES)
+def test_all_boxes_of_a_world_lie_in_its_cell_and_what_is_apart_keeps_its_order(name):
+    mesh, *frames = SCENES[name]()
+    middle = world_lattice(mesh.num_worlds)[mesh.vertex_world][:, None]
+    assert len(np.unique(middle.reshape(-1, 3), axis=0)) == len(np.unique(mesh.vertex_world))
     # at the positions of the step, and as a launch has it, which knows those of the mesh alone
-    for positions in (None, (scene.mesh.vertices, scene.mesh.vertices)):
-        lower, upper = quantized(scene, positions)
-        num_worlds = scene.mesh.num_worlds
-        middle = world_lattice(num_worlds)[scene.mesh.vertex_world][:, None]
+    for positions in ((mesh.vertices, mesh.vertices), None):
+        lower, upper = quantized(mesh, *frames, positions=positions)
         assert np.isfinite(lower).all() and (lower <= upper).all()
         distance = np.maximum(np.abs(lower - middle), np.abs(upper - middle)).max()
-        assert distance < 0.99 * 2.0 ** -(lattice_bits(num_worlds) + 1)
-        assert len(np.unique(middle.reshape(-1, 3), axis=0)) == len(np.unique(scene.mesh.vertex_world))
-
-
-def test_what_is_apart_keeps_its_order_in_each_world(scene):
-    lower, upper = quantized(scene)
-    exact = np.stack([scene.start, scene.end], axis=1)
-    for world in np.unique(scene.mesh.vertex_world):
-        rows = np.flatnonzero(scene.mesh.vertex_world == world)
+        assert distance < 0.99 * 2.0 ** -(lattice_bits(mesh.num_worlds) + 1)
+    exact = np.stack(frames, axis=1)
+    for world in np.unique(mesh.vertex_world):
+        rows = np.flatnonzero(mesh.vertex_world == world)
         for axis in range(3):
             order = np.argsort(exact[rows, :, axis], axis=None)
-            for corners in (lower, upper):
-                assert (np.diff(corners[rows, :, axis].ravel()[order]) >= 0).all()
+            assert all((np.diff(corners[rows, :, axis].ravel()[order]) >= 0).all() for corners in (lower, upper))
 
 
-def test_every_world_has_the_pairs_that_it_has_alone(scene):
-    mesh = scene.mesh
-    bodies = [
-        (mesh.vertices[begin:end], mesh.faces[mesh.face_body == body] - begin)
-        for body, (begin, end) in enumerate(zip(mesh.body_vertex_range, mesh.body_vertex_range[1:], strict=False))
-    ]
-    together = ccd.CollisionMesh.from_arrays(bodies, static=np.flatnonzero(mesh.static))
-    world = {"vertex_face": (mesh.vertex_world, mesh.vertex_world[mesh.faces[:, 0]])}
-    world["edge_edge"] = (mesh.vertex_world[mesh.edges[:, 0]],) * 2
-    everything = dict(zip(("vertex_face", "edge_edge"), brute_force(together, scene.start, scene.end), strict=False))
-    for broad_phase in ("tree", "hash"):
-        found = ccd.find_candidates(mesh, scene.start, scene.end, device="cpu", broad_phase=broad_phase).sorted()
-        for kind, (one, other) in world.items():
-            expected = [(i, j) for i, j in everything[kind] if one[i] == other[j]]
-            assert list(map(tuple, getattr(found, kind).tolist())) == expected
-
-
-def test_both_drivers_and_broad_phases_give_the_same_results(scene):
-    frames = scene.start, scene.end
-    results = {}
-    for broad_phase in ("tree", "hash"):
-        pipeline = ccd.CollisionPipeline(scene.mesh, device="cpu", broad_phase=broad_phase, max_pairs=1 << 15)
-        results[broad_phase] = pipeline.mesh_ccd(*frames), pipeline.launch(*frames).to_host()
-    for name in ("vertex_toi", "body_toi", "world_toi", "vertex_contact", "body_contact", "world_contact"):
-        of_drivers = zip(*results.values(), strict=True)
-        on_host, launched = ([getattr(result, name) for result in of_driver] for of_driver in of_drivers)
-        assert np.array_equal(*on_host) and np.array_equal(*launched), name
-        assert scene.hides_gaps or np.array_equal(on_host[0], launched[0]), name
-
-
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_boxes_of_static_bodies_stay_right_while_all_else_moves_away(broad_phase):
-    rng = np.random.default_rng(7)
-    bodies = [soup(rng, 4, 0.3), soup(rng, 1, 0.5)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], self_collision=False).replicate(6)
-    moves = ~mesh.static[mesh.vertex_body]
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", broad_phase=broad_phase)
-    for shift in (0.0, 0.3, -0.9, 2.5):
-        start, end = mesh.vertices.copy(), mesh.vertices.copy()
-        start[moves] += shift
-        end[moves] -= shift
-        expected = ccd.CollisionPipeline(mesh, device="cpu", broad_phase=broad_phase).mesh_ccd(start, end)
-        assert shift == 0.0 or len(expected.contacts)
-        for result in (pipeline.mesh_ccd(start, end), pipeline.launch(start, end).to_host()):
-            assert np.array_equal(result.vertex_toi, expected.vertex_toi)
-
-
-def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
-    """A point passes a wall in each of 20 worlds; later one wall stands far away, and one moves, which is refused."""
-    face = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
-    bodies = [(np.array([[0.0, 0, 1]]), np.zeros((0, 3), dtype=int)), (face, [[0, 1, 2]])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], codimensional_points=True).replicate(20)
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-    start = mesh.vertices.copy()
-    down = np.where(mesh.static[mesh.vertex_body][:, None], 0.0, [0, 0, -2])
-    for elsewhere in ([], [13], [4], []):
-        x = start.copy().reshape(20, 4, 3)
-        x[elsewhere, 1:, 0] += 9.0
-        found = pipeline.mesh_ccd(x, x + down.reshape(20, 4, 3)).world_toi
-        assert np.array_equal(np.flatnonzero(np.isinf(found)), elsewhere) and found.min() == pytest.approx(0.5)
-    end = start + down
-    end[4 * 17 + 2] += 0.1
-    with pytest.raises(ValueError, match=r"vertex 1 of body 35 .* \(row 70\)"):
-        pipeline.mesh_ccd(start, end)
-
-
-def test_the_earliest_contact_of_each_world():
-    scene = worlds(NUM_SAMPLES)
-    result = ccd.mesh_ccd(scene.mesh, scene.start, scene.end, device="cpu")
-    assert result.world_contact.dtype == np.int32 and result.world_contact.shape == (NUM_SAMPLES,)
-    for world, k in enumerate(result.world_contact):
-        of_world = np.flatnonzero(result.contacts.world == world)
-        assert k == (of_world[np.argmin(result.contacts.toi[of_world])] if len(of_world) else -1)
-        assert (k < 0) == np.isinf(result.world_toi[world])
-    assert 0 < (result.world_contact >= 0).sum() < NUM_SAMPLES
-
-
-def extents(scene):
+def extents(mesh, *frames):
     """The longest side of each world, as a share of its cell."""
-    lower, upper = quantized(scene)
-    rows = [scene.mesh.vertex_world == world for world in range(scene.mesh.num_worlds)]
+    lower, upper = quantized(mesh, *frames)
+    rows = [mesh.vertex_world == world for world in range(mesh.num_worlds)]
     sides = [(upper[at].max(axis=(0, 1)) - lower[at].min(axis=(0, 1))).max() for at in rows]
-    return np.array(sides) * 2.0 ** lattice_bits(scene.mesh.num_worlds)
+    return np.array(sides) * 2.0 ** lattice_bits(mesh.num_worlds)
 
 
 @pytest.mark.parametrize("count", [NUM_SAMPLES - 3, NUM_SAMPLES, 4 * NUM_SAMPLES])
-def test_the_part_of_a_cell_that_a_world_takes_is_the_same_for_any_number_of_worlds(count):
+def test_worlds_take_like_parts_of_their_cells_whatever_their_number_and_sizes(count):
     """With samples at a fixed distance all of them were the first vertex of a world, and the scene had no extent."""
     mesh = ccd.CollisionMesh.from_arrays([soup(np.random.default_rng(5), 40, 0.01)]).replicate(count)
-    assert (abs(np.log2(extents(Worlds(mesh, mesh.vertices, mesh.vertices))) + 4) < 2).all()
-
-
-def test_worlds_of_all_sizes_take_like_parts_of_their_cells():
-    part = extents(worlds(7, sizes=10.0 ** np.array([-9, -3, 0, 0, 0, 2, 9])))
+    assert (abs(np.log2(extents(mesh, mesh.vertices, mesh.vertices)) + 4) < 2).all()
+    part = extents(*worlds(7, sizes=10.0 ** np.array([-9, -3, 0, 0, 0, 2, 9])))
     assert part.max() < 16 * part.min() and part.min() > 1 / 64
 
 

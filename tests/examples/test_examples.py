@@ -1,174 +1,230 @@
-"""Every example runs as it stands, from any folder, and prints what it promises."""
+"""Every example runs in a short form and finds what it is there to show: by its own count, with CCD and without."""
 
-import math
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from conftest import loaded_example
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+NUMBER = r"(-?[\d.,]+(?:e-?\d+)?)"
 
 
-def _run(name: str, folder: Path, *arguments: str) -> str:
-    command = [sys.executable, str(EXAMPLES / name), *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+class Example(NamedTuple):
+    """A short form of an example, and what it has to print.
+
+    Attributes:
+        arguments: Those of its command line.
+        printed: Patterns in the order of its output, `#` for a number.
+        promised: What has to be true of these numbers.
+        needs: Packages without which it is skipped.
+        constants: Values of names of the module that make the scene a small one.
+    """
+
+    arguments: str
+    printed: tuple[str, ...]
+    promised: Callable[..., bool]
+    needs: tuple[str, ...] = ()
+    constants: tuple[tuple[str, Any], ...] = ()
 
 
-def _number(text: str, label: str) -> float:
-    found = re.search(rf"^{label}\s+([^\s,]+)", text, flags=re.MULTILINE)
-    assert found, f"{label!r} is not in:\n{text}"
-    return float(found[1])
+TABLE = {
+    # never later than the exact 0.5, and earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9
+    "bullet_through_wall": Example(
+        "", ("start of the step: MISS", "end of the step:   MISS", "toi = #"), lambda toi: 0.5 - 1e-6 <= toi <= 0.5
+    ),
+    # δ = 1e-4 over the speed 9, and the bisection's box
+    "bullet_2d": Example(
+        "",
+        ("bisection  toi = #", "gap <= #, # boxes", "clipping   toi = #", "# steps"),
+        lambda early, gap, boxes, toi, steps: (
+            0.5 - 1e-4 <= early <= toi <= 0.5 and gap <= 1e-4 and steps < boxes < 1000
+        ),
+    ),
+    # a vertex of the small ball, which comes from the left, and a face of the large one: the normal points to the left
+    "mesh_against_mesh": Example(
+        "",
+        (
+            "toi = #, vertex # of the small ball and face # of the large ball",
+            "normal .#",
+            "step +#, # i",
+            "step +#, # i",
+        ),
+        lambda toi, vertex, face, normal, step, free, _, crossing: (
+            0.0 < step < toi < 1.0 and vertex < 642 and face >= 1280 and normal < -0.9 and free == 0 < crossing
+        ),
+    ),
+    # with toi the error is in proportion to the size of a step, without it the derivative is 1
+    "bounce_gradient": Example(
+        "",
+        ("\n   25 +# +#", "\n  200 +# +#", "true +#"),
+        lambda few, one, many, same, true: abs(few - true) < 0.02 and abs(many - true) < 0.005 and one == same == 1.0,
+    ),
+    "aim": Example("--throws 60", ("# of # throws hit on time",), lambda hit, throws: hit == throws == 60),
+    "cloth_drop": Example(
+        "--frames 9 --resolution 17",
+        ("with CCD: # of 9 frames with intersections", "without CCD: # of 9"),
+        lambda with_ccd, without: with_ccd == 0 < without,
+        needs=("igl.copyleft.cgal",),
+    ),
+    # in a strict search no vertex rises; with a fraction of the gap at the start hardly any distance is left
+    "two_layers": Example(
+        "--frames 24 --resolution 9",
+        (
+            "frames, # with inter",
+            "least distance # mm, after the lift # mm",
+            "lifted by # mm.* rose by #",
+            "frames, # with",
+        ),
+        lambda crossing, least, then, lift, rise, without: (
+            crossing == 0 < without and min(least, then) > 1.0 - 1e-9 and abs(rise - lift) < 1e-9
+        ),
+    ),
+    "fsi_membrane": Example(
+        "--frames 52 --resolution 10",
+        ("with CCD: # of # particles are below", "without CCD: # of"),
+        lambda below, particles, without: below == 0 and without > 0.5 * particles,
+    ),
+    # the straight way, through the walls, is 6 long, and a string through the windows 7.06
+    "many_worlds": Example(
+        "--generations 20",
+        (
+            "with CCD, generation 19: # ways of 1000 seem free, the best costs #",
+            "without CCD, generation 19: .* costs #",
+        ),
+        lambda free, cost, without: free > 0 and 7.0 < cost < 7.2 and without == 6.0,
+    ),
+    "dice": Example(
+        "--frames 40 --dice 4",
+        (
+            "with CCD: # of 40 frames with penetrations, turns of up to # rad.* in the end # mm/s",
+            "without CCD: # of 40",
+        ),
+        lambda with_ccd, turn, speed, without: with_ccd == 0 < without and turn > 1.0 and speed < 10.0,
+    ),
+    "rotor": Example(
+        "--frames 26 --grains 60",
+        ("arcs +# times a grain got into a blade, in # turns", "waited for # frames", "chords +# times"),
+        lambda arcs, turns, waited, chords: arcs == 0 < chords and turns > 0.2 and waited < 0.1,
+    ),
+    # it stops at the distance kept, never beyond; a nut of another pitch jams when the clearance is used up
+    "nut_on_bolt": Example(
+        "",
+        ("sits on the head after # turns, # by its lengths", "up: # steps", "too fast: it jams after # turns"),
+        lambda turns, expected, up, jams: expected - 1e-3 < turns <= expected and up > 0 and 0.5 < jams < 2.0,
+        constants=(("BOLT_TURNS", 6), ("NUT_TURNS", 2), ("START", 2)),
+    ),
+    "robot_path": Example(
+        "--edges 100 --seed 3",
+        ("configurations, # edges", "# edges are free; the others go on to # of", "the path has # edges"),
+        lambda edges, free, part, path: 0.1 * edges < free < 0.9 * edges and 0.0 < part < 1.0 and path > 1,
+    ),
+    "barrier_solver": Example(
+        "--frames 4",
+        ("with CCD: 4 frames, # with faces that cross", "least distance # mm", "without CCD: 4 frames, # with"),
+        lambda with_ccd, least, without: with_ccd == 0 < least and without > 0,
+        needs=("skfem", "igl.copyleft.cgal"),
+        constants=(("CELLS", (1, 2, 20)),),
+    ),
+    # both stop where the next step is below a tolerance, and converge; small differences grow once the strip buckles
+    "barrier_ipctk": Example(
+        "--frames 2",
+        ("ccd_warp: 2 frames, # with faces that cross", "ipctk: 2 frames, # with faces", "at most # mm apart"),
+        lambda ours, theirs, apart: ours == theirs == 0 and apart < 1.0,
+        needs=("skfem", "igl.copyleft.cgal", "ipctk"),
+    ),
+    "valve": Example(
+        "--frames 24",
+        ("with CCD: 24 frames, # with crossings", "without CCD: 24 frames, # with crossings"),
+        lambda with_ccd, without: with_ccd == 0 < without,
+        needs=("skfem",),
+        constants=(("COLUMNS", 36), ("ROWS", 12), ("SEGMENTS", 20)),
+    ),
+    "newton_cloth": Example(
+        "--frames 6 --resolution 16",
+        ("iterations # of .* plate, # of 6 f", "end +# of .* plate, # of 6 f", "newton +# of # vertices end below"),
+        lambda below, crossing, also, too, newton, vertices: (
+            newton == vertices and below == crossing == also == too == 0
+        ),
+        needs=("newton",),
+    ),
+    "mpi_cloth": Example(
+        "--frames 10 --resolution 11",
+        ("# vertices, 10 frames", "# frames with intersecting faces", "fingerprint of all positions [0-9a-f]{16}"),
+        lambda vertices, crossing: vertices == 121 and crossing == 0,
+    ),
+}
 
 
-FEM = ("barrier_ipctk", "barrier_solver", "valve")
-NAMES = sorted(path.stem for path in EXAMPLES.glob("*.py") if path.stem != "key_frames")
-
-
-def _refused(name: str, monkeypatch, *arguments: str) -> SystemExit:
-    """How an example ends that does not get to run."""
-    for module in {"newton_cloth": ["newton"], "barrier_ipctk": ["skfem", "ipctk"]}.get(
-        name, ["skfem"] * (name in FEM)
-    ):
-        pytest.importorskip(module, reason="an extra is not installed")
-    monkeypatch.setattr(sys, "argv", [name, *arguments])
-    monkeypatch.syspath_prepend(EXAMPLES)  # one example imports another
-    with loaded_example(name) as module:
-        if arguments[0] == "--output":
-            monkeypatch.setattr(module, "find_spec", lambda _: None)
-        with pytest.raises(SystemExit) as error:
-            module.main()
-    return error.value
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_an_example_is_read_in_ten_minutes_and_says_how_long_it_takes(name, monkeypatch, capsys):
-    lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
-    assert len(lines) <= 200 and re.search(r"\btakes\b", "\n".join(lines[:30]))
-    if name == "mpi_cloth":  # in a process of its own, as MPI starts with its import
-        done = subprocess.run([sys.executable, EXAMPLES / "mpi_cloth.py", "--help"], capture_output=True, text=True)
+def _printed(name: str, example: Example, monkeypatch, capsys) -> str:
+    """What a short form prints, in this process where MPI does not start with it."""
+    arguments = example.arguments.split()
+    if name == "mpi_cloth":
+        command = [sys.executable, EXAMPLES / "mpi_cloth.py", *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
         if "needs mpi4py and an MPI" in done.stderr:
             pytest.skip("no MPI")
-        text = done.stdout
-    else:
-        assert _refused(name, monkeypatch, "--help").code == 0
-        text = capsys.readouterr().out
-    assert "--output" in text and re.search(r"\d s\b|some\s+seconds|minute", text)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+    for module in example.needs:
+        pytest.importorskip(module, reason="an extra is not installed")
+    monkeypatch.syspath_prepend(EXAMPLES)  # one example imports another
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    with loaded_example(name) as module:
+        vars(module).update(example.constants)
+        module.main()
+    return "\n" + capsys.readouterr().out
 
 
-# the extras of newton and of finite elements have that of pictures, and MPI starts with the import of its example
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in ("newton_cloth", "mpi_cloth", *FEM)])
-def test_a_picture_without_its_extra_is_refused_by_the_name_of_the_extra(name, monkeypatch, capsys, tmp_path):
-    assert _refused(name, monkeypatch, "--output", str(tmp_path)).code == 2
-    assert "pip install 'ccd-warp[viz]'" in capsys.readouterr().err
+@pytest.mark.parametrize("name", TABLE)
+def test_an_example_shows_what_it_is_there_for(name, monkeypatch, capsys):
+    printed, numbers = _printed(name, TABLE[name], monkeypatch, capsys), []
+    rest = printed
+    for pattern in TABLE[name].printed:
+        found = re.search(pattern.replace("#", NUMBER), rest)
+        assert found, f"{pattern!r} is not in:\n{printed}"
+        numbers += [float(number.rstrip(",.").replace(",", "")) for number in found.groups()]
+        rest = rest[found.end() :]
+    assert TABLE[name].promised(*numbers), printed
 
 
-@pytest.mark.parametrize(("name", "module"), [("newton_cloth", "newton"), ("mpi_cloth", "mpi4py")])
-def test_what_cannot_run_without_an_extra_names_it(name, module, monkeypatch):
-    monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(SystemExit, match=r"pip install 'ccd-warp\["), loaded_example(name):
-        pass
+def test_every_example_is_in_the_table_is_read_in_ten_minutes_and_says_how_long_it_takes():
+    assert {path.stem for path in EXAMPLES.glob("*.py")} == {*TABLE, "key_frames"}
+    for name in TABLE:
+        lines = (EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()
+        assert len(lines) <= 200 and re.search(r"\btakes\b", "\n".join(lines[:30])), name
 
 
-def test_no_example_is_left_out():
-    assert {path.name for path in EXAMPLES.glob("*.py")} == {
-        "aim.py",
-        "barrier_ipctk.py",
-        "barrier_solver.py",
-        "bounce_gradient.py",
-        "bullet_2d.py",
-        "bullet_through_wall.py",
-        "cloth_drop.py",
-        "dice.py",
-        "fsi_membrane.py",
-        "key_frames.py",
-        "many_worlds.py",
-        "mesh_against_mesh.py",
-        "mpi_cloth.py",
-        "newton_cloth.py",
-        "nut_on_bolt.py",
-        "robot_path.py",
-        "rotor.py",
-        "two_layers.py",
-        "valve.py",
-    }
+def test_key_frames_of_both_runs_are_drawn_into_a_new_folder(monkeypatch, tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    monkeypatch.setattr(sys, "argv", f"dice --frames 2 --dice 2 --output {tmp_path / 'new' / 'folder'}".split())
+    with loaded_example("dice") as module:
+        module.main()
+    drawn = image.open(tmp_path / "new" / "folder" / "dice.png")
+    assert drawn.size == (2 * 360, 2 * 300) and len(drawn.convert("RGB").getcolors(1 << 16)) > 50
 
 
-def test_key_frames_of_both_runs_are_drawn_from_any_folder(tmp_path):
-    output = _run("dice.py", tmp_path, "--frames", "2", "--dice", "2", "--output", "new/folder")
-    assert len(re.findall(r"^with(?:out)? CCD: \d of 2 frames", output, re.M)) == 2
-    image = pytest.importorskip("PIL.Image").open(tmp_path / "new" / "folder" / "dice.png")
-    assert image.size == (2 * 360, 2 * 300)  # two frames of two runs
-    assert len(image.convert("RGB").getcolors(1 << 16)) > 50
-
-
-def test_bullet_through_wall(tmp_path):
-    output = _run("bullet_through_wall.py", tmp_path, "--output", str(tmp_path))
-    assert (tmp_path / "bullet_through_wall.png").stat().st_size > 10_000
-    assert re.search(r"test at the start of the step:\s+MISS", output)
-    assert re.search(r"test at the end of the step:\s+MISS", output)
-    toi = _number(output, r"CCD over the whole step:\s+toi =")
-    # Never later than the exact 0.5; earlier by at most the tolerance 1e-6 of the motion's 9 units over the speed 9.
-    assert 0.5 - 1e-6 <= toi <= 0.5
-
-
-def test_bounce_gradient(tmp_path):
-    output = _run("bounce_gradient.py", tmp_path)
-    truth = _number(output, "true")
-    for steps, error in ((25, 0.02), (200, 0.005)):  # in proportion to the size of a step
-        assert _number(output, rf"\s+{steps}") == pytest.approx(truth, abs=error)
-        assert float(re.search(rf"^\s+{steps}\s+\S+\s+(\S+)", output, re.MULTILINE)[1]) == 1.0
-
-
-def test_aim(tmp_path):
-    output = _run("aim.py", tmp_path, "--throws", "60")
-    assert "60 of 60 throws hit on time" in output
-
-
-def test_bullet_2d(tmp_path):
-    output = _run("bullet_2d.py", tmp_path)
-    for method in ("bisection", "clipping"):
-        # Never later than the exact 0.5; earlier by at most δ = 1e-4 over the speed 9, and the bisection's box.
-        assert 0.5 - 1e-4 <= _number(output, rf"{method}\s+toi =") <= 0.5
-        assert _number(output, rf"{method}.* at") == 0.5 and _number(output, rf"{method}.*gap <=") <= 1e-4
-    steps = {name: int(re.search(rf"(\d+) {name}", output)[1]) for name in ("boxes", "steps")}
-    assert steps["steps"] < steps["boxes"] < 1000
-
-
-def test_mesh_against_mesh(tmp_path):
-    output = _run("mesh_against_mesh.py", tmp_path, "--output", str(tmp_path))
-    toi, step = _number(output, "first contact +toi ="), _number(output, "free step")
-    assert 0.0 < step < toi < 1.0
-    assert _number(output, "contacts") >= 1
-    # a vertex of the small ball, which comes from the left, and a face of the large one: the normal points to the left
-    found = re.search(r", vertex (\d+) of the small ball and face (\d+) of the large ball$", output, re.M)
-    vertex, face = map(int, found.groups())
-    assert vertex < 642 and face >= 1280
-    normal = [float(number) for number in re.search(r"normal \((.*)\)", output)[1].split(", ")]
-    assert normal[0] < -0.9 and math.isclose(math.hypot(*normal), 1.0, abs_tol=1e-3)
-    assert re.search(r"^free step .* 0 intersections", output, re.M)
-    assert int(re.search(r"^whole step .* (\d+) intersections", output, re.M)[1]) > 0
-    assert (tmp_path / "mesh_against_mesh.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize("name", ["bullet", "cloth"])
-def test_demo_scenes_are_what_their_titles_say(name):
-    from ccd_warp._cli.demo import bullet_scene, cloth_scene, static_test, surfaces_intersect
-
-    scene = {"bullet": bullet_scene, "cloth": cloth_scene}[name]()
-    moving, static = scene.bodies
-    assert static.is_static and not moving.is_static
-    if name == "bullet":
-        assert static_test(scene.bodies) == (False, False)
-        middle = moving.vertices_t0 + 0.5 * (moving.vertices_t1 - moving.vertices_t0)
-        assert surfaces_intersect(middle, moving.faces, static.vertices_t0, static.faces)
-    else:
-        assert 10_000 <= len(moving.faces) <= 11_000
-        assert math.isclose(float(abs(static.vertices_t0).max()), 1.0)
-        # It starts outside the sphere and ends with vertices inside.
-        assert (moving.vertices_t0**2).sum(axis=1).min() > 1.0
-        assert (moving.vertices_t1**2).sum(axis=1).min() < 0.9
+@pytest.mark.parametrize(
+    ("name", "missing", "arguments", "extra"),
+    [
+        ("dice", "", "--output new", "viz"),
+        ("bullet_2d", "", "--output new", "viz"),
+        ("newton_cloth", "newton", "", "newton"),
+        ("mpi_cloth", "mpi4py", "", "mpi"),
+        ("barrier_solver", "skfem", "", "examples"),
+        ("valve", "skfem", "", "examples"),
+    ],
+)
+def test_what_is_missing_is_named_with_its_extra(name, missing, arguments, extra, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [name, *arguments.split()])
+    if missing:
+        monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(SystemExit) as error, loaded_example(name) as module:
+        monkeypatch.setattr(module, "find_spec", lambda _: None)
+        module.main()
+    assert re.search(rf"pip install (-e )?'(ccd-warp|\.)\[{extra}\]'", f"{error.value} {capsys.readouterr().err}")

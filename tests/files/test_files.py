@@ -1,220 +1,187 @@
 """Reading frames: nothing is rounded, merged or reordered unless the format calls for it."""
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
+from mesh_files import FACES, VERTICES, exported, of_meshio, ply, read, text_ply, whole
 
-from ccd_warp._files.frames import InputError, read_frames, read_static, write_mesh
+import ccd_warp as ccd
 
-
-@pytest.fixture
-def ball():
-    """A sphere whose coordinates need all 53 bits."""
-    mesh = trimesh.creation.icosphere(subdivisions=1, radius=1.0 / 3.0)
-    return np.asarray(mesh.vertices) + np.pi, np.asarray(mesh.faces)
-
-
-def _export(path, vertices, faces, **options):
-    trimesh.Trimesh(vertices, faces, process=False).export(path, **options)
-    return path
+TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+# A sphere whose coordinates need all 53 bits.
+_SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=1.0 / 3.0)
+BALL, BALL_FACES = np.asarray(_SPHERE.vertices) + np.pi, np.asarray(_SPHERE.faces).astype(np.int32)
 
 
-def _float32(vertices):
-    return vertices.astype(np.float32).astype(np.float64)
+def _text(rows) -> str:
+    return "\n".join(" ".join(map(repr, row)) for row in rows.tolist())
 
 
-def test_binary_ply_in_double_precision_keeps_every_bit(tmp_path, ball):
-    vertices, faces = ball
-    write_mesh(tmp_path / "a.ply", vertices, faces)
-    write_mesh(tmp_path / "b.ply", vertices + 0.1, faces)
-    body = read_frames(tmp_path / "a.ply", tmp_path / "b.ply")
-    assert np.array_equal(body.vertices_t0, vertices)
-    assert np.array_equal(body.vertices_t1, vertices + 0.1)
-    assert np.array_equal(body.faces, faces)
-    assert not body.merged and not body.is_static
-
-
-def test_ascii_ply_in_double_precision_keeps_every_bit(tmp_path, ball):
-    vertices, faces = ball
-    rows = "\n".join(" ".join(map(repr, row)) for row in vertices.tolist())
-    triangles = "\n".join("3 " + " ".join(map(str, row)) for row in faces.tolist())
-    text = (
-        f"ply\nformat ascii 1.0\nelement vertex {len(vertices)}\nproperty double x\nproperty double y\n"
-        f"property double z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-        f"{rows}\n{triangles}\n"
-    )
-    (tmp_path / "a.ply").write_text(text)
-    body = read_frames(tmp_path / "a.ply", tmp_path / "a.ply")
-    assert np.array_equal(body.vertices_t0, vertices)
-    assert np.array_equal(body.faces, faces)
-
-
-def _obj(vertices, faces, corner="{0}"):
-    lines = ["v " + " ".join(map(repr, row)) for row in vertices.tolist()]
-    lines += [f"vt 0.{k} 0.5" for k in range(len(vertices))]
-    lines += [f"vn 0 {k} 1" for k in range(len(vertices))]
+def _obj(vertices, faces, corner="{0}") -> str:
+    """With a material and a texture seam at every other face, where trimesh would split vertices and sort faces."""
+    rows = [f"v {row}" for row in _text(vertices).splitlines()]
+    rows += [f"vt 0.{k} 0.5\nvn 0 {k} 1" for k in range(len(vertices))]
     for k, row in enumerate(faces.tolist()):
-        # A material and a texture seam at every other face: trimesh alone would split vertices and sort faces.
-        lines.append(f"usemtl {'red' if k % 2 else 'blue'}")
-        lines.append("f " + " ".join(corner.format(v + 1, k % 7 + 1) for v in row))
-    return "mtllib none.mtl\no ball\n" + "\n".join(lines) + "\n"
+        rows += [f"usemtl {'red' if k % 2 else 'blue'}", "f " + " ".join(corner.format(v + 1, k % 7 + 1) for v in row)]
+    return "\n".join(["mtllib none.mtl", "o ball", *rows, ""])
 
 
-@pytest.mark.parametrize("corner", ["{0}", "{0}/{1}", "{0}//{1}", "{0}/{1}/{1}"])
-def test_obj_keeps_every_bit_and_its_own_vertices(tmp_path, ball, corner):
-    vertices, faces = ball
-    (tmp_path / "a.obj").write_text(_obj(vertices, faces, corner))
-    (tmp_path / "b.obj").write_text(_obj(vertices * 1.5, faces, corner))
-    body = read_frames(tmp_path / "a.obj", tmp_path / "b.obj")
-    assert np.array_equal(body.vertices_t0, vertices)
-    assert np.array_equal(body.vertices_t1, vertices * 1.5)
-    assert np.array_equal(body.faces, faces)
+def _of_cells(name):
+    def write(vertices, faces):
+        meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]))
+
+    return write
 
 
-def test_obj_vertex_without_a_face_keeps_its_number(tmp_path):
-    (tmp_path / "a.obj").write_text("v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 2 3 4\n")
-    body = read_static(tmp_path / "a.obj")
-    assert body.vertices_t0.shape == (4, 3)
-    assert body.faces.tolist() == [[1, 2, 3]]
+FORMATS = {
+    "binary.ply": ply,
+    "text.ply": text_ply,
+    "a.off": lambda *mesh: f"OFF\n{len(mesh[0])} {len(mesh[1])} 0\n" + text_ply(*mesh).partition("end_header\n")[2],
+    **{
+        f"{k}.obj": lambda *mesh, c=c: _obj(*mesh, c)
+        for k, c in enumerate(("{0}", "{0}/{1}", "{0}//{1}", "{0}/{1}/{1}"))
+    },
+    **{name: _of_cells(name) for name in ("a.vtu", "a.vtk")},
+}
 
 
-def test_off_reads_text_doubles(tmp_path, ball):
-    vertices, faces = ball
-    rows = "\n".join(" ".join(map(repr, row)) for row in vertices.tolist())
-    triangles = "\n".join("3 " + " ".join(map(str, row)) for row in faces.tolist())
-    (tmp_path / "a.off").write_text(f"OFF\n{len(vertices)} {len(faces)} 0\n{rows}\n{triangles}\n")
-    body = read_frames(tmp_path / "a.off", tmp_path / "a.off")
-    assert np.array_equal(body.vertices_t0, vertices)
-    assert np.array_equal(body.faces, faces)
+def _frames(folder, name, start, end=None, **options):
+    """What is read of two files with these contents."""
+    paths = [folder / f"{time} {name}" for time in ("start", "end")]
+    for path, data in zip(paths, (start, start if end is None else end), strict=True):
+        path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return ccd.read_frames(*paths, **options)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_bit_and_every_vertex_comes_as_the_file_has_it(tmp_path, name):
+    frames = _frames(tmp_path, name, *(FORMATS[name](x, BALL_FACES) for x in (BALL, 1.5 * BALL)))
+    assert np.array_equal(frames.vertices_t0, BALL) and np.array_equal(frames.vertices_t1, 1.5 * BALL)
+    assert np.array_equal(frames.mesh.faces, BALL_FACES) and not frames.num_merged.any()
+
+
+def test_vertices_of_an_indexed_format_stay_what_they_are(tmp_path):
+    """Those that touch are two, and those in no face keep their numbers."""
+    text = _obj(np.zeros((7, 3)), np.array([[1, 2, 3], [4, 5, 6]]))
+    frames = _frames(tmp_path, "a.obj", text)
+    assert len(frames.vertices_t0) == 7 and frames.mesh.faces.tolist() == [[1, 2, 3], [4, 5, 6]]
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
-def test_stl_corners_are_merged_by_the_map_of_the_start(tmp_path, ball, kind):
-    vertices, faces = ball
-    moved = vertices * [1.0, 2.0, 3.0]
-    start = _export(tmp_path / "a.stl", vertices, faces, file_type=kind)
-    end = _export(tmp_path / "b.stl", moved, faces, file_type=kind)
-    body = read_frames(start, end)
-    assert len(body.vertices_t0) == len(vertices)
-    assert body.merged == 3 * len(faces) - len(vertices)
-    if kind == "stl":  # STL holds single precision
-        assert np.array_equal(body.vertices_t0[body.faces], _float32(vertices)[faces])
-        assert np.array_equal(body.vertices_t1[body.faces], _float32(moved)[faces])
-    corners = body.vertices_t0[body.faces].reshape(-1, 3)
-    assert np.array_equal(corners[body.source_index], body.vertices_t0)
+def test_stl_corners_are_merged_by_the_map_of_the_start(tmp_path, kind):
+    moved = BALL * [1.0, 2.0, 3.0]
+    frames = _frames(tmp_path, "a.stl", *(exported(kind, x, BALL_FACES) for x in (BALL, moved)))
+    assert len(frames.vertices_t0) == len(BALL) and frames.num_merged.tolist() == [3 * len(BALL_FACES) - len(BALL)]
+    for found, x in ((frames.vertices_t0, BALL), (frames.vertices_t1, moved)):
+        corners = found[frames.mesh.faces].reshape(-1, 3)
+        assert np.array_equal(corners[frames.source_index], found)
+        if kind == "stl":  # which holds single precision
+            assert np.array_equal(corners, x.astype(np.float32)[BALL_FACES].reshape(-1, 3))
 
 
-def test_stl_that_tears_is_refused(tmp_path, ball):
-    vertices, faces = ball
-    start = _export(tmp_path / "a.stl", vertices, faces)
-    corners = vertices[faces].reshape(-1, 3)
-    corners[5] += 1.0
-    end = _export(tmp_path / "b.stl", corners, np.arange(len(corners)).reshape(-1, 3))
-    with pytest.raises(InputError, match=r"b\.stl: corner \d of face \d+ leaves corner .*save both frames"):
-        read_frames(start, end)
-
-
-def test_stl_frame_with_a_ply_frame_is_refused(tmp_path, ball):
-    vertices, faces = ball
-    start = _export(tmp_path / "a.stl", vertices, faces)
-    end = _export(tmp_path / "b.ply", vertices, faces)
-    with pytest.raises(InputError, match=r"a\.stl and .*b\.ply .*same format"):
-        read_frames(start, end)
-
-
-def test_glb_puts_the_parts_of_a_scene_in_place(tmp_path, ball):
-    vertices, faces = ball
-    scene = trimesh.Scene()
-    shift = np.eye(4)
-    shift[:3, 3] = [10.0, 0.0, 0.0]
-    scene.add_geometry(trimesh.Trimesh(vertices, faces, process=False), geom_name="a")
-    scene.add_geometry(trimesh.Trimesh(vertices, faces, process=False), geom_name="b", transform=shift)
-    scene.export(tmp_path / "a.glb")
-    body = read_frames(tmp_path / "a.glb", tmp_path / "a.glb")
-    assert body.faces.shape == (2 * len(faces), 3)
-    expected = np.vstack([_float32(vertices), _float32(vertices) + [10.0, 0.0, 0.0]])
-    found = body.vertices_t0[np.lexsort(body.vertices_t0.T)]
-    assert np.array_equal(found, expected[np.lexsort(expected.T)])
-
-
-def test_glb_copies_of_a_vertex_at_a_seam_become_one(tmp_path, ball):
-    vertices, faces = ball
-    corners = vertices[faces].reshape(-1, 3)
-    start = _export(tmp_path / "a.glb", corners, np.arange(len(corners)).reshape(-1, 3))
-    end = _export(tmp_path / "b.glb", corners * 2.0, np.arange(len(corners)).reshape(-1, 3))
-    body = read_frames(start, end)
-    assert len(body.vertices_t0) == len(vertices)
-    assert len(read_static(start).vertices_t0) == len(vertices)
+def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(tmp_path):
+    """Within a node alone: of two nodes that coincide they are two bodies in contact."""
+    corners, scene = BALL[BALL_FACES].reshape(-1, 3), trimesh.Scene()
+    for name, offset in (("left", 0.0), ("right", 10.0), ("same", 10.0)):
+        mesh = trimesh.Trimesh(corners, np.arange(len(corners)).reshape(-1, 3), process=False)
+        place = trimesh.transformations.translation_matrix([offset, 0, 0])
+        scene.add_geometry(mesh, geom_name=name, node_name=name, transform=place)
+    frames = _frames(tmp_path, "a.glb", scene.export(file_type="glb"))
+    assert {*frames.mesh.names} == {"left", "right", "same"} and frames.mesh.num_faces == 3 * len(BALL_FACES)
+    for body, name in enumerate(frames.mesh.names):
+        found = frames.vertices_t0[frames.mesh.vertex_body == body]
+        expected = BALL.astype(np.float32).astype(np.float64) + [10.0 * (name != "left"), 0, 0]
+        assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0)) and len(found) == len(BALL)
 
 
 def test_glb_vertices_that_touch_and_part_stay_two(tmp_path):
-    square = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 0], [-1, 0, 0], [0, -1, 0]], dtype=float)
-    parted = square.copy()
-    parted[3:] -= 1.0
-    faces = np.arange(6).reshape(-1, 3)
-    start, end = _export(tmp_path / "a.glb", square, faces), _export(tmp_path / "b.glb", parted, faces)
-    assert len(read_frames(start, end).vertices_t0) == 6
+    start, faces = np.vstack([TRIANGLE, -TRIANGLE]), np.arange(6).reshape(-1, 3)
+    contents = [exported("glb", x, faces) for x in (start, start - (np.arange(6) > 2)[:, None])]
+    assert len(_frames(tmp_path, "a.glb", *contents).vertices_t0) == 6
+    assert len(_frames(tmp_path, "a.glb", contents[0]).vertices_t0) == 5
 
 
-def test_touching_vertices_of_an_indexed_format_stay_two(tmp_path):
-    corners = np.zeros((6, 3))
-    write_mesh(tmp_path / "a.ply", corners, np.arange(6).reshape(-1, 3))
-    assert len(read_static(tmp_path / "a.ply").vertices_t0) == 6
-
-
-def test_static_body_is_the_same_at_both_ends(tmp_path, ball):
-    vertices, faces = ball
-    write_mesh(tmp_path / "a.ply", vertices, faces)
-    body = read_static(tmp_path / "a.ply")
-    assert body.is_static
-    assert np.array_equal(body.vertices_t0, body.vertices_t1)
-
-
-def test_different_counts_name_both_files_and_their_counts(tmp_path, ball):
-    vertices, faces = ball
-    write_mesh(tmp_path / "a.ply", vertices, faces)
-    write_mesh(tmp_path / "b.ply", vertices[:4], np.array([[0, 1, 2], [1, 2, 3]]))
-    with pytest.raises(InputError, match=r"a\.ply has 42 vertices and 80 faces, .*b\.ply has 4 vertices and 2 faces"):
-        read_frames(tmp_path / "a.ply", tmp_path / "b.ply")
-
-
-def test_different_faces_name_the_first(tmp_path, ball):
-    vertices, faces = ball
-    write_mesh(tmp_path / "a.ply", vertices, faces)
-    write_mesh(tmp_path / "b.ply", vertices, np.vstack([faces[:7], faces[7:][::-1]]))
-    with pytest.raises(InputError, match="face 7 is"):
-        read_frames(tmp_path / "a.ply", tmp_path / "b.ply")
-
-
-def test_missing_file(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere\.ply: no such file"):
-        read_static(tmp_path / "nowhere.ply")
-
-
-@pytest.mark.parametrize("name", ["a.ply", "a.obj", "a.stl", "a.off", "a.glb", "a.xyz_unknown", "a"])
-def test_unreadable_file(tmp_path, name):
-    (tmp_path / name).write_text("this is no mesh\n")
-    with pytest.raises(InputError, match=name) as caught:
-        read_static(tmp_path / name)
+@pytest.mark.parametrize(
+    "start, end, message",
+    [
+        ("ball.ply", "few.ply", r"ball\.ply has 42 vertices and 80 faces, .*few\.ply has 4 vertices and 2 faces"),
+        (
+            "ball.ply",
+            "order.ply",
+            r"differs: face 7 is \[.*\] in .*ball\.ply and \[.*\] in .*order\.ply \(72 of 80",
+        ),
+        ("ball.stl", "ball.ply", r"ball\.stl and .*ball\.ply .*save both frames in the same format"),
+        ("ball.stl", "torn.stl", r"torn\.stl: corner \d of face \d+ leaves corner .*save both frames"),
+        ("ball.ply", "none.ply", r"none\.ply: no such file"),
+        ("ball.ply", 7, "end_path is 7; expected a path"),
+    ],
+)
+def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, message):
+    corners, soup = BALL[BALL_FACES].reshape(-1, 3), np.arange(240).reshape(-1, 3)
+    torn = corners + (np.arange(240) == 5)[:, None]
+    for name, data in {
+        "ball.ply": ply(BALL, BALL_FACES),
+        "few.ply": ply(BALL[:4], [[0, 1, 2], [1, 2, 3]]),
+        "order.ply": ply(BALL, np.vstack([BALL_FACES[:7], BALL_FACES[7:][::-1]])),
+        "ball.stl": exported("stl", BALL, BALL_FACES),
+        "torn.stl": exported("stl", torn, soup),
+    }.items():
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(ValueError, match=message) as caught:
+        ccd.read_frames(tmp_path / start, tmp_path / end if isinstance(end, str) else end)
     assert "\n" not in str(caught.value)
 
 
-def test_points_without_faces(tmp_path):
-    (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\n")
-    with pytest.raises(InputError, match="holds no triangles"):
-        read_static(tmp_path / "a.obj")
+# ---- Files of cells --------------------------------------------------------------------------------------------------
 
 
-def test_face_index_out_of_range(tmp_path):
-    write_mesh(tmp_path / "a.ply", np.eye(3), np.array([[0, 1, 3]]))
-    with pytest.raises(InputError, match=r"face 0 is \[0, 1, 3\], but the file has 3 vertices"):
-        read_static(tmp_path / "a.ply")
+def test_all_pieces_of_a_vtu_are_read(tmp_path):
+    data, faces = whole("text.vtu"), read(tmp_path / "a.vtu", whole("text.vtu"))[1].tolist()
+    piece = re.search(rb"<Piece.*</Piece>", data, re.DOTALL)[0]
+    assert faces == [*FACES[:5].tolist(), [9, 1, 10], [9, 10, 0]]  # the quadrilateral as two
+    both = read(tmp_path / "a.vtu", data.replace(piece, 2 * piece))
+    assert both[1].tolist() == faces + [[corner + len(VERTICES) for corner in face] for face in faces]
+    beyond = re.sub(rb"\b0\s+1\s+2\b", b"0 12 2", piece, count=1)
+    (tmp_path / "a.vtu").write_bytes(data.replace(piece, beyond + piece))
+    with pytest.raises(ValueError, match="its piece of 12 vertices lacks"):
+        ccd.read_frames(tmp_path / "a.vtu", tmp_path / "a.vtu")
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_position_that_is_not_finite(tmp_path, value):
-    vertices = np.eye(3)
-    vertices[1, 2] = value
-    write_mesh(tmp_path / "a.ply", vertices, np.array([[0, 1, 2]]))
-    with pytest.raises(InputError, match=r"vertex 1 is .*not finite"):
-        read_static(tmp_path / "a.ply")
+CUBE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], dtype=float)
+_RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
+QUADRATIC = {  # corners of the cube, and the ends of the edges with a node in the middle
+    "triangle6": ([0, 1, 2], [(0, 1), (1, 2), (2, 0)]),
+    "quad8": ([0, 1, 2, 3], _RING),
+    "tetra10": ([0, 1, 3, 4], [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]),
+    "hexahedron20": (range(8), [*_RING, *((a + 4, b + 4) for a, b in _RING), *((a, a + 4) for a in range(4))]),
+}
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "vtk", "xdmf"])
+@pytest.mark.parametrize("kind", QUADRATIC)
+def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path, kind, suffix):
+    """One cell with straight edges; at the end of the step a node is a tenth off the middle of its edge."""
+    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    points, edges = CUBE[list(QUADRATIC[kind][0])], np.array(QUADRATIC[kind][1])
+    start = np.concatenate([points, points[edges].mean(axis=1)])
+    end = start - [0, 0, 3.0]
+    end[len(points)] += [0.25, -0.1, 0.0]  # along the edge, and off it
+    paths = [tmp_path / f"{name}.{suffix}" for name in ("start", "end")]
+    for path, x in zip(paths, (start, end), strict=True):
+        meshio.Mesh(x, [(kind, np.arange(len(start))[None])]).write(path)
+    is_solid = kind in ("tetra10", "hexahedron20")
+    said = f"^cells of start.{suffix}: quadratic ones .* up to 0.1 off these, the longest"
+    with pytest.warns(RuntimeWarning, match=said):
+        frames = ccd.read_frames(*paths, surface=is_solid)
+    linear = ccd.CollisionMesh.from_volume(points, {kind.rstrip("01268"): np.arange(len(points))[None]})
+    assert np.array_equal(frames.mesh.faces, linear.faces)
+    assert frames.mesh.inner_vertices.tolist() == list(range(len(points), len(start)))
+    with pytest.warns(RuntimeWarning, match="quadratic ones"):
+        sequence = ccd.read_sequence(paths, surface=is_solid, static=paths[:1])
+    assert len(sequence.mesh.inner_vertices) == 2 * len(edges) and np.array_equal(sequence[1][: len(end)], end)
+    if is_solid:
+        with pytest.raises(ValueError, match=f"holds cells of the type {kind}; expected triangles and quads"):
+            ccd.read_frames(*paths)

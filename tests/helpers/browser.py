@@ -3,7 +3,6 @@
 import base64
 import itertools
 import json
-import math
 import os
 import select
 import shutil
@@ -16,26 +15,10 @@ from pathlib import Path
 from typing import Any
 
 # Any of these will do: `apt-get install chromium` has the first.
-_NAMES = (
-    "chromium",
-    "chromium-browser",
-    "chromium-headless-shell",
-    "google-chrome",
-    "google-chrome-stable",
-    "chrome-headless-shell",
-)
-_ARGUMENTS = (
-    "--headless",
-    "--remote-debugging-pipe",
-    "--no-sandbox",  # it cannot run as root otherwise, as in most containers; the page is our own
-    "--disable-gpu",
-    "--disable-dev-shm-usage",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--no-first-run",
-    "--hide-scrollbars",
-    "--force-color-profile=srgb",
-)
+_NAMES = "chromium chromium-browser chromium-headless-shell google-chrome google-chrome-stable".split()
+# Without a sandbox, as it cannot run as root otherwise, which it does in most containers; the page is our own.
+_ARGUMENTS = """--headless --remote-debugging-pipe --no-sandbox --disable-gpu --disable-dev-shm-usage --hide-scrollbars
+--disable-background-networking --disable-component-update --no-first-run --force-color-profile=srgb""".split()
 _SECONDS = 120.0  # for an answer; a start on a busy machine takes some seconds
 
 
@@ -138,45 +121,9 @@ class Page:
             raise RuntimeError(answer["exceptionDetails"]["exception"]["description"])
         return answer["result"].get("value")
 
-    def number(self, name: str) -> float:
-        """A number as an element shows it, with all the digits of its value; NaN where it shows none."""
-        text = self.evaluate(f"document.getElementById({json.dumps(name)}).value")
-        return float(text) if text else math.nan
-
     def wait_for_frame(self) -> None:
         """Wait until the page has drawn what it was told."""
         self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
-
-    def centre_of(self, name: str) -> tuple[float, float]:
-        """Scroll to an element, and return the middle of it in the window."""
-        box = f"document.getElementById({json.dumps(name)})"
-        self.evaluate(f"{box}.scrollIntoView({{block: 'center', behavior: 'instant'}})")
-        x, y, w, h = self.evaluate(f"(r => [r.x, r.y, r.width, r.height])({box}.getBoundingClientRect())")
-        return x + 0.5 * w, y + 0.5 * h
-
-    def _mouse(self, kind: str, x: float, y: float) -> None:
-        buttons = {"mousePressed": 1, "mouseReleased": 0}.get(kind, 1)
-        self.send("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=buttons, clickCount=1)
-
-    def drag(self, name: str, dx: float, dy: float) -> None:
-        """Press the mouse on an element, move it by so many pixels, and release it."""
-        x, y = self.centre_of(name)
-        self._mouse("mousePressed", x, y)
-        for k in (1, 2, 3):
-            self._mouse("mouseMoved", x + dx * k / 3, y + dy * k / 3)
-        self._mouse("mouseReleased", x + dx, y + dy)
-
-    def click(self, name: str) -> None:
-        x, y = self.centre_of(name)
-        self._mouse("mousePressed", x, y)
-        self._mouse("mouseReleased", x, y)
-
-    def press(self, key: str, *, count: int = 1) -> None:
-        """Press a key such as ArrowLeft, Tab or End where the focus is."""
-        code = {"Tab": 9, "End": 35, "Home": 36, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40}[key]
-        for _ in range(count):
-            for kind in ("keyDown", "keyUp"):
-                self.send("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=code)
 
     def picture(self, path: Path, *, clip: tuple[float, float, float, float]) -> None:
         """Write a part of the page, given by its left, top, width and height, as a PNG."""

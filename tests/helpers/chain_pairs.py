@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, replace
 from itertools import product
 
-import arc_contacts
-import arc_paths
-import arc_search
-import arcs
-import chain_paths
 import numpy as np
-from arc_pairs import COUNTS, directions, unit, weights
-from arc_paths import StraightPath
-from arc_samples import Long, distances, turned
-from chain_paths import ChainJoint, ChainPath
-from kept import kept
+from chain_paths import ChainJoint, chain
+from laws.trajectories import Trajectory, straight
+from laws.turning import COUNTS, directions, turned, unit, weights
 
+Long = np.longdouble
 NUM_JOINTS = 7
 
 
@@ -26,7 +19,7 @@ class ChainPairs:
     """Pairs of one kind on two links of one arm, which moves otherwise in each pair; or on a link and at rest.
 
     Attributes:
-        kind: One of `arc_pairs.KINDS`; the vertex is on side A.
+        kind: One of `KINDS` of pairs that turn; the vertex is on side A.
         points_a, points_b: In the frames of the links, float64, shape [n, points, 3].
         joints: Kinds of the joints from the root on, "revolute" or "prismatic".
         origins: Of the joints in the frames of their parents, position and quaternion (x, y, z, w), shape [J, 7].
@@ -52,25 +45,12 @@ class ChainPairs:
         return len(self.points_a)
 
 
-def paths_of(pairs: ChainPairs, k: int) -> list[ChainPath | StraightPath]:
-    """The exact trajectories of a pair."""
+def trajectories_of(pairs: ChainPairs, k: int) -> list[Trajectory]:
+    """Those of a pair."""
     ends = np.stack([pairs.q0[k], pairs.q1[k]], axis=1)
-    chain = [ChainJoint(*rest, ends=q) for *rest, q in zip(pairs.joints, pairs.origins, pairs.axes, ends, strict=True)]
+    joints = [ChainJoint(*rest, ends=q) for *rest, q in zip(pairs.joints, pairs.origins, pairs.axes, ends, strict=True)]
     rows = ((pairs.points_a[k], pairs.link_a), (pairs.points_b[k], pairs.link_b))
-    return [ChainPath(local, chain[:link]) if link else StraightPath(local, local) for local, link in rows]
-
-
-def solve(pairs: ChainPairs) -> arcs.Answers:
-    """The answers of a set of pairs."""
-    return arcs.solve(pairs, paths_of)
-
-
-# The answers of an earlier run are looked up.
-answers = kept(
-    solve,
-    *(arc_paths, arc_contacts, arc_search, arcs, chain_paths, sys.modules[__name__]),
-    question_of=lambda pairs: vars(pairs).items(),
-)
+    return [chain(local, joints[:link]) if link else straight(local, local) for local, link in rows]
 
 
 def positions(pairs: ChainPairs, side: int, t: np.ndarray) -> np.ndarray:
@@ -85,13 +65,8 @@ def positions(pairs: ChainPairs, side: int, t: np.ndarray) -> np.ndarray:
         else:
             along = axis * (x * axis).sum(axis=-1, keepdims=True)
             x = along + (x - along) * np.cos(angle) + np.cross(axis, x) * np.sin(angle)
-        x = pairs.origins[k, :3] + turned(pairs.origins[k, 3:].astype(Long), x)
+        x = pairs.origins[k, :3] + turned(unit(pairs.origins[k, 3:].astype(Long)), x)
     return x
-
-
-def gaps(pairs: ChainPairs, t: np.ndarray) -> np.ndarray:
-    """Distances less that which counts as contact, at times of each pair, shape [n, times]."""
-    return distances(pairs.kind, positions(pairs, 0, t), positions(pairs, 1, t)) - pairs.distance
 
 
 def random_chain_pairs(
@@ -110,7 +85,7 @@ def random_chain_pairs(
     """Pairs of the last link of an arm with another one, of which a good half touches.
 
     Args:
-        kind: One of `arc_pairs.KINDS`.
+        kind: One of `KINDS` of pairs that turn.
         turn: By how much each joint turns at most, in radians.
         other: The other link, by the number of joints before it.
         slides: Whether the fourth joint slides.
@@ -157,19 +132,3 @@ def chain_sets(each: int) -> dict[str, ChainPairs]:
             kind, len(sets), each, turn=turn, other=other, slides=turn == 0.5, distance=0.01 if turn == 2.0 else 0.0
         )
     return sets
-
-
-def hostile_chain_sets(each: int) -> dict[str, ChainPairs]:
-    """Arms that hardly move, turn many times, or stand far away, links that move as one, contact at the end."""
-    families = {
-        "hardly moving": {"turn": 1e-6},
-        "many turns": {"turn": 20.0},
-        "far away": {"far": 1e6},
-        "as one": {"turn": 2.0, "other": 4, "relative": 1e-6},
-        "contact at the end": {"time": 1.0},
-    }
-    return {
-        f"{kind}, {name}": random_chain_pairs(kind, 100 + k, each, **options)
-        for k, (name, options) in enumerate(families.items())
-        for kind in ("vertex-face", "edge-edge")
-    }

@@ -1,8 +1,8 @@
 """Pairs of primitives on the links of an arm as a mesh, each in a world of its own, for one call."""
 
 import numpy as np
-from arc_worlds import _BODIES
 from chain_pairs import ChainPairs
+from laws.turning import SPACE
 
 import ccd_warp as ccd
 
@@ -18,7 +18,7 @@ def step_of(pairs: ChainPairs) -> tuple[ccd.CollisionMesh, ccd.JointMotion, dict
     """Mesh, motion and options of a call for pairs of one kind; ``world_toi`` is the toi of each pair."""
     n, sides = len(pairs), [pairs.points_a, pairs.points_b]
     mesh = ccd.CollisionMesh.from_arrays(
-        [_BODIES[side.shape[1]](side[k]) for k in range(n) for side in sides],
+        [SPACE[side.shape[1]](side[k]) for k in range(n) for side in sides],
         rigid=range(2 * n),
         codimensional_points=True,
         vertex_world=np.repeat(np.arange(n), sum(side.shape[1] for side in sides)),

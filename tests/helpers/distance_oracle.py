@@ -170,55 +170,49 @@ def is_within(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, distance:
     return _is_within(_features(kind, corners, d), Root(*float(t).as_integer_ratio()))
 
 
-def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> float:
-    """Euclidean distance of one query at the time t: rational until the root, which is rounded."""
+def _closest(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> tuple[list[int], int]:
+    """The vector between the closest points of the two primitives at t, times an integer, and that integer."""
     p0, p1 = validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
     p, q = float(t).as_integer_ratio()
     corners, scale = _lines(kind, p0[0], p1[0], 1.0, 1.0)
-    least = None
-    at = Root(p, q)
-    # the features of K for D = 0: the foot is where it is for every distance
-    for feature in _features(kind, corners, 0):
-        if at.sign_of(feature.proper) > 0 and all(at.sign_of(poly) >= 0 for poly in feature.inside):
-            numerator, denominator = (
-                sum((Fraction(c) * Fraction(p, q) ** m for m, c in enumerate(poly)), Fraction(0))
-                for poly in (feature.within, feature.proper)
-            )
-            squared = numerator / denominator / scale**2
-            least = squared if least is None else min(least, squared)
-    # the quotient of two integers with 2**200 in the numerator keeps more digits than the root needs
-    bits = 2 * max(0, 200 + (least.denominator.bit_length() - least.numerator.bit_length()) // 2)
-    root = math.isqrt((least.numerator << bits) // least.denominator)
-    return float(Fraction(root, 1 << (bits // 2)))
-
-
-def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> list[Fraction]:
-    """The vector from the closest point of the second primitive to that of the first at the time t, rational."""
-    p0, p1 = validated(kind, np.asarray(points_t0)[None], np.asarray(points_t1)[None])
-    corners, scale = _lines(kind, p0[0], p1[0], 1.0, 1.0)
-    time = Fraction(*float(t).as_integer_ratio())
-    at = [[Fraction(a) + time * b for a, b in zip(*line, strict=True)] for line in corners]
-    gaps = list(at)  # the nearest points of the features, as far as these hold them
+    at = [[q * a + p * b for a, b in zip(*line, strict=True)] for line in corners]
+    gaps = [(v, 1) for v in at]  # the nearest points of the features, as far as these hold them
     for i, j in PAIRS[kind]:
         side = _apart(at[j], at[i])
-        along = _inner(side, side)
-        if along and 0 <= -_inner(at[i], side) <= along:
-            gaps.append([a - _inner(at[i], side) / along * s for a, s in zip(at[i], side, strict=True)])
+        along, to_foot = _inner(side, side), -_inner(at[i], side)
+        if along and 0 <= to_foot <= along:
+            gaps.append(([along * a + to_foot * s for a, s in zip(at[i], side, strict=True)], along))
     for i, j, m in TRIANGLES[kind]:
         a, b, c = at[i], at[j], at[m]
         normal = _crossed(_apart(b, a), _apart(c, a))
         if any(normal) and all(_inner(_crossed(x, y), normal) >= 0 for x, y in ((a, b), (b, c), (c, a))):
-            gaps.append([_inner(a, normal) / _inner(normal, normal) * n for n in normal])
-    return [x / scale for x in min(gaps, key=lambda gap: _inner(gap, gap))]
+            gaps.append(([_inner(a, normal) * n for n in normal], _inner(normal, normal)))
+    gap, length = min(gaps, key=lambda gap: Fraction(_inner(gap[0], gap[0]), gap[1] ** 2))
+    return gap, length * scale * q
 
 
-def _inner(a: list[Fraction], b: list[Fraction]) -> Fraction:
-    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
+def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> float:
+    """Euclidean distance of one query at the time t: rational until the root, which is rounded."""
+    gap, length = _closest(kind, points_t0, points_t1, t)
+    square = Fraction(_inner(gap, gap), length**2)
+    # the quotient of two integers with 2**200 in the numerator keeps more digits than the root needs
+    bits = 2 * max(0, 200 + (square.denominator.bit_length() - square.numerator.bit_length()) // 2)
+    return float(Fraction(math.isqrt((square.numerator << bits) // square.denominator), 1 << (bits // 2)))
 
 
-def _apart(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> list[Fraction]:
+    """The vector from the closest point of the second primitive to that of the first at the time t, rational."""
+    gap, length = _closest(kind, points_t0, points_t1, t)
+    return [Fraction(x, length) for x in gap]
+
+
+def _inner(a: list[int], b: list[int]) -> int:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _apart(a: list[int], b: list[int]) -> list[int]:
     return [x - y for x, y in zip(a, b, strict=True)]
 
 
-def _crossed(a: list[Fraction], b: list[Fraction]) -> list[Fraction]:
+def _crossed(a: list[int], b: list[int]) -> list[int]:
     return [a[k - 2] * b[k - 1] - a[k - 1] * b[k - 2] for k in range(3)]

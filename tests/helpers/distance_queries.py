@@ -1,4 +1,4 @@
-"""Queries with a Euclidean distance, random and hostile, against the exact oracle.
+"""Queries against the exact oracles, in the norm and with the options of the call: what is missed, late or too early.
 
 A query fails if it is
 
@@ -10,68 +10,87 @@ A query fails if it is
 - gap: the reported bound of the gap is below the exact one.
 """
 
-from __future__ import annotations
-
-from collections import Counter
-
 import numpy as np
-from ccd_warp.benchmarks.methods import SOLVE
-from ccd_warp.benchmarks.query_sets import size_of_motion
 from distance_oracle import exact_distance
-from exact import exact_distance_tois
+from exact import exact_distance_tois, exact_tois
 from hard_cases import FAMILIES
+from oracle import exact_gap
 
 import ccd_warp as ccd
 
 UNIT_ROUNDOFF = {"float64": 2.0**-53, "float32": 2.0**-24}
+SOLVE = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
+SOLVE |= {"point-segment": ccd.point_segment_ccd, "point-point": ccd.point_point_ccd}
 # Kinds, and the dimensions in which they are defined.
-KINDS = (
-    ("vertex-face", 3),
-    ("edge-edge", 3),
-    ("point-segment", 2),
-    ("point-segment", 3),
-    ("point-point", 2),
-    ("point-point", 3),
-)
-PLAIN = ("random", "random_colliding")
+KINDS = (("vertex-face", 3), ("edge-edge", 3))
+KINDS += tuple((kind, dimension) for kind in ("point-segment", "point-point") for dimension in (2, 3))
 LIMITS = (ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT)
 BATCH = 50
 
 
-def check(
-    kind: str, points_t0: np.ndarray, points_t1: np.ndarray, distance: float, options: dict
-) -> tuple[list[tuple[int, str, str]], Counter]:
-    """Failures as (query, check, message), and counts, of queries with one distance."""
-    result = SOLVE[kind](points_t0, points_t1, minimum_distance=distance, **options)
-    t_max = options.get("t_max", 1.0)
-    exact = exact_distance_tois(kind, points_t0, points_t1, distance, t_max)
+def size_of(points_t0, points_t1):
+    """Longest side of the box around each query's motion: its default length scale."""
+    both = np.concatenate([points_t0, points_t1], axis=1)
+    return (both.max(axis=1) - both.min(axis=1)).max(axis=1)
+
+
+def named_vector(kind, points_t0, points_t1, result):
+    """The vector between the points that the parameters name, at toi."""
+    t = np.minimum(result.toi, 1.0)[:, None, None]
+    x = ((1 - t) * points_t0 + t * points_t1).transpose(1, 0, 2)
+    u, v = result.parameters.T[..., None]
+    if kind == "vertex-face":
+        return x[0] - ((1 - u - v) * x[1] + u * x[2] + v * x[3])
+    if kind == "edge-edge":
+        return (1 - u) * x[0] + u * x[1] - ((1 - v) * x[2] + v * x[3])
+    return x[0] - ((1 - u) * x[1] + u * x[2] if kind == "point-segment" else x[1])
+
+
+def failures(kind, points_t0, points_t1, *, checks_gap=False, **options):
+    """Failures as (query, what, numbers) of one call; its result, and the exact times."""
+    result = SOLVE[kind](points_t0, points_t1, **options)
+    size, t_max = size_of(points_t0, points_t1), options.get("t_max", 1.0)
+    length = np.full(len(size), options["length_scale"]) if "length_scale" in options else size
+    if options.get("minimum_distance"):
+        distance, gap_at, norm = np.full(len(size), options["minimum_distance"]), exact_distance, np.linalg.norm
+        exact = exact_distance_tois(kind, points_t0, points_t1, options["minimum_distance"], t_max)
+    else:
+        separation = options.get("minimum_separation", 0.0)
+        distance, gap_at = separation * length, exact_gap
+        if "length_scale" not in options and separation:
+            raise ValueError("a minimum_separation has a length_scale here")
+        exact = exact_tois(kind, points_t0, points_t1, separation * options.get("length_scale", 1.0), t_max)
+
+        def norm(vectors, axis):
+            return np.abs(vectors).max(axis=axis)
+
     unit = UNIT_ROUNDOFF[options.get("precision", "float64")]
-    size = size_of_motion(points_t0, points_t1)
-    failures = []
-    counts = Counter(queries=len(exact), contacts=sum(e.hit for e in exact), iterations=int(result.iterations.sum()))
-    for i, (truth, toi, status) in enumerate(zip(exact, result.toi.tolist(), result.status.tolist(), strict=True)):
-        counts[ccd.CCDStatus(status).name] += 1
-        if truth.hit and np.isinf(toi):
-            failures.append((i, "missed", f"exact {truth!r}, toi inf"))
+    bound = distance + options.get("tolerance", 1e-6) * length + 100 * unit * (size + distance)
+    # what the kernel reports as a gap is formed from a distance that it has rounded up by 16 u
+    reported = (distance + result.gap) * (1 + 32 * unit) + 5e-324
+    with np.errstate(all="ignore"):  # no pair is farther apart than two of its points
+        near = norm(named_vector(kind, points_t0, points_t1, result), axis=1)
+        near += 2.0**-46 * np.abs([points_t0, points_t1]).max(axis=(0, 2, 3))
+        is_inside = (result.parameters >= 0).all(axis=1) & (result.parameters.max(axis=1) <= 1)
+        is_inside &= (kind != "vertex-face") | (result.parameters.sum(axis=1) <= 1)
+        is_certain = is_inside & (near <= bound) & (not checks_gap)
+    found = []
+    for i, (truth, toi) in enumerate(zip(exact, result.toi.tolist(), strict=True)):
+        if truth.hit and toi == np.inf:
+            found.append((i, "missed", truth))
         elif truth.late(toi):
-            failures.append((i, "late", f"toi {toi!r} is late by {-truth.early_by(toi):.3e}"))
-        if np.isinf(toi):
+            found.append((i, "late", toi, -truth.early_by(toi)))
+        if toi == np.inf or is_certain[i]:
             continue
-        found = exact_distance(kind, points_t0[i], points_t1[i], toi)
-        rounding = 100 * unit * (size[i] + distance)
-        bound = distance + options.get("tolerance", 1e-6) * options.get("length_scale", size[i]) + rounding
-        if status not in LIMITS and found > bound:
-            failures.append((i, "phantom", f"distance {found!r} above {bound!r} at toi {toi!r}"))
-        # the reported gap is formed from a distance that the kernel has rounded up by 16 u
-        if found > (distance + result.gap[i]) * (1 + 32 * unit) + 5e-324 and result.width[i] == 0.0:
-            failures.append((i, "gap", f"distance {found!r} above {distance!r} + reported gap {result.gap[i]!r}"))
-        counts["phantoms"] += not truth.hit
-    return failures, counts
+        gap = gap_at(kind, points_t0[i], points_t1[i], toi)
+        if result.status[i] not in LIMITS and gap > bound[i]:
+            found.append((i, "phantom", toi, gap, bound[i]))
+        if checks_gap and gap > reported[i] and result.width[i] == 0.0:
+            found.append((i, "gap", toi, gap, reported[i]))
+    return found, result, exact
 
 
-def grazing(
-    kind: str, n: int, rng: np.random.Generator, dimension: int, distance: float
-) -> tuple[np.ndarray, np.ndarray]:
+def grazing(kind, n, rng, dimension, distance):
     """Random queries scaled so that the least distance of the step is the given one, up to rounding."""
     points_t0, points_t1 = FAMILIES["random"](kind, n, rng, dimension=dimension)
     for start, end in zip(points_t0, points_t1, strict=True):
@@ -89,42 +108,22 @@ def grazing(
     return points_t0, points_t1
 
 
-def run(
-    num_random: int,
-    num_hostile: int,
-    seed: int,
-    method: str = "clipping",
-    max_iterations: int = 10_000,
-) -> tuple[list, Counter]:
-    """Check batches of all kinds and both precisions, in turn, with random distances and tolerances.
+def drawn_batches(names, total, seed, **options):
+    """Batches of all kinds in turn: name, kind, points and options, with distances and tolerances of any size.
 
-    Every fifth hostile batch grazes its distance.
+    Every fifth one of hostile families grazes its distance.
     """
     rng = np.random.default_rng(seed)
-    hostile = [name for name in FAMILIES if name not in PLAIN]
-    failures: list[tuple] = []
-    counts: Counter = Counter()
-    plan = [(PLAIN, num_random), (hostile, num_hostile)]
-    for names, total in plan:
-        for number in range(-(-total // BATCH)):
-            kind, dimension = KINDS[number % len(KINDS)]
-            name = names[(number // len(KINDS)) % len(names)]
-            n = min(BATCH, total - number * BATCH)
-            points_t0, points_t1 = FAMILIES[name](kind, n, rng, dimension=dimension)
-            is_grazing = names is hostile and number % 5 == 4
-            size = float(np.median(size_of_motion(points_t0, points_t1)))
-            distance = size * float(10.0 ** rng.uniform(-6, 0) if rng.random() < 0.8 else 10.0 ** rng.uniform(-16, 1))
-            options = {"precision": str(rng.choice(["float64", "float32"])), "method": method}
-            options |= {"num_threads": 1, "tolerance": float(10.0 ** rng.uniform(-9, -3)), "t_max": 1.0}
-            options["max_iterations"] = max_iterations
-            if is_grazing:
-                name = "grazing"
-                points_t0, points_t1 = grazing(kind, n, rng, dimension, distance)
-            if rng.random() < 0.2:
-                options["t_max"] = float(rng.random())
-            if not (0.0 < distance < np.inf):
-                continue
-            found, counted = check(kind, points_t0, points_t1, distance, options)
-            counts.update(counted)
-            failures += [(name, kind, dimension, distance, options, *failure) for failure in found]
-    return failures, counts
+    for number in range(-(-total // BATCH)):
+        kind, dimension = KINDS[number % len(KINDS)]
+        name, n = names[(number // len(KINDS)) % len(names)], min(BATCH, total - number * BATCH)
+        points = FAMILIES[name](kind, n, rng, dimension=dimension)
+        size = float(np.median(size_of(*points)))
+        distance = size * float(10.0 ** rng.uniform(-6, 0) if rng.random() < 0.8 else 10.0 ** rng.uniform(-16, 1))
+        drawn = {"precision": str(rng.choice(["float64", "float32"])), "tolerance": float(10.0 ** rng.uniform(-9, -3))}
+        if len(names) > 2 and number % 5 == 4:
+            name, points = "grazing", grazing(kind, n, rng, dimension, distance)
+        if rng.random() < 0.2:
+            drawn["t_max"] = float(rng.random())
+        if 0.0 < distance < np.inf:
+            yield name, kind, points, drawn | {"minimum_distance": distance, "num_threads": 1} | options

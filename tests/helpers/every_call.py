@@ -1,8 +1,11 @@
-"""Every public function, with arguments that it takes: what tests of bad arguments change one by one."""
+"""Every public call with arguments that it takes, made from its signature: what tests of bad arguments change."""
 
 import functools
 import inspect
 import json
+import tempfile
+import typing
+from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -13,80 +16,67 @@ from ccd_warp import datasets, viz
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 FACE = np.array([[0, 1, 2]])
 CABLE = np.array([[1.0, 1, 5], [2, 1, 5], [3, 3, 9]])
-MESH = ccd.CollisionMesh.from_arrays(
-    [(TRIANGLE, FACE), (CABLE, np.zeros((0, 3), int), [[0, 1]])], codimensional_points=True
-)
+MESH = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, FACE[:0], [[0, 1]])], codimensional_points=True)
 MESH_AND_STATIC = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, FACE[:0])], static=[1])
 START = np.concatenate([TRIANGLE, CABLE])
-END = np.concatenate([TRIANGLE + [0.0, 0, 8], CABLE])
+END = START + np.repeat([[0.0, 0, 8], [0, 0, 0]], 3, axis=0)
 POINTS_T0 = np.concatenate([CABLE[:1], TRIANGLE])[None]
 POINTS_T1 = POINTS_T0 + [[[0.0, 0, 0], [0, 0, 8], [0, 0, 8], [0, 0, 8]]]
-RESULT = ccd.mesh_ccd(MESH, START, END, device="cpu")
-PIPELINE = ccd.CollisionPipeline(MESH, device="cpu")
+RESULT = ccd.mesh_ccd(MESH, START, END)
+PIPELINE = ccd.CollisionPipeline(MESH)
+POSES = np.array([[[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]], [[0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]])
+AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
+MOTION, MAPS = ccd.RigidMotion(*POSES), ccd.AffineMotion(AFFINE, 2.0 * AFFINE)
+JOINT = {"name": "turn", "parent": "base", "child": "arm", "kind": "revolute", "axis": [0.0, 0, 1]}
 QUERIES = datasets.Queries("a", "vertex-face", POINTS_T0, POINTS_T1, np.array([True]), (("a.csv", 1),))
 STEP = datasets.SimulationStep(START, END, FACE.astype(np.int32))
 
-OPTIONS = {
-    "tolerance": 1e-6,
-    "minimum_separation": 0.0,
-    "minimum_distance": 0.0,
-    "start_gap_fraction": None,
-    "t_max": 1.0,
-    "max_iterations": 1000,
-    "length_scale": None,
-    "precision": "float64",
-    "method": "clipping",
-    "device": "cpu",
-    "num_threads": 1,
+# What a parameter of a name is given, wherever a call takes it and says nothing else.
+VALUES = {
+    **{"tolerance": 1e-6, "minimum_separation": 0.0, "minimum_distance": 0.0, "start_gap_fraction": None, "t_max": 1.0},
+    **{"max_iterations": 1000, "length_scale": None, "precision": "float64", "method": "clipping", "device": None},
+    **{"num_threads": 1, "max_work": 1000, "broad_phase": "hash", "pair_kinds": None, "memory_limit": None},
+    **{"mesh": MESH, "vertices_t0": START, "vertices_t1": END, "positions": START, "motion": None},
+    **{"inflation": 0.0, "distance": 0.1, "search_radius": 0.1, "check_start": False, "per": "scene", "safety": 0.5},
+    **{"max_rounds": 16, "num_rounds": 4, "max_pairs": 4096, "max_contacts": 4096, "vertices": START, "count": 2},
+    **{"bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])], "others": [(CABLE, FACE[:0])], "cells": {"triangle": FACE}},
+    **{"static": [1], "kinematic": [], "rigid": [], "self_collision": True, "codimensional_points": False},
+    **{"body_pairs": None, "exclusion_rings": 1, "exclude_pairs": {"bodies": [(0, 1)]}, "names": ["face", "cable"]},
+    **{"vertex_world": np.zeros(6, dtype=int), "radius": np.full(6, 0.125), "point": np.zeros(3)},
+    **{"normal": np.array([0.0, 0, 1]), "poses_t0": POSES[0], "poses_t1": POSES[1], "path": "linear", "pivot": None},
+    **{"twist": None, "t": 0.5, "affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE, "points": CABLE},
+    **{
+        "body": np.array([0, 1, 1]),
+        "gradient": ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, bool)),
+    },
+    **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "kind": None, "truth": None, "progress": False},
+    **{"surface": False, "split": False, "max_bytes": 10**6, "displacement": None, "faces": None, "base": None},
+    **{"packages": None, "result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
+    **{"displacements": None, "contacts": RESULT.contacts, "ids": np.array([[0, 1]]), "step": STEP, "i": 0, "k": 0},
 }
-MESH_OPTIONS = OPTIONS | {"max_work": 1000, "broad_phase": "tree", "pair_kinds": None, "memory_limit": None}
-AT_ONE_TIME = {"broad_phase": "hash", "pair_kinds": None, "memory_limit": None, "device": "cpu", "num_threads": 1}
-FRAMES = {"mesh": MESH, "vertices_t0": START, "vertices_t1": END}
-SEARCH = {"motion": None, "check_start": False, "per": "scene", "safety": 0.5, "max_rounds": 16}
-BODIES = {
-    "bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])],
-    "static": [1],
-    "kinematic": [],
-    "rigid": [],
-    "self_collision": True,
-    "codimensional_points": False,
-    "body_pairs": None,
-    "exclusion_rings": 1,
-    "exclude_pairs": {"bodies": [(0, 1)]},
-    "vertex_world": np.zeros(6, dtype=int),
-    "radius": np.full(6, 0.125),
-    "names": ["face", "cable"],
-}
-JOINT = {"name": "turn", "parent": "base", "child": "arm", "kind": "revolute", "axis": [0.0, 0, 1]}
-JOINT["origin"] = np.array([1.0, 0, 0, 0, 0, 0, 1])
-POSES_OF_MESH = {"poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1]] * MESH.num_bodies)}
-POSES_OF_MESH["poses_t1"] = POSES_OF_MESH["poses_t0"] + 0.25
-NO_GRADIENT = ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, dtype=bool))
-POSES = {
-    "poses_t0": np.array([[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]]),
-    "poses_t1": np.array([[0.0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]),
-}
-AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
-PICTURE = viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8))
-LAUNCHED = {"motion": None, "vertices_t0": START, "vertices_t1": END}
 
 
-def _of_arrays(**parts):
+def parameters_of(function):
+    """Names of all that a function takes, the options of its typed dictionary included."""
+    names = []
+    for name, parameter in inspect.signature(function).parameters.items():
+        if parameter.kind == parameter.VAR_KEYWORD:
+            hints = typing.get_type_hints(function.__init__ if isinstance(function, type) else function)
+            names += typing.get_args(hints[name])[0].__optional_keys__
+        elif name not in ("self", "name" if function.__name__ == "frame" else ""):  # a word for messages
+            names.append(name)
+    return sorted(names)
+
+
+def _arrays_of_a_body(**parts):
     """A mesh of one body, by its arrays."""
-    return ccd.CollisionMesh.from_arrays(
-        [(parts["vertices of body 0"], parts["faces of body 0"], parts["edges of body 0"])]
-    )
+    return ccd.CollisionMesh.from_arrays([tuple(parts[f"{name} of body 0"] for name in ("vertices", "faces", "edges"))])
 
 
 @functools.wraps(ccd.HalfSpace, updated=())
 def _half_space(**parts):
     """A mesh with a half-space, whose numbers are checked there."""
     return ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace(**parts)])
-
-
-def _points(*rows, dimension=3):
-    points = {"points_t0": POINTS_T0[:, list(rows), :dimension], "points_t1": POINTS_T1[:, list(rows), :dimension]}
-    return points | OPTIONS
 
 
 @functools.wraps(ccd.CollisionPipeline.reserve)
@@ -100,234 +90,75 @@ class Drawn(Exception):
     """Drawing was about to begin: all arguments were taken."""
 
 
-def every_call(folder):
-    """Each public function, with arguments that it takes."""
-    queries, truth, boxes = folder / "a_vf.csv", folder / "truth.json", folder / "boxes.json"
-    start, end = folder / "0.ply", folder / "1.ply"
-    picture = {
-        "mesh": MESH,
-        "vertices_t0": START,
-        "vertices_t1": END,
-        "result": RESULT,
-        "camera": None,
-        "colour": "body",
-        "motion": None,
-    }
-    return {
-        "vertex_face_ccd": (ccd.vertex_face_ccd, _points(0, 1, 2, 3)),
-        "edge_edge_ccd": (ccd.edge_edge_ccd, _points(0, 1, 2, 3)),
-        "point_segment_ccd": (ccd.point_segment_ccd, _points(0, 1, 2, dimension=2)),
-        "point_point_ccd": (ccd.point_point_ccd, _points(0, 1)),
-        "find_candidates": (
-            ccd.find_candidates,
-            FRAMES
-            | {
-                "inflation": 0.0,
-                "motion": None,
-                "broad_phase": "hash",
-                "pair_kinds": None,
-                "device": "cpu",
-                "num_threads": 1,
-            },
-        ),
-        "find_intersections": (
-            ccd.find_intersections,
-            {"mesh": MESH, "positions": START, "memory_limit": None, "device": "cpu", "num_threads": 1},
-        ),
-        "find_proximity": (
-            ccd.find_proximity,
-            {"mesh": MESH, "positions": START, "distance": 0.1} | AT_ONE_TIME,
-        ),
-        "displacement_bounds": (
-            ccd.displacement_bounds,
-            {"mesh": MESH, "positions": START, "search_radius": 0.1, "minimum_distance": 0.01} | AT_ONE_TIME,
-        ),
-        "mesh_ccd": (ccd.mesh_ccd, FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False}),
-        "mesh_ccd beside a static body": (ccd.mesh_ccd, FRAMES | {"mesh": MESH_AND_STATIC, "device": "cpu"}),
-        "collision_free_step": (
-            ccd.collision_free_step,
-            FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False},
-        ),
-        "is_step_collision_free": (
-            ccd.is_step_collision_free,
-            FRAMES | MESH_OPTIONS | {"motion": None, "check_start": False},
-        ),
-        "rigid_ccd": (
-            ccd.rigid_ccd,
-            {"mesh": MESH, "path": "linear", "pivot": None, "twist": None} | POSES_OF_MESH | MESH_OPTIONS,
-        ),
-        "line_search": (ccd.line_search, FRAMES | SEARCH | {k: MESH_OPTIONS[k] for k in MESH_OPTIONS if k != "t_max"}),
-        "from_arrays": (ccd.CollisionMesh.from_arrays, BODIES),
-        "arrays of a body": (
-            _of_arrays,
-            {"vertices of body 0": START, "faces of body 0": FACE, "edges of body 0": np.array([[3, 4], [4, 5]])},
-        ),
-        "from_volume": (
-            ccd.CollisionMesh.from_volume,
-            {name: value for name, value in BODIES.items() if name != "bodies"}
-            | {"vertices": TRIANGLE, "cells": {"triangle": FACE}, "others": [(CABLE, FACE[:0])]},
-        ),
-        "from_trimesh": (
-            ccd.CollisionMesh.from_trimesh,
-            BODIES | {"bodies": [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]},
-        ),
-        "from_instances": (
-            ccd.CollisionMesh.from_instances,
-            {name: BODIES[name] for name in ("rigid", "body_pairs", "exclude_pairs")}
-            | {"shape": trimesh.Trimesh(TRIANGLE, FACE), "count": 1, "others": [trimesh.PointCloud(CABLE)]}
-            | {name: BODIES[name] for name in ("static", "names", "radius")},
-        ),
-        "HalfSpace": (_half_space, {"point": np.zeros(3), "normal": np.array([0.0, 0.0, 1.0])}),
-        "RigidMotion": (ccd.RigidMotion, POSES | {"path": "linear", "pivot": np.array([[0.0, 5, 0], [1, 0, 2]])}),
-        "RigidMotion of a twist": (
-            ccd.RigidMotion,
-            {"poses_t0": POSES["poses_t0"], "twist": np.arange(12.0).reshape(2, 6)},
-        ),
-        "from_scalar_first": (
-            ccd.RigidMotion.from_scalar_first,
-            POSES | {"path": "linear", "pivot": None, "twist": None},
-        ),
-        "RigidMotion.shortened": (ccd.RigidMotion(**POSES).shortened, {"t": 0.5}),
-        "RigidMotion.gradient_by_poses": (ccd.RigidMotion(**POSES).gradient_by_poses, {"gradient": NO_GRADIENT}),
-        "RigidMotion.gradient_by_twist": (ccd.RigidMotion(**POSES).gradient_by_twist, {"gradient": NO_GRADIENT}),
-        "RigidMotion.at": (ccd.RigidMotion(**POSES).at, {"t": 0.5}),
-        "AffineMotion": (ccd.AffineMotion, {"affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE}),
-        "positions_t0": (ccd.AffineMotion(AFFINE, AFFINE).positions_t0, {"points": CABLE, "body": np.array([0, 1, 1])}),
-        "positions_t1": (ccd.AffineMotion(AFFINE, AFFINE).positions_t1, {"points": CABLE, "body": np.array([0, 1, 1])}),
-        "replicate": (MESH.replicate, {"count": 2}),
-        "excluding": (MESH.excluding, {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
-        "frame": (MESH.frame, {"vertices": START}),
-        "frames": (MESH.frames, {"vertices_t0": START, "vertices_t1": END}),
-        "CollisionPipeline": (
-            ccd.CollisionPipeline,
-            {"mesh": MESH} | MESH_OPTIONS | {"max_pairs": 9, "max_contacts": 9},
-        ),
-        "reserve": (_reserve, {"max_pairs": 4096, "max_contacts": 4096, "vertices": START}),
-        "launch": (PIPELINE.launch, LAUNCHED),
-        "launch of displacements": (PIPELINE.launch, {"vertices_t0": START, "displacements": END - START}),
-        "launch_line_search": (
-            PIPELINE.launch_line_search,
-            {"motion": None, "vertices_t0": START, "vertices_t1": END.copy(), "per": "scene", "safety": 0.5}
-            | {"num_rounds": 4},
-        ),
-        "pipeline.find_candidates": (
-            PIPELINE.find_candidates,
-            {"vertices_t0": START, "vertices_t1": END, "inflation": 0.0, "motion": None},
-        ),
-        "pipeline.find_intersections": (PIPELINE.find_intersections, {"positions": START}),
-        "pipeline.find_proximity": (PIPELINE.find_proximity, {"positions": START, "distance": 0.1}),
-        "pipeline.displacement_bounds": (PIPELINE.displacement_bounds, {"positions": START, "search_radius": 0.1}),
-        "launch_displacement_bounds": (
-            PIPELINE.launch_displacement_bounds,
-            {"positions": START, "search_radius": 0.1},
-        ),
-        "launch_proximity": (PIPELINE.launch_proximity, {"positions": START, "distance": 0.1}),
-        "pipeline.mesh_ccd": (
-            PIPELINE.mesh_ccd,
-            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
-        ),
-        "pipeline.collision_free_step": (
-            PIPELINE.collision_free_step,
-            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
-        ),
-        "pipeline.is_step_collision_free": (
-            PIPELINE.is_step_collision_free,
-            {"vertices_t0": START, "vertices_t1": END, "motion": None, "check_start": False},
-        ),
-        "pipeline.line_search": (PIPELINE.line_search, {"vertices_t0": START, "vertices_t1": END} | SEARCH),
-        "render_step": (viz.render_step, picture | {"path": folder / "a.png", "size": (900, 300), "t_max": 1.0}),
-        "draw_step": (viz.draw_step, picture | {"size": (900, 300), "t_max": 1.0}),
-        "show_step": (viz.show_step, picture),
-        "Picture.save": (PICTURE.save, {"path": folder / "a.png"}),
-        "to_pyvista": (viz.to_pyvista, FRAMES | {"result": RESULT, "t": 0.0, "motion": None}),
-        "contact_points": (viz.contact_points, FRAMES | {"contacts": RESULT.contacts, "motion": None}),
-        "Queries": (
-            datasets.Queries,
-            {name: getattr(QUERIES, name) for name in inspect.signature(datasets.Queries).parameters},
-        ),
-        "Queries.id": (QUERIES.id, {"i": 0}),
-        "Queries.joined": (datasets.Queries.joined, {"name": "b", "parts": [QUERIES]}),
-        "read_queries": (
-            datasets.read_queries,
-            {"path": queries, "kind": "vertex-face", "truth": None, "progress": False},
-        ),
-        "write_queries": (
-            datasets.write_queries,
-            {"path": queries, "points_t0": POINTS_T0, "points_t1": POINTS_T1, "truth": None},
-        ),
-        "Joint": (ccd.Joint, JOINT),
-        "JointMotion": (ccd.JointMotion, {"joints": [ccd.Joint(**JOINT)], "q0": [0.0], "q1": [1.0], "links": ["arm"]}),
-        "read_urdf": (ccd.read_urdf, {"path": folder / "arm.urdf", "base": None, "packages": None}),
-        "read_poses": (
-            ccd.read_poses,
-            {"mesh_path": start, "poses_path": folder / "poses.json", "path": "linear", "static": [], "kinematic": []}
-            | {"split": False, "max_bytes": 10**6},
-        ),
-        "find_queries": (datasets.find_queries, {"folder": folder, "kind": None, "progress": False}),
-        "find_steps": (datasets.find_steps, {"folder": folder}),
-        "read_frames": (
-            ccd.read_frames,
-            {
-                "start_path": start,
-                "end_path": end,
-                "static": [start],
-                "kinematic": [],
-                "self_collision": True,
-                "surface": False,
-                "split": False,
-                "max_bytes": 1000,
-            },
-        ),
-        "read_sequence": (
-            ccd.read_sequence,
-            {
-                "paths": [start, end],
-                "static": [start],
-                "kinematic": [],
-                "self_collision": True,
-                "displacement": None,
-                "faces": None,
-                "surface": False,
-                "split": False,
-                "max_bytes": 1000,
-            },
-        ),
-        "read_step": (datasets.read_step, {"start_path": start, "end_path": end, "max_bytes": 1000}),
-        "write_step": (datasets.write_step, {"start_path": start, "end_path": end, "step": STEP}),
-        "read_truth": (datasets.read_truth, {"path": truth}),
-        "write_truth": (datasets.write_truth, {"path": truth, "truth": np.array([True])}),
-        "read_boxes": (datasets.read_boxes, {"path": boxes}),
-        "write_boxes": (datasets.write_boxes, {"path": boxes, "ids": np.array([[0, 1]])}),
-        "edges_by_max": (datasets.edges_by_max, {"faces": FACE}),
-    }
-
-
-def written(folder):
-    """The files that calls read, in a folder, and the calls."""
-    datasets.write_queries(folder / "a_vf.csv", POINTS_T0, POINTS_T1)
-    datasets.write_step(folder / "0.ply", folder / "1.ply", STEP)
-    datasets.write_truth(folder / "truth.json", np.array([True]))
-    datasets.write_boxes(folder / "boxes.json", np.array([[0, 1]]))
-    pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
-    (folder / "poses.json").write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
-    (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
-    return every_call(folder)
-
-
-class Anywhere:
-    """A folder that is never looked at, to list the calls by."""
-
-    def __truediv__(self, _):
-        return self
-
-
-EVERY = [(call, argument) for call, (_, arguments) in every_call(Anywhere()).items() for argument in arguments]
-
-
-def run(function, arguments):
-    """The result, with arrays of its own to write to; None where nothing is left but to draw."""
+def run(function, arguments, changed=()):
+    """The result, with arrays of its own to write to but those that are changed; None where only drawing is left."""
     own = {name: np.array(value) if type(value) is np.ndarray else value for name, value in arguments.items()}
     try:
-        return function(**own)
+        return function(**own | dict(changed))
     except Drawn:
         return None
+
+
+def _every_call(folder):
+    """Each public call by its name: the function, and arguments that it takes."""
+    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.json"
+    datasets.write_step(start, end, STEP)
+    datasets.write_queries(folder / "a_vf.csv", POINTS_T0, POINTS_T1)
+    pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
+    poses.write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
+    (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
+    launched = ccd.CollisionPipeline(MESH).launch(START, END)
+    of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}
+    solids = [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]
+    calls = {}
+
+    def add(*functions, title="", **others):
+        for function in functions:
+            values = {n: others[n] if n in others else VALUES[n] for n in parameters_of(function)}
+            calls[title or function.__qualname__] = (function, values)
+
+    add(ccd.vertex_face_ccd, ccd.edge_edge_ccd, ccd.vertex_face_ccd(POINTS_T0, POINTS_T1).toi_gradient)
+    add(ccd.point_segment_ccd, points_t0=POINTS_T0[:, :3, :2], points_t1=POINTS_T1[:, :3, :2])
+    add(ccd.point_point_ccd, points_t0=POINTS_T0[:, :2], points_t1=POINTS_T1[:, :2])
+    add(ccd.find_candidates, ccd.find_intersections, ccd.find_proximity, ccd.displacement_bounds, ccd.mesh_ccd)
+    add(ccd.collision_free_step, ccd.is_step_collision_free, ccd.line_search, ccd.CollisionPipeline)
+    add(ccd.mesh_ccd, title="mesh_ccd beside a static body", mesh=MESH_AND_STATIC)
+    add(ccd.rigid_ccd, poses_t1=POSES[0] + 0.25)
+    add(ccd.CollisionMesh.from_arrays, ccd.CollisionMesh.from_volume, vertices=TRIANGLE)
+    add(ccd.CollisionMesh.from_trimesh, bodies=solids)
+    add(ccd.CollisionMesh.from_instances, shape=solids[0], count=1, others=solids[1:])
+    body = {"vertices of body 0": START, "faces of body 0": FACE, "edges of body 0": np.array([[3, 4], [4, 5]])}
+    calls["arrays of a body"] = _arrays_of_a_body, body
+    add(_half_space, _reserve, MESH.replicate, MESH.frame, MESH.frames, MAPS.positions_t0, MAPS.positions_t1)
+    add(MESH.excluding, exclude_pairs={"edge_edge": [[0, 1]]})
+    add(ccd.RigidMotion, pivot=np.array([[0.0, 5, 0], [1, 0, 2]]))
+    add(ccd.RigidMotion, title="RigidMotion of a twist", poses_t1=None, twist=np.arange(12.0).reshape(2, 6))
+    add(ccd.RigidMotion.from_scalar_first, MOTION.shortened, MOTION.at, ccd.AffineMotion)
+    add(MOTION.gradient_by_poses, MOTION.gradient_by_twist)
+    add(PIPELINE.launch, PIPELINE.launch_proximity, PIPELINE.launch_displacement_bounds)
+    add(PIPELINE.launch, title="launch of displacements", vertices_t1=None, displacements=END - START)
+    add(PIPELINE.launch_line_search, PIPELINE.line_search, PIPELINE.mesh_ccd, PIPELINE.collision_free_step)
+    add(PIPELINE.is_step_collision_free, PIPELINE.find_candidates, PIPELINE.find_intersections)
+    add(PIPELINE.find_proximity, PIPELINE.displacement_bounds)
+    add(launched.to_host, launched.contacts.to_host, launched.contacts.points_at)
+    add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
+    add(viz.draw_step, viz.show_step, viz.to_pyvista, viz.contact_points)
+    add(ccd.Joint, **JOINT, origin=np.array([1.0, 0, 0, 0, 0, 0, 1]))
+    add(ccd.JointMotion, joints=[ccd.Joint(**JOINT)], q0=[0.0], q1=[1.0], links=["arm"])
+    add(ccd.read_urdf, path=folder / "arm.urdf")
+    add(ccd.read_poses, mesh_path=start, poses_path=poses, static=[])
+    add(ccd.read_frames, ccd.read_sequence, datasets.read_step, datasets.write_step, **of_files)
+    add(datasets.Queries, **{name: getattr(QUERIES, name) for name in parameters_of(datasets.Queries)})
+    add(QUERIES.id, datasets.Queries.joined, name="", parts=[QUERIES])
+    add(datasets.read_queries, datasets.write_queries, path=folder / "a_vf.csv", kind="vertex-face")
+    add(datasets.find_queries, datasets.find_steps, folder=folder)
+    add(datasets.write_truth, datasets.read_truth, path=folder / "truth.json", truth=np.array([True]))
+    add(datasets.write_boxes, datasets.read_boxes, path=folder / "boxes.json")
+    add(datasets.edges_by_max, faces=FACE)
+    datasets.write_truth(folder / "truth.json", np.array([True]))
+    datasets.write_boxes(folder / "boxes.json", np.array([[0, 1]]))
+    return calls
+
+
+_FOLDER = tempfile.TemporaryDirectory()  # of files that calls read and write, removed at the end
+CALLS = _every_call(Path(_FOLDER.name))

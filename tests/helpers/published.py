@@ -13,22 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccd_warp.datasets import Queries, SimulationStep, edges_by_max, find_queries, find_steps, read_boxes, read_step
-
-__all__ = [
-    "DATA",
-    "PublishedQueries",
-    "SimulationStep",
-    "all_queries",
-    "edges_by_max",
-    "handcrafted_queries",
-    "handcrafted_scenes",
-    "requires_data",
-    "simulation_boxes",
-    "simulation_queries",
-    "simulation_scenes",
-    "simulation_step",
-]
+from ccd_warp.datasets import Queries, SimulationStep, edges_by_max, find_queries, find_steps, read_boxes, read_step  # noqa: F401
 
 DATA = Path(os.environ.get("CCD_WARP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 

@@ -3,6 +3,22 @@
 from fractions import Fraction
 
 import numpy as np
+import warp as wp
+from cull_probe import WIDTHS, culled
+
+REALS = {"float64": wp.float64, "float32": wp.float32}
+FLOATS = {"float64": np.float64, "float32": np.float32}
+KINDS = {"vertex-face": 0, "edge-edge": 1}
+# the corners of a pair, from the definition of its kind
+CORNERS = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}
+
+
+def dropped(kind, points, tois, separation, t_end, **options):
+    """Which pairs the cull proves free: the same ones in every width, and none that comes within the separation."""
+    narrow, *wider = (culled(kind, *points, w, separation=separation, t_end=t_end, **options) for w in WIDTHS)
+    assert all(np.array_equal(narrow, each) for each in wider)
+    assert not any(truth.hit for truth in tois(kind, *(p[narrow] for p in points), separation, t_end))
+    return narrow
 
 
 def exactly(values: np.ndarray) -> np.ndarray:

@@ -1,17 +1,11 @@
-"""What gradients of times of impact are asked of: pair functions by kind, meshes, arrays on a tape."""
+"""What gradients of times of impact are asked of: meshes, and arrays on a tape."""
 
 import numpy as np
 import warp as wp
-from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
 
-SOLVE = {
-    "vertex-face": (ccd.vertex_face_ccd, 4),
-    "edge-edge": (ccd.edge_edge_ccd, 4),
-    "point-segment": (ccd.point_segment_ccd, 3),
-    "point-point": (ccd.point_point_ccd, 2),
-}
+TRIANGLE, FACE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]])
 
 
 def scene(**options):
@@ -55,8 +49,8 @@ def random_scene(seed):
 
 
 def array(values, dtype=wp.vec3d, requires_grad=True):
-    """An array on the CPU that requires a gradient."""
-    return wp.array(values, dtype=dtype, device="cpu", requires_grad=requires_grad)
+    """An array that requires a gradient."""
+    return wp.array(values, dtype=dtype, requires_grad=requires_grad)
 
 
 def taped(call):

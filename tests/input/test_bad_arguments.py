@@ -1,280 +1,587 @@
-"""A table of bad arguments and of what the message says of each: argument, value, message; tried on every call.
+"""Every argument of every public call refuses what it cannot be, by its name, with what is expected; then calls go on.
 
-That each argument of every function refuses what is no such thing at all is tested in `test_hostile_arguments`.
+What a call takes is in `every_call`, and values that no argument expects are in `hostile`. The tables here say what is
+expected of an argument, which further values are wrong, and which arguments contradict each other.
 """
 
-import math
+import copy
+import inspect
+import pickle
+import re
+from dataclasses import is_dataclass
 
+import hostile
 import numpy as np
 import pytest
-from every_call import END, EVERY, FACE, START, written
+import trimesh
+import warp as wp
+from every_call import (
+    AFFINE,
+    CALLS,
+    END,
+    FACE,
+    MESH,
+    MESH_AND_STATIC,
+    MOTION,
+    PIPELINE,
+    POSES,
+    RESULT,
+    START,
+    TRIANGLE,
+    Drawn,
+    parameters_of,
+    run,
+)
 
 import ccd_warp as ccd
+from ccd_warp import datasets, viz
 
-HALF = START[:, :2]
-WITH_NAN, WITH_INF = (np.where(np.arange(6)[:, None] == 4, value, START) for value in (np.nan, np.inf))
-LENGTH = "a finite length of at least 0"
-# Of calls that take the argument: all of them, or those that are named.
-FRAMES = ["find_candidates", "mesh_ccd", "collision_free_step", "is_step_collision_free", "line_search", "frames"]
-FRAMES += [f"pipeline.{call}" for call in FRAMES[1:5]]
-ONE_TIME = ["find_intersections", "find_proximity", "displacement_bounds", "launch_proximity"]
-PAIRS = ["vertex_face_ccd", "edge_edge_ccd"]
-OF_CALLS = [
-    # --- options ---
-    ("tolerance", 0.0, "tolerance is 0.0; expected a finite number above 0", None),
-    ("tolerance", -1e-6, "tolerance is -1e-06", None),
-    ("tolerance", np.nan, "tolerance is nan", None),
-    ("tolerance", "fine", "tolerance is 'fine'", None),
-    ("minimum_separation", -1.0, "minimum_separation is -1.0; expected a finite number of at least", None),
-    ("minimum_separation", np.inf, "minimum_separation is inf", None),
+REAL = ("fraction", "longdouble", "float16")
+ZERO = (*REAL, "negative zero")
+FLAG, NONE = ("bool", "numpy bool"), ("None",)
+NUMBERS = ("0-d float64 array", "0-d int64 array")
+FLAGS, BIG = (*FLAG, "0-d bool array"), ("int beyond float64",)
+NO_BODIES, TEXTS = ("empty list", "empty dict"), ("text", "text with a null")
+PATH = "a path, as text or a pathlib.Path|a name that ends in .ply"
+OPTIONAL_PAIRS = "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs, or contacts or proximities"
+CELLS = "cells by type, tetra, hexahedron, wedge, pyramid, triangle or quad, or quadratic"
+POSE = r"a pose, position and quaternion x y z w, or a matrix \(4, 4\)"
+OF_TRIMESH = "a trimesh.Trimesh, Path3D, PointCloud or Scene"
+LENGTH, COUNT = "a finite length of at least 0", "a positive integer"
+DEVICE = "an array of Warp|float32|vec3f|one of them|an array that can be written to"
+ROWS = r"(shape )?\(6, 3\) one row a vertex of the mesh|both vertices_t0 and vertices_t1, or neither|" + DEVICE
+POINTS = r"(float64 of )?(shape )?\(n, [234], [23]\)|a NumPy array"
+WITH_PATHS = ("rigid_ccd", "RigidMotion", "RigidMotion of a twist", "RigidMotion.from_scalar_first", "read_poses")
+FRACTION = r"a fraction in \[0, 1\], or such fractions of shape \(2,\)"
+
+# What is expected of an argument, or of one of a call; values that are wrong beside those of `hostile`, and those of
+# `hostile` that are right.
+ARGUMENTS = {
+    "tolerance": ("a finite number above 0", [0.0, -1e-6], REAL),
+    "minimum_separation": ("a finite number of at least 0", [-1.0], ZERO),
+    "minimum_distance": (LENGTH, [-1e-9, [0.1]], ZERO),
+    "start_gap_fraction": ("'hold', a number between 0 and 1, or None", [0.0, 1.0], (*REAL, "None")),
+    "start_gap_fraction of rigid_ccd": ("'hold'(, a number between 0 and 1,)? or None", [1.0], NONE),
+    "t_max": (r"a number in [\[(]0, 1\]", [1.5, -0.1], ZERO),
+    "max_iterations": (COUNT, [0, 1.0, 2**31], ()),
+    "length_scale": ("a finite length above 0, or None", [0.0], (*REAL, "None")),
+    "precision": ("'float64' or 'float32'", ["float16"], ()),
+    "method": ("'clipping' or 'bisection'", ["newton"], ()),
+    "device": ("one of '", ["abacus"], NONE),
+    "num_threads": (COUNT, [0, 1.5, 1025], NONE),
+    "max_work": (COUNT, [0, 1.5], BIG),
+    "memory_limit": (COUNT, [0, 1.5], (*BIG, "None")),
+    "max_bytes": (COUNT, [0], BIG),
+    "max_pairs": (COUNT, [0, 2**28 + 1], NONE),
+    "max_contacts": (COUNT, [0, 1.5], NONE),
+    "max_rounds": ("an integer of at least 3", [2], ()),
+    "num_rounds": ("an integer of at least 3", [2, 101], ()),
+    "count": (COUNT, [0], ()),
+    "exclusion_rings": (COUNT, [0], BIG),
+    "broad_phase": ("'tree' or 'hash'", ["grid"], ()),
+    "pair_kinds": ("a list of 'vertex_face', 'edge_edge', 'p", [[], "vertex_face", ["vertex"]], NONE),
+    "inflation": ("a finite length that is not negative", [np.zeros(2)], ZERO),
+    "distance": (LENGTH, ["near", [0.1]], ZERO),
+    "search_radius": ("a finite length above 0", [0.0, [0.1]], REAL),
+    "per": ("one of 'scene', 'world', 'body', 'vertex'", ["face"], ()),
+    "safety": ("a number between 0 and 1", [0.0, 1.0], REAL),
+    "check_start": ("True or False", ["yes", 2], FLAG),
+    "mesh": ("a CollisionMesh|the mesh first", [[START]], ()),
+    "motion": ("a RigidMotion", [POSES], NONE),
+    "gradient": ("a ToiGradient", [], ()),
+    "vertices_t1": (r"(shape )?\(6, 3\) like vertices_t0|both vertices_t0 and vertices_t1|" + DEVICE, [], ()),
+    "vertices_t1 of launch of displacements": ("one of them", [], NONE),
+    "displacements": (DEVICE, [], ()),
+    "vertices_t1 of mesh_ccd beside a static body": (r"(shape )?(\(n, 3\)|\(6, 3\) like .* or \(3, 3\))", [], ()),
+    "displacements of CollisionPipeline.launch": ("one of them", [], NONE),
+    "vertices of CollisionPipeline.reserve": (ROWS, [], NONE),
+    "vertices of CollisionMesh.from_volume": (r"(shape )?\(n, 3\)|indices in \[0, 0\)", [], ()),
+    "vertices of body 0": (r"(shape )?\(n, 3\)|positions|indices in \[0, 0\)", [], ()),
+    "faces of body 0": (
+        rf"(shape )?\(n, 3\)|integers|{CELLS}",
+        [[[0.0, 1, 2]], [[0, 1]]],
+        ("empty list", "nested empty list"),
+    ),
+    "edges of body 0": (r"(shape )?\(n, 2\)", [[[0, 1, 2]]], ("empty list", "nested empty list")),
+    "bodies of CollisionMesh.from_arrays": (r"a list of \(vertices, f|a pair|at least one|\d+, one a", [], ()),
+    "bodies of CollisionMesh.from_trimesh": (OF_TRIMESH + "|at least one body", ["ball.ply", trimesh.Trimesh], ()),
+    "shape": (OF_TRIMESH, [], ()),
+    "others of CollisionMesh.from_volume": (r"\d+, one a body|a list of bodies|a pair \(vertices, faces\)", [], ()),
+    "others of CollisionMesh.from_instances": (rf"{OF_TRIMESH}|\d+, one a body", [], ()),
+    "cells": (rf"(integers and shape )?\(n, corners\)|{CELLS}", [3], ()),
+    "static": ("a list of (body|paths)|body indices in|a path", [[3], [-1], [True], 0], NO_BODIES),
+    "kinematic": ("a list of body indices|body indices in", [["lid"]], NO_BODIES),
+    "rigid": ("a list of body indices|body indices in|numbers or names of bodies", [[2]], NO_BODIES),
+    "self_collision": ("a bool or one bool a body", [1, [0, 1]], FLAGS),
+    "codimensional_points": (r"a bool or (one bool a body|\(2,\))", [1, [0], [True, False, True]], FLAGS),
+    "body_pairs": (r"bool and (shape )?\(2, 2\)", [np.ones((2, 2))], NONE),
+    "exclude_pairs": (OPTIONAL_PAIRS, [[[0, 1]], {"edge_edge"}], (*NONE, "empty dict")),
+    "exclude_pairs of CollisionMesh.excluding": (OPTIONAL_PAIRS, [[[0, 1]]], ("empty dict",)),
+    "names": (r"\d, one a body|(a list of|printable) texts", ["cloth", ["cloth", 7]], (*NONE, "array of texts")),
+    "vertex_world": (r"integers and (shape )?\(6,\)", [np.zeros(6)], NONE),
+    "radius": (f"{LENGTH}, or an array of these|a number, shape|real numbers", [-1.0], (*ZERO, *NONE, *NUMBERS)),
+    "poses_t0": (r"shape \(B, 7\), position and quaternion", [], ()),
+    "poses_t1": (r"shape \(B, 7\), position and quaternion|the poses at the end of the step, or twist", [], ()),
+    "poses_t1 of RigidMotion of a twist": (r"shape \(B, 7\), position and quaternion", [], NONE),
+    "pivot": (r"shape \(3,\) or \(2, 3\), in the bodies' frames", [], NONE),
+    "twist": (r"shape \(B, 6\), linear part first, then angular", [], NONE),
+    "twist of RigidMotion of a twist": (r"shape \(B, 6\)|the poses at the end of the step, or twist", [], ()),
+    "t": (FRACTION + "|real numbers", [1.5, -1e-300, [0.5]], ZERO),
+    "t of to_pyvista": (r"a number in \[0, 1\]", [1.5], ZERO),
+    "points": (r"(shape )?\(n, 3\)|\(0,\), as many as points", [], ()),
+    "body": (r"\(3,\), as many as points|shape \(n,\)", [], ()),
+    "result": ("a MeshResult", [], ()),
+    "result of to_pyvista": ("a MeshResult", [], NONE),
+    "contacts": ("a Contacts", [], ()),
+    "camera": ("three finite numbers, not all 0", [(0, 0, 0), "left"], NONE),
+    "colour": ("'vertex_toi' or 'body'", ["red"], ()),
+    "size": (r"width and height in \[150, 4000\] pixels", [(10, 10), 7], ()),
+    **dict.fromkeys(["vertices_t0", "positions", "vertices"], (ROWS, [], ())),
+    **dict.fromkeys(["t_max of draw_step", "t_max of render_step"], (r"a number in \(0, 1\]", [1.5, 0.0], REAL)),
+    **dict.fromkeys(["name of Joint", "parent", "child"], ("the name of a joint or link", [], TEXTS)),
+    **dict.fromkeys(["q0", "q1"], (r"shape \(1,\), one number a coordinate of the joints|real numbers", [], ())),
+    **dict.fromkeys(["point", "normal"], (r"\(3,\)|3 numbers", [], ())),
+    **dict.fromkeys(["affine_t0", "affine_t1"], (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ())),
+    **dict.fromkeys(["points_t0", "points_t1"], (POINTS, [np.zeros((2, 3, 5))], ())),
+    **dict.fromkeys(["progress", "surface"], ("True or False", [], FLAG)),
+    **{f"path of {call}": ("'linear' or 'screw'", ["arc"], ()) for call in WITH_PATHS},
+    "name": ("a text", [], (*TEXTS, "empty text")),
+    "axis": ("three finite numbers, not all 0", [], ()),
+    "origin": (POSE, [], ()),
+    "base": (POSE, [], NONE),
+    "joints": ("(a Joint|joints|at least one joint)", [], ()),
+    "links": ("names of links", [], NONE),
+    "packages": ("folders by the names of packages", [], (*NONE, "empty dict")),
+    "kind": ("'vertex-face' or 'edge-edge'", ["point-point", ccd.PairKind.POINT_POINT, ["edge-edge"]], NONE),
+    "kind of Queries": ("'vertex-face' or 'edge-edge'", ["ee"], ()),
+    "kind of Joint": ("one of 'revolute', 'continuous', 'prismatic', 'fixed', 'free'", [], ()),
+    "truth": (r"bool of shape \((n|1),\)|a NumPy array", [np.ones(1)], NONE),
+    "truth of write_truth": (r"bool of shape \(n,\)", [np.ones(3)], ()),
+    "truth of read_queries": (PATH, [], NONE),
+    "sources": (r"pairs \(label of a file, its queries\)|1 like points_t0", [(("a", 2),)], ()),
+    "parts": ("sets of queries|one or more parts of one kind", [], ()),
+    "i": ("an index of 1 queries|the index of a query", [1], ("minus one",)),
+    "ids": (r"integers of shape \(n, 2\)|integers from 0", [np.ones((3, 2)), np.array([[0, -1]])], ()),
+    "step": ("a SimulationStep", [], ()),
+    "split": ("True, False or the name of a field of cells|a VTU, VTK, XDMF or NPZ file", [], FLAG),
+    "displacement": ("the name of a field", [], (*NONE, *TEXTS, "empty text")),
+    "faces": (PATH, [], NONE),
+    "faces of edges_by_max": (r"integers of shape \(F, 3\)", [], ()),
+    "paths": (rf"{PATH}|a path, or a list of paths", [], ()),
+    "folder": (PATH, [], ()),
+    **dict.fromkeys(["path", "mesh_path", "poses_path", "start_path", "end_path"], (PATH, [], ())),
+}
+
+
+@pytest.fixture(autouse=True)
+def no_drawing(monkeypatch):
+    """Nothing is drawn, no window opened."""
+
+    def draw(*_):
+        raise Drawn
+
+    monkeypatch.setattr(viz, "drawn", draw)
+    monkeypatch.setattr(viz, "import_pyvista", draw)
+    monkeypatch.setattr(viz._export, "import_pyvista", draw)
+
+
+def check_refusal(error, words, phrase=""):
+    """One line that names the argument, and says what was expected."""
+    text = str(error)
+    kind = IndexError if "an index" in text else TypeError if "trimesh.Trimesh" in text else ValueError
+    assert isinstance(error, kind), f"{type(error).__name__}: {text}"
+    assert all(word in text for word in words), text
+    assert re.search(f"expected ({phrase}|one without a mask)", text), text
+    assert "\n" not in text and len(text) < 400, text
+
+
+def parts_of(result):
+    """What a result consists of, but for times."""
+    if isinstance(result, ccd.CollisionMesh):
+        return result.__getstate__()
+    if isinstance(result, ccd.DeviceContacts):
+        return vars(result.to_host())
+    if isinstance(result, (ccd.RigidMotion, ccd.AffineMotion, ccd.JointMotion)):
+        return {name: value for name, value in vars(result).items() if not name.startswith("_")}
+    if is_dataclass(result):
+        return {name: value for name, value in vars(result).items() if name not in ("timings", "counts", "_step")}
+    if isinstance(result, dict):
+        return result
+    sequences = (tuple, list, ccd.FrameSequence, ccd.PoseSequence)
+    return dict(enumerate(result)) if isinstance(result, sequences) else None
+
+
+def arrays_of(result):
+    """All arrays of a result."""
+    if isinstance(result, (np.ndarray, wp.array)):
+        return [result.numpy() if isinstance(result, wp.array) else result]
+    return [array for part in (parts_of(result) or {}).values() for array in arrays_of(part)]
+
+
+def check_same(result, expected):
+    if isinstance(expected, (np.ndarray, wp.array)):
+        (result,), (expected,) = arrays_of(result), arrays_of(expected)
+        assert result.dtype == expected.dtype
+        np.testing.assert_array_equal(result, expected)
+    elif parts_of(expected) is not None:
+        assert parts_of(result).keys() == parts_of(expected).keys()
+        for name, part in parts_of(expected).items():
+            check_same(parts_of(result)[name], part)
+    elif isinstance(expected, ccd.CollisionPipeline):
+        assert isinstance(result, ccd.CollisionPipeline)
+    else:
+        assert result == expected
+
+
+EVERY = [(call, argument) for call, (_, arguments) in CALLS.items() for argument in arguments]
+# What a message calls an argument that has parts.
+NAMES = {"bodies": "bod", "others": "", "vertices of body 0": "of body 0", "vertices": ""}
+OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "per", "safety", "max_rounds"}
+IS_PATH = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path", "paths", "truth", "faces", "static"}
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
+@pytest.mark.parametrize(("call", "argument"), EVERY)
+def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(
+    call, argument, tmp_path, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    function, arguments = CALLS[call]
+    phrase, wrong, right = ARGUMENTS.get(f"{argument} of {call}") or ARGUMENTS[argument]
+    expected = run(function, arguments)
+    for name, value in (hostile.values() | dict(enumerate(wrong))).items():
+        if name in ("text", "array of texts", "long list") and argument in IS_PATH and not call.startswith("Coll"):
+            continue  # are paths
+        try:
+            result = run(function, arguments, {argument: value})
+        except Exception as error:
+            assert name not in right, f"{name}: {error}"
+            words = [NAMES.get(argument, argument)]
+            if type(value) in (int, float, str) and name in range(len(wrong)) and words[0] == argument:
+                words = [f"{argument} is {value!r}"]
+            if call in ccd.__all__ and argument in OPTIONS and "motion is given" not in str(error):
+                assert str(error).startswith(f"{call}: "), error
+            check_refusal(error, words, phrase)
+        else:
+            assert name in right, f"{name} is taken"
+            if name in ZERO:
+                plain = 0.0 if name == "negative zero" else 0.5
+                check_same(result, run(function, arguments, {argument: plain}))
+    check_same(run(function, arguments), expected)
+
+
+ARRAYS = [
+    (call, name)
+    for call, (_, arguments) in CALLS.items()
+    for name, value in arguments.items()
+    if type(value) is np.ndarray and (value.ndim > 1 or value.dtype.kind == "i")
+    if call not in ("render_step", "draw_step", "show_step")  # which read what `to_pyvista` does
+]
+# Launches read arrays where they are, and what is written to a file is not converted.
+ON_DEVICE, WRITTEN = ("launch", "points_at"), ("Queries", "write_queries", "write_boxes", "edges_by_max")
+ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "ids", "faces"}
+ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
+
+
+@pytest.mark.parametrize(("call", "argument"), ARRAYS)
+def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument, tmp_path):
+    function, arguments = CALLS[call]
+    array, is_on_device = arguments[argument], any(word in call for word in ON_DEVICE)
+    may_refuse, own = is_on_device or call in WRITTEN, {NAMES.get(argument, argument)}
+    own |= {"vertices_t1"} if is_on_device else set()
+    expected = run(function, arguments)
+    if is_on_device:
+        expected = [a.copy() for a in arrays_of(expected)]  # which the next launch writes to
+
+    def check(made, word=None):
+        """The same answer, or with a word a refusal that says it."""
+        try:
+            result = run(function, arguments, {argument: made})
+        except Exception as error:
+            assert word is not None or may_refuse, error
+            assert any(name in str(error) for name in own), error
+            check_refusal(error, [] if may_refuse else [word], "")
+        else:
+            assert word is None, f"{made!r} is taken"
+            if call != "edges_by_max":  # has the dtype of its argument
+                check_same(arrays_of(result) if is_on_device else result, expected)
+
+    for made in hostile.same(array, tmp_path):
+        check(made)
+    for made, word in hostile.hidden(array):
+        is_number = type(made) is np.ndarray and made.dtype in (np.float32, np.float64)
+        takes_any = call in ("Queries", "write_boxes", "edges_by_max") and (is_number or word == str(2**64 - 1))
+        if not ((is_on_device and is_number) or takes_any):
+            check(made, word)
+    any_length = {argument, f"{argument} of {call}"} & ANY_LENGTH
+    for made in (array[..., :1], array[None, None], *([] if any_length else [array[:-1]])):
+        check(made, f"shape {made.shape}")
+
+
+HANDED_ON = ("launch", "CollisionMesh.frame", "Queries", "write_", "to_host")  # these give their arrays back
+
+
+@pytest.mark.parametrize("call", [call for call in CALLS if not any(word in call for word in HANDED_ON)])
+def test_nothing_that_is_returned_is_the_memory_of_an_argument(call):
+    function, arguments = CALLS[call]
+    given = [array for value in arguments.values() if type(value) in (np.ndarray, list) for array in arrays_of(value)]
+    assert not any(np.shares_memory(a, b) for a in arrays_of(run(function, {}, arguments)) for b in given)
+
+
+def put(array, index, value):
+    """A copy of an array with another value."""
+    array = np.array(array)
+    array[index] = value
+    return array
+
+
+REST, LIFTED, FLOOR = [0.0, 0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0, 1], ccd.HalfSpace([0.0, 0, 0], [0.0, 0, 1])
+BARS = ccd.CollisionMesh.from_arrays([([[0.0, 0], [1, 0]], [[0, 1]])] * 2, rigid=[0, 1])
+COPIES = MESH.replicate(3)
+OF_COPIES = ccd.mesh_ccd(COPIES, COPIES.vertices, COPIES.vertices)
+THICK = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE, FACE)], radius=0.1)
+THICK_FRAMES = {"mesh": THICK, "vertices_t0": THICK.vertices, "vertices_t1": THICK.vertices}
+MOVED = {"mesh": MESH_AND_STATIC, "vertices_t1": END + 1}
+PAIR, LAUNCHED = wp.zeros((1, 4), dtype=wp.vec3d), PIPELINE.launch(START, END)
+# Arguments that do not fit each other, or a mesh: by the call what is changed, and the message.
+TOGETHER = {
+    "mesh_ccd": [
+        ({"mesh": COPIES, "vertices_t0": np.zeros((6, 3, 3))}, r"\(6, 3, 3\); expected .*, or \(3, 6, 3\), with"),
+        ({"minimum_distance": 1.0, "minimum_separation": 0.1}, "minimum_distance is 1.0 and minimum_separation is 0.1"),
+        ({"memory_limit": 1}, r"memory_limit is 1 bytes; expected at least \d+"),
+        ({"motion": MOTION}, "no body of the mesh is rigid"),
+    ],
+    **{
+        call: [
+            (MOVED, r"vertex 0 of body 1, which is static, by 1.* kinematic="),
+            (THICK_FRAMES | {"minimum_separation": 0.1}, "minimum_separation is 0.1 and the mesh has a radius of"),
+        ]
+        for call in ("mesh_ccd beside a static body", "collision_free_step", "is_step_collision_free", "line_search")
+    },
+    "find_candidates": [(MOVED, "vertex 0 of body 1, which is static, by 1.* kinematic=")],
+    "launch of displacements": [({"vertices_t1": END}, "both of vertices_t1 and displacements is given; expected one")],
+    "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
+    "CollisionPipeline.launch": [
+        ({"vertices_t1": None}, "neither of vertices_t1 and displacements is given; expected one of them"),
+        ({"vertices_t0": START[:2]}, "vertices_t0 has 2 rows; expected 6, one a vertex"),
+        ({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"),
+        ({"vertices_t0": START.astype(int)}, "vertices_t0 has dtype int64; expected float32 or float64"),
+        ({"vertices_t1": END[::-1]}, r"vertices_t1 has strides \(-24, 8\); expected a contiguous array"),
+        ({"vertices_t0": START.ravel()}, r"dtype float64 and shape \(18,\); expected vec3f or vec3d and \(n,\)"),
+    ],
+    "DeviceContacts.points_at": [
+        ({"vertices_t1": END[:-1]}, "vertices_t1 has 5 rows; expected 6"),
+        ({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0"),
+    ],
+    "vertex_face_ccd": [
+        ({"points_t1": np.zeros((3, 4, 3))}, r"points_t1 has shape \(3, 4, 3\); expected \(1, 4, 3\) like points_t0"),
+        ({"points_t0": [[1, 2], [3]]}, "points_t0 is not an array"),
+        ({"points_t0": PAIR}, "points_t1 is a ndarray; expected a array like points_t0"),
+        ({"points_t0": wp.zeros((1, 4), dtype=wp.vec3f), "points_t1": PAIR}, "points_t0 has dtype vec3f and shape"),
+        ({"points_t0": PAIR, "points_t1": wp.zeros((3, 4), dtype=wp.vec3d)}, r"has shape \(3, 4\); expected \(1, 4\)"),
+    ],
+    "point_point_ccd": [({"minimum_distance": 1.0, "minimum_separation": 0.1}, "is 0.1; expected one")],
+    "rigid_ccd": [
+        ({"poses_t0": [REST], "poses_t1": [REST]}, "poses_t0 is of 1 body; expected 2 bodies, those of the mesh but"),
+        ({"mesh": COPIES, "poses_t0": [REST] * 2, "poses_t1": [REST] * 2}, "poses_t0 is of 2 bodies; expected 6"),
+        ({"mesh": BARS, "poses_t0": [REST] * 2, "poses_t1": [REST, LIFTED]}, "takes body 1 out of the plane of the"),
+    ],
+    "AffineMotion": [
+        ({"affine_t1": AFFINE[:1]}, r"affine_t1 has shape \(1, 3, 4\); expected \(2, 3, 4\) like affine_t0"),
+    ],
+    "AffineMotion.positions_t0": [({"body": [0, 2, 0]}, r"body holds index 2; expected indices in \[0, 2\)")],
+    "RigidMotion": [
+        ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
+        ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
+    ],
+    "RigidMotion of a twist": [
+        ({"twist": [REST[:6]]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
+        ({"twist": put(np.zeros((2, 6)), (1, 5), -1e6)}, "twist turns body 1 by 1e.06 rad; expected less than 1e.06"),
+    ],
+    "CollisionMesh.from_arrays": [
+        ({"kinematic": [1]}, r"static and kinematic both hold body 1 \(cable\); expected it in one of them"),
+        ({"static": ["bal"]}, r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"),
+        ({"body_pairs": [[True, False], [True, True]]}, r"differs at \(0, 1\) and \(1, 0\), body 0 \(face\) and"),
+        ({"names": ["cloth", "cloth"]}, "names holds 'cloth' twice; expected a name of its own"),
+        ({"names": ["cloth", ""]}, "names holds ''; expected printable texts"),
+        ({"names": ["cloth", "a\nb"]}, r"names holds 'a\\nb'; expected printable texts"),
+        ({"vertex_world": [-1, 0, 0, 0, 0, 0]}, "holds -1; expected worlds from 0 on, below the number of vertices, 6"),
+        ({"vertex_world": [6] * 6}, "holds 6; expected worlds from 0 on, below the number of vertices, 6"),
+        ({"vertex_world": [0, 0, 1, 0, 0, 0]}, r"vertex_world gives face 0 of face worlds \[0, 0, 1\]; expected one"),
+    ],
+    "CollisionMesh.replicate": [({"count": 10**9}, "count is 1000000000; expected at most")],
+    "CollisionMesh.excluding": [({"exclude_pairs": LAUNCHED.contacts}, r"or contacts or proximities .*to_host\(\)")],
+    "draw_step": [(THICK_FRAMES | {"result": OF_COPIES}, r"result\.vertex_toi has shape \(18,\); expected \(6,\)")],
+    "render_step": [
+        ({"path": "step.jpg"}, "must end in .png"),
+        ({"path": "none/step.png"}, "does not exist"),
+        ({"mesh": "step.png"}, r"mesh is .*; expected the mesh first.*vertices_t1, result, path\)"),
+    ],
+    "Queries": [({"sources": (("a", 2),)}, "sources count 2 queries; expected 1 like points_t0")],
+    "Queries.joined": [({"parts": []}, r"of the kinds \[\]; expected one or more parts")],
+    "write_step": [
+        ({"step": datasets.SimulationStep(START, END[:4], FACE)}, r"vertices_t1 has shape \(4, 3\); expected \(6, 3\)"),
+        ({"step": datasets.SimulationStep(START, END, FACE + 4)}, "faces holds indices from 4 to 6; expected 0 to 5"),
+    ],
+}
+
+
+@pytest.mark.parametrize(("call", "changed", "message"), [(call, *row) for call in TOGETHER for row in TOGETHER[call]])
+def test_arguments_that_do_not_fit_are_refused_together(call, changed, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    function, arguments = CALLS[call]
+    with pytest.raises(ValueError, match=message):
+        run(function, arguments, changed)
+    assert not list(tmp_path.iterdir())
+
+
+SEGMENT, EDGE, EYE = np.array([[-1.0, 0], [1.0, 0]]), [[0, 1]], (np.eye(3), FACE)
+NAMED = {"codimensional_points": True, "names": ["sheet", "bead"]}
+SHEET_AND_BEAD = [EYE, (np.array([[0.2, 0.2, 1.0]]), FACE[:0])]
+A_C_D = [EYE, EYE, (np.zeros((2, 3)), FACE[:0])]
+# Bodies that make no mesh, with options; and the message.
+MESHES = [
+    ([], {}, "bodies is empty; expected at least one body"),
     *(
-        ("minimum_distance", value, f"minimum_distance .*expected {LENGTH}", None)
-        for value in (-1e-9, math.nan, math.inf, -math.inf, "1", None, True, [0.1], 1 + 0j)
+        ([body], {}, f"{words}; expected {expected}")
+        for body, words, expected in [
+            ((np.eye(5, 3), [[0, 1, 7]]), "faces of body 0 holds index 7", r"indices in \[0, 5\)"),
+            ((np.eye(5, 3), [[0, 1, -1]]), "faces of body 0 holds index -1", r"indices in \[0, 5\)"),
+            ((np.zeros((0, 3)), FACE), "faces of body 0 holds index 0", r"indices in \[0, 0\)"),
+            (np.eye(3), "body 0 is a ndarray", r"a pair \(vertices, faces\) or a triple \(vertices, faces, edges"),
+            ((*EYE, [[0, 3]]), "edges of body 0 holds index 3", r"indices in \[0, 3\)"),
+            ((SEGMENT, [], EDGE), r"body 0 is in the plane and has 3 arrays", r"a pair \(vertices, edges\)"),
+            ((SEGMENT, [[0, 2]]), "edges of body 0 holds index 2", r"indices in \[0, 2\)"),
+            ((SEGMENT + [np.inf, 0], EDGE), "vertices of body 0 holds .* in row 0", "finite"),
+            ((SEGMENT, {"tetra": [[0, 1, 1, 1]]}), r"has shape \(2, 2\)", r"\(n, 3\)"),
+            (ccd.HalfSpace([0, 0, 0], [0, 0, 1]), "bodies holds half-spaces alone", "at least one body with vertices"),
+        ]
     ),
-    ("start_gap_fraction", 1.0, "start_gap_fraction is 1.0; expected 'hold', a number between 0 and 1", None),
-    ("method", "newton", "method is 'newton'; expected 'clipping' or 'bisection'", None),
-    ("t_max", 1.5, r"t_max is 1.5; expected a number in [\[\(]0, 1\]", None),
-    ("t_max", -0.1, "t_max is -0.1", None),
-    ("max_iterations", 0, "max_iterations is 0; expected a positive integer", None),
-    ("max_iterations", 1.5, "max_iterations is 1.5", None),
-    ("length_scale", 0.0, "length_scale is 0.0; expected a finite length above 0", None),
-    ("precision", "float16", "precision is 'float16'; expected 'float64' or 'float32'", None),
-    ("device", "abacus", "device is 'abacus'; expected one of 'cpu'", None),
-    ("num_threads", 0, "num_threads is 0; expected a positive integer", None),
-    ("num_threads", 1.5, r"num_threads is 1\.5", None),
-    ("num_threads", 10**6, "num_threads is 1000000; expected a positive integer up to 1024", None),
-    ("memory_limit", 0, "memory_limit is 0; expected a positive integer", None),
-    ("memory_limit", 1.5, "memory_limit is 1.5", None),
-    ("broad_phase", "grid", "broad_phase is 'grid'; expected 'tree' or 'hash'", None),
-    ("broad_phase", None, "broad_phase is None; expected 'tree' or 'hash'", None),
-    ("pair_kinds", [], r"pair_kinds is \[\]; expected a list of 'vertex_face', 'edge_edge'", None),
-    ("pair_kinds", "vertex_face", "pair_kinds is 'vertex_face'; expected a list", None),
-    ("pair_kinds", ["vertex"], r"pair_kinds is \['vertex'\]", None),
-    # --- beside the options ---
-    ("mesh", [START], r"mesh is .*; expected a CollisionMesh", FRAMES[:5]),
+    ([(SEGMENT, EDGE), EYE], {}, "body 1 has 3 columns and those of body 0 2; expected all"),
+    ([EYE, (SEGMENT, EDGE)], {}, "body 0 has 3 columns and those of body 1 2; expected all"),
+    ([EYE] * 3 + [FLOOR], {"rigid": [3]}, "rigid holds body 3, a half-space"),
+    ([EYE, FLOOR], {"radius": [0.1, 0.2]}, r"radius holds 0.2 for body 1; expected 0, as a half-space has no"),
+    ([(np.eye(3)[:n], FACE[:0]) for n in (0, 2)], {"radius": [1, 2]}, "as many entries as there are bodies"),
     *(
-        ("inflation", value, "inflation is .*; expected a finite length that is not negative", None)
-        for value in (-1.0, np.nan, np.inf, "1", np.zeros(2), 10**400)
-    ),
-    *(
-        ("distance", value, f"distance is .*; expected {LENGTH}", None)
-        for value in (-1.0, np.nan, np.inf, None, "near", [0.1], np.array([0.1, 0.2]), True, 1j)
+        (SHEET_AND_BEAD, NAMED | {"radius": radius}, f"radius {message}")
+        for radius, message in [
+            ([0.1], r"has shape \(1,\); expected a number, shape \(2,\), one a body, or \(4,\), one a vertex"),
+            ([0.1, -0.2], "holds -0.2 in entry 1; expected finite lengths of at least 0"),
+            ([0, 0, np.inf, 0], "holds inf in entry 2 of sheet"),
+            ([0.1, None], "has dtype object"),
+            ([[0.1], [0.1, 0.2]], "is not an array"),
+            ([2**53 + 1, 0.5], "holds 9007199254740993 in entry 0"),
+        ]
     ),
     *(
-        ("search_radius", value, "search_radius is .*; expected a finite length above 0$", None)
-        for value in (0.0, -1.0, np.nan, np.inf, None, "far", [0.1], True)
+        ([EYE, ccd.HalfSpace(*given)], {"names": ["cloth", "floor"]}, message)
+        for given, message in [
+            (([0, 0, 0], [0.0, 0, 0]), r"normal of body 1 \(floor\) is \[0.0, 0.0, 0.0\]; expected a direction"),
+            (([0, 0, 0], [0, np.nan, 1]), r"normal of body 1 \(floor\) is \[0.0, nan, 1.0\]; expected finite"),
+            (([0, -np.inf, 0], [0, 0, 1]), r"point of body 1 \(floor\) is \[0.0, -inf, 0.0\]; expected finite"),
+            (([0, 0], [0, 1]), r"point of body 1 \(floor\) has shape \(2,\); expected \(3,\)"),
+        ]
     ),
-    ("per", "face", "per is 'face'; expected one of 'scene', 'world', 'body', 'vertex'", None),
-    ("safety", 1.0, "safety is 1.0; expected a number between 0 and 1", None),
-    ("safety", float("nan"), "safety is nan", None),
-    ("max_rounds", 2, "max_rounds is 2; expected an integer of at least 3", None),
-    ("num_rounds", 2, "num_rounds is 2; expected an integer of at least 3", None),
-    ("max_pairs", 0, "max_pairs is 0; expected a positive integer", None),
-    ("max_pairs", 2**29, "max_pairs is 536870912; expected a positive integer up to 268435456", None),
-    ("max_contacts", 1.5, "max_contacts is 1.5; expected a positive integer", None),
-    ("vertices", np.full((6, 3), np.nan), "vertices holds nan in row 0", ["reserve"]),
-    ("size", (10, 10), r"size is \(10, 10\); expected width and height in \[150, 4000\]", None),
-    ("size", 7, "size is 7", None),
-    ("camera", (0, 0, 0), r"camera is \(0, 0, 0\); expected three finite numbers", None),
-    ("camera", "left", "camera is 'left'", None),
-    ("colour", "red", "colour is 'red'; expected 'vertex_toi' or 'body'", None),
-    # --- positions of a mesh ---
-    ("vertices_t0", START[:-1], r"vertices_t0 has shape \(5, 3\); expected \(6, 3\)", FRAMES),
-    ("vertices_t0", WITH_INF, "vertices_t0 holds inf in row 4.*; expected finite values", FRAMES),
-    ("vertices_t1", END[:-1], r"vertices_t1 has shape \(5, 3\); expected \(6, 3\) like vertices_t0", FRAMES),
-    ("vertices_t1", END[:, :2], r"vertices_t1 has shape \(6, 2\); expected \(6, 3\) like vertices_t0", FRAMES),
-    ("vertices_t1", WITH_NAN, "vertices_t1 holds nan in row 4.*; expected finite values", FRAMES),
-    (
-        "positions",
-        START[:-1],
-        r"positions has shape \(5, 3\); expected \(6, 3\) one row a vertex of the mesh",
-        ONE_TIME[:3],
-    ),
-    ("positions", HALF, r"positions has shape \(6, 2\)", ONE_TIME[:3]),
-    ("positions", WITH_NAN, "positions .*nan", ONE_TIME[:3]),
-    ("positions", WITH_INF, "positions .*inf", ONE_TIME[:3]),
-    ("positions", START.astype(complex), "positions", ONE_TIME),
-    ("positions", None, "positions", ONE_TIME),
-    # --- positions of a launch ---
-    ("vertices_t1", None, "neither of vertices_t1 and displacements is given; expected one of them", ["launch"]),
-    ("vertices_t0", START[:2], "vertices_t0 has 2 rows; expected 6, one a vertex", ["launch"]),
-    ("vertices_t1", END.astype(np.float32), "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0", ["launch"]),
-    ("vertices_t0", START.astype(int), "vertices_t0 has dtype int64; expected float32 or float64", ["launch"]),
-    ("vertices_t1", END[::-1], r"vertices_t1 has strides \(-24, 8\); expected a contiguous array", ["launch"]),
-    ("vertices_t0", np.eye(6)[:, :3], r"vertices_t0 has strides \(48, 8\); expected a contiguous array", ["launch"]),
-    (
-        "vertices_t0",
-        START.tolist(),
-        "vertices_t0 is a list; expected an array of Warp, NumPy, or with DLPack",
-        ["launch"],
-    ),
-    (
-        "vertices_t0",
-        START.ravel(),
-        r"vertices_t0 has dtype float64 and shape \(18,\); expected vec3f or vec3d and \(n,\)",
-        ["launch"],
-    ),
-    ("vertices_t1", END, "both of vertices_t1 and displacements is given", ["launch of displacements"]),
-    # --- points of pairs ---
-    ("points_t0", np.zeros((2, 3, 3)), r"points_t0 has shape \(2, 3, 3\); expected \(n, 4, 3\)", PAIRS),
-    ("points_t1", np.zeros((2, 4)), r"points_t1 has shape \(2, 4\); expected \(n, 4, 3\)", PAIRS),
-    ("points_t1", np.zeros((3, 4, 3)), r"points_t1 has shape \(3, 4, 3\); expected \(1, 4, 3\) like points_t0", PAIRS),
-    ("points_t0", np.zeros((1, 4, 3), complex), "points_t0 has dtype complex128; expected real numbers", PAIRS),
-    ("points_t0", [[1, 2], [3]], "points_t0 is not an array", PAIRS),
-    ("points_t0", np.full((1, 4, 3), np.nan), "points_t0 holds nan in pair 0; expected finite values", PAIRS),
-    ("points_t1", np.full((1, 4, 3), -np.inf), "points_t1 holds -inf in pair 0; expected finite values", PAIRS),
-]
-
-
-@pytest.fixture(scope="module")
-def calls(tmp_path_factory):
-    return written(tmp_path_factory.mktemp("data"))
-
-
-@pytest.mark.parametrize(("argument", "value", "message", "of"), OF_CALLS)
-def test_a_bad_argument_is_named_with_what_was_expected(calls, argument, value, message, of):
-    chosen = of or [call for call, taken in EVERY if taken == argument]
-    assert chosen
-    for name in chosen:
-        function, arguments = calls[name]
-        with pytest.raises(ValueError, match=message) as caught:
-            function(**arguments | {argument: value})
-            pytest.fail(f"{name} takes it")
-        if of is None and getattr(ccd, name, None) is function:
-            assert str(caught.value).startswith(f"{name}: "), str(caught.value)
-
-
-TRIANGLE = (np.eye(3), [[0, 1, 2]])
-SEGMENT, EDGE = np.array([[-1.0, 0], [1.0, 0]]), [[0, 1]]
-SHEET_AND_BEAD = [TRIANGLE, (np.array([[0.2, 0.2, 1.0]]), FACE[:0])]
-OF_BODIES = [
-    ([], "bodies is empty; expected at least one body"),
-    ([TRIANGLE, (np.eye(5, 3), [[0, 1, 7]])], r"faces of body 1 holds index 7; expected indices in \[0, 5\)"),
-    ([(np.eye(5, 3), [[0, 1, -1]])], r"faces of body 0 holds index -1; expected indices in \[0, 5\)"),
-    ([(np.zeros((0, 3)), [[0, 1, 2]])], r"faces of body 0 holds index 0; expected indices in \[0, 0\)"),
-    ([(np.eye(3), [[0, 1]])], r"faces of body 0 has shape \(1, 2\); expected \(n, 3\)"),
-    ([(np.eye(3), [[0.0, 1.0, 2.0]])], "faces of body 0 has dtype float64; expected integers"),
-    ([(np.eye(4), [[0, 1, 1]])], r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
-    ([(np.full((3, 3), np.nan), [])], "vertices of body 0 holds nan in row 0; expected finite values"),
-    ([(np.eye(3, dtype=complex), [])], "vertices of body 0 has dtype complex128; expected real numbers"),
-    ([np.eye(3)], r"body 0 is a ndarray; expected a pair \(vertices, faces\) or a triple \(vertices, faces, edges"),
-    ([(*TRIANGLE, [[0, 3]])], r"edges of body 0 holds index 3; expected indices in \[0, 3\)"),
-    ([(*TRIANGLE, [[0, 1, 2]])], r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
-    ([(*TRIANGLE, [[0.0, 1.0]])], "edges of body 0 has dtype float64; expected integers"),
-    # --- in the plane ---
-    ([(SEGMENT, EDGE), TRIANGLE], r"body 1 has 3 columns and those of body 0 2; expected all"),
-    ([TRIANGLE, (SEGMENT, EDGE)], r"body 0 has 3 columns and those of body 1 2; expected all"),
-    ([(SEGMENT, [[0, 1, 1]])], r"edges of body 0 has shape \(1, 3\); expected \(n, 2\)"),
-    ([(SEGMENT, [], EDGE)], r"body 0 is in the plane and has 3 arrays; expected a pair \(vertices, edges\)"),
-    ([(SEGMENT, [[0, 2]])], r"edges of body 0 holds index 2; expected indices in \[0, 2\)"),
-    ([(SEGMENT + [np.inf, 0], EDGE)], r"vertices of body 0 holds .* in row 0; expected finite"),
-    ([(np.zeros((4, 4)), EDGE)], r"vertices of body 0 has shape \(4, 4\); expected \(n, 3\)"),
-]
-OF_ONE_BODY = [
-    ("codimensional_points", [True, False], r"codimensional_points has shape \(2,\); expected a bool or \(1,\)"),
-    ("codimensional_points", [0], r"codimensional_points is \[0\]; expected a bool or one bool a body"),
-    ("static", [1], r"static holds 1; expected body indices in \[0, 1\)"),
-    ("static", [-1], r"static holds -1; expected body indices in \[0, 1\)"),
-    ("static", [True], r"static holds True; expected body indices"),
-    ("static", 0, "static is 0; expected a list of body indices"),
-    ("self_collision", [True, False], r"self_collision has shape \(2,\); expected a bool or \(1,\)"),
-    ("self_collision", 1, "self_collision is 1; expected a bool or one bool a body"),
-    ("vertex_world", [0, 0], r"vertex_world has dtype int64 and shape \(2,\); expected integers and \(3,\)"),
-    ("vertex_world", [0.0, 0.0, 0.0], "vertex_world has dtype float64"),
-    ("vertex_world", [-1, 0, 0], "vertex_world holds -1; expected worlds from 0 on, below the number of vertices, 3"),
-    ("vertex_world", [3, 3, 3], "vertex_world holds 3; expected worlds from 0 on, below the number of vertices, 3"),
-    ("vertex_world", [0, 0, 1], r"vertex_world gives face 0 worlds \[0, 0, 1\]; expected one"),
     *(
-        ("exclude_pairs", value, "exclude_pairs is .*; expected a mapping from what is paired")
-        for value in ([[0, 1]], "edge_edge", 3, {"edge_edge"})
-    ),
-]
-OF_TWO_BODIES = [
-    ("body_pairs", np.ones((1, 1)), r"body_pairs has dtype float64 and shape \(1, 1\); expected bool and \(2, 2\)"),
-    ("body_pairs", [[True, False], [True, True]], r"body_pairs differs at \(0, 1\) and \(1, 0\)"),
-    ("exclusion_rings", 0, "exclusion_rings is 0; expected a positive integer"),
-    ("names", ["cloth"], "names has 1 entries; expected 2, one a body"),
-    ("names", ["cloth", "cloth"], "names holds 'cloth' twice; expected a name of its own"),
-    ("names", ["cloth", 7], "names holds 7; expected printable texts"),
-    ("names", ["cloth", ""], "names holds ''; expected printable texts"),
-    ("names", ["cloth", "a\nb"], r"names holds 'a\\nb'; expected printable texts"),
-    ("names", "cloth", "names is 'cloth'; expected a list of texts"),
-]
-OF_RADIUS = [
-    (-1.0, "radius is -1.0; expected a finite length of at least 0"),
-    (float("nan"), "radius is nan; expected a finite length"),
-    (float("inf"), "radius is inf; expected a finite length"),
-    (True, "radius is True; expected a finite length"),
-    (1 << 1100, "radius is 1.*that float64 can hold"),
-    (2**53 + 1, "without rounding"),
-    ("0.1", "radius"),
-    ([0.1], r"radius has shape \(1,\); expected a number, shape \(2,\), one a body, or \(4,\), one a vertex"),
-    ([[0.1, 0.2]], r"radius has shape \(1, 2\)"),
-    ([0.1, -0.2], "radius holds -0.2 in entry 1; expected finite lengths of at least 0"),
-    ([0.1, np.nan], "radius holds nan in entry 1"),
-    ([0, 0, np.inf, 0], "radius holds inf in entry 2 of sheet"),
-    (np.array(-1.0), "radius holds -1.0 in entry 0"),
-    ([True, False], "radius has dtype bool"),
-    ([1j, 2], "radius has dtype complex128"),
-    ([0.1, None], "radius has dtype object"),
-    ([[0.1], [0.1, 0.2]], "radius is not an array"),
-    (np.ma.array([0.1, 0.2], mask=[0, 1]), "radius is a masked array"),
-    ([2**53 + 1, 0.5], "radius holds 9007199254740993 in entry 0"),
-]
-UP, ORIGIN = [0.0, 0, 1], [0.0, 0, 0]
-OF_HALF_SPACES = [
-    ((ORIGIN, ORIGIN), r"normal of body 1 \(floor\) is \[0.0, 0.0, 0.0\]; expected a direction"),
-    ((ORIGIN, [0, np.nan, 1]), r"normal of body 1 \(floor\) is \[0.0, nan, 1.0\]; expected finite"),
-    ((ORIGIN, [0, 0, np.inf]), r"normal of body 1 \(floor\) is \[0.0, 0.0, inf\]; expected finite"),
-    (([0, -np.inf, 0], UP), r"point of body 1 \(floor\) is \[0.0, -inf, 0.0\]; expected finite"),
-    (([ORIGIN], UP), r"point of body 1 \(floor\) has shape \(1, 3\); expected \(3,\)"),
-    (([0, 0], [0, 1]), r"point of body 1 \(floor\) has shape \(2,\); expected \(3,\)"),
-    ((ORIGIN, 1.0), r"normal of body 1 \(floor\) is 1.0; expected 3 numbers"),
-    ((["a", "b", "c"], UP), r"point of body 1 \(floor\) has dtype .*; expected real numbers"),
-]
-BODIES_A_C_D = [TRIANGLE, TRIANGLE, (np.zeros((2, 3)), FACE[:0])]
-OF_EXCLUDED_PAIRS = [
-    ({"edges": [[0, 1]]}, r"has the key 'edges'; expected 'bodies', 'vertices', .* or 'vertex_plane'"),
-    ({("edge", "edge"): [[0, 1]]}, r"has the key \('edge', 'edge'\); expected"),
-    ({"edge_edge": [[0, 6]]}, r"\['edge_edge'\] holds edge 6 in row 0; expected an index in \[0, 6\)"),
-    ({"vertex_face": [[0, 1], [-1, 0]]}, r"\['vertex_face'\] holds vertex -1 in row 1; expected .* \[0, 8\)"),
-    ({"vertex_face": [[0, 1], [1, 4]]}, r"\['vertex_face'\] holds face 4 in row 1; expected .* \[0, 2\)"),
-    ({"vertex_face": [[0, 2]]}, r"\['vertex_face'\] holds face 2 in row 0; expected .* \[0, 2\)"),
-    ({"vertices": [[0, 2**40]]}, r"\['vertices'\] holds vertex 1099511627776 in row 0"),
-    ({"bodies": [[0, 3]]}, r"\['bodies'\] holds body 3 in row 0; expected an index in \[0, 3\)"),
-    ({"bodies": [["a", "c"], ["a", "b"]]}, r"\['bodies'\] holds 'b'; expected indices or names of the mesh's"),
-    ({"bodies": [[0, 1], [2]]}, r"\['bodies'\] is not an array"),
-    ({"bodies": "ab"}, r"\['bodies'\] is 'ab'; expected pairs of body indices or names"),
-    ({"bodies": ["ac"]}, r"\['bodies'\] is 'ac'; expected pairs of body indices or names"),
-    ({"bodies": [[0, True], [0, 1.5]]}, r"\['bodies'\] has dtype float64; expected integers"),
-    ({"vertices": [[0, 1, 2]]}, r"\['vertices'\] has shape \(1, 3\); expected \(k, 2\)"),
-    ({"vertices": [0, 1]}, r"\['vertices'\] has shape \(2,\); expected \(k, 2\)"),
-    ({"vertices": 3}, r"\['vertices'\] is 3; expected integers and shape \(k, 2\)"),
-    ({"edge_edge": [[0.0, 1.0]]}, r"\['edge_edge'\] has dtype float64; expected integers"),
-    ({"edge_edge": np.broadcast_to(np.int8(0), (2**27 + 1, 2))}, r"has 134217729 pairs; expected at most 134217728"),
-    ({"point_point": [[6, 7], [0, 6]]}, r"\['point_point'\] holds 0 in row 1; expected a codimensional point"),
-    ({"point_segment": [[6, 0]]}, r"\['point_segment'\] holds 0 in row 0; expected a codimensional edge"),
-]
-
-
-OF_A_MESH = [
-    *((bodies, {}, message) for bodies, message in OF_BODIES),
-    *(([TRIANGLE], {name: value}, message) for name, value, message in OF_ONE_BODY),
-    *(([TRIANGLE, TRIANGLE], {name: value}, message) for name, value, message in OF_TWO_BODIES),
-    *(
-        (SHEET_AND_BEAD, {"codimensional_points": True, "names": ["sheet", "bead"], "radius": radius}, message)
-        for radius, message in OF_RADIUS
-    ),
-    *(([TRIANGLE, ccd.HalfSpace(*given)], {"names": ["cloth", "floor"]}, message) for given, message in OF_HALF_SPACES),
-    ([ccd.HalfSpace(ORIGIN, UP)], {}, "bodies holds half-spaces alone; expected at least one body with vertices"),
-    *(
-        (BODIES_A_C_D, {"codimensional_points": True, "names": list("acd"), "exclude_pairs": pairs}, message)
-        for pairs, message in OF_EXCLUDED_PAIRS
+        (A_C_D, {"codimensional_points": True, "names": list("acd"), "exclude_pairs": {key: pairs}}, message)
+        for key, pairs, message in [
+            ("edges", [[0, 1]], r"has the key 'edges'; expected 'bodies', 'vertices', .* or 'vertex_plane'"),
+            (("edge", "edge"), [[0, 1]], r"has the key \('edge', 'edge'\); expected"),
+            ("edge_edge", [[0, 6]], r"\['edge_edge'\] holds edge 6 in row 0; expected an index in \[0, 6\)"),
+            ("vertex_face", [[0, 1], [-1, 0]], r"\['vertex_face'\] holds vertex -1 in row 1; expected .* \[0, 8\)"),
+            ("vertex_face", [[0, 1], [1, 4]], r"\['vertex_face'\] holds face 4 in row 1; expected .* \[0, 2\)"),
+            ("vertex_face", [[0, 2]], r"\['vertex_face'\] holds face 2 in row 0; expected .* \[0, 2\)"),
+            ("vertices", [[0, 2**40]], r"\['vertices'\] holds vertex 1099511627776 in row 0"),
+            ("bodies", [[0, 3]], r"\['bodies'\] holds body 3 in row 0; expected an index in \[0, 3\)"),
+            ("bodies", [["a", "c"], ["a", "b"]], r"\['bodies'\] holds 'b'; expected indices or names of the mesh's"),
+            ("bodies", [[0, 1], [2]], r"\['bodies'\] is not an array"),
+            ("bodies", ["ac"], r"\['bodies'\] is 'ac'; expected pairs of body indices or names"),
+            ("bodies", [[0, True], [0, 1.5]], r"\['bodies'\] has dtype float64; expected integers"),
+            ("vertices", 3, r"\['vertices'\] is 3; expected integers and shape \(k, 2\)"),
+            ("edge_edge", np.broadcast_to(np.int8(0), (2**27 + 1, 2)), "has 134217729 pairs; expected at most"),
+            ("point_point", [[6, 7], [0, 6]], r"\['point_point'\] holds 0 in row 1; expected a codimensional point"),
+            ("point_segment", [[6, 0]], r"\['point_segment'\] holds 0 in row 0; expected a codimensional edge"),
+        ]
     ),
 ]
 
 
-@pytest.mark.parametrize(("bodies", "options", "message"), OF_A_MESH)
+@pytest.mark.parametrize(("bodies", "options", "message"), MESHES)
 def test_a_mesh_that_cannot_be_is_refused_with_what_was_expected(bodies, options, message):
     with pytest.raises(ValueError, match=message):
         ccd.CollisionMesh.from_arrays(bodies, **options)
+
+
+# What is asked of an object that does not have it.
+ALONE = ccd.Contacts(**vars(RESULT.contacts))
+SEPARATED, SHORT = ccd.CollisionPipeline(MESH, minimum_separation=0.1), ccd.CollisionPipeline(MESH, t_max=0.5)
+COPIERS = (copy.copy, copy.deepcopy, pickle.dumps)
+NO_BOUNDS = "minimum_separation is 0.1; expected 0, and minimum_distance"
+ASKED = [
+    *((name, lambda name=name: getattr(ALONE, name), "made of arrays alone") for name in ("points", "bodies")),
+    *((name, lambda name=name: getattr(ALONE, name)(), "made of arrays alone") for name in ("unique", "toi_gradient")),
+    ("contact", lambda: ALONE[len(ALONE)], "index is 2; expected one of 2 contacts"),
+    ("pair", lambda: ccd.find_proximity(MESH, START, 9.0)[0], "index is 0; expected a slice, a mask or a list"),
+    ("crossing", lambda: ccd.find_intersections(MESH, START)[0], "index is 0; expected a slice, a mask or a list"),
+    ("is_regular", lambda: LAUNCHED.is_regular(), "the launch was not recorded; expected one inside a"),
+    ("to_host", lambda: LAUNCHED.to_host(START), "vertices_t1 is None; expected both"),
+    *((f.__name__, lambda f=f: f(PIPELINE), "CollisionPipeline cannot be copied or pickled; copy or") for f in COPIERS),
+    ("pickle", lambda: pickle.dumps(LAUNCHED), r"LaunchResult cannot be copied or pickled; .* to_host\(\) returns"),
+    ("copy", lambda: copy.copy(LAUNCHED.contacts), "DeviceContacts cannot be copied or pickled"),
+    ("t_max", lambda: SHORT.line_search(START, END), r"t_max is 0\.5; expected 1"),
+    ("t_max", lambda: SHORT.launch_line_search(START, END.copy()), r"t_max is 0\.5; expected 1"),
+    ("bounds", lambda: SEPARATED.displacement_bounds(START, 0.1), NO_BOUNDS),
+    ("bounds", lambda: SEPARATED.launch_displacement_bounds(START, 0.1), NO_BOUNDS),
+    ("gradient", lambda: ccd.vertex_face_ccd(PAIR, PAIR).toi_gradient(PAIR, PAIR), "gradients of NumPy arrays"),
+    ("path", lambda: viz.Picture(np.zeros((2, 3, 3), np.uint8)).__fspath__(), r"no file; expected picture\.save"),
+]
+
+
+@pytest.mark.parametrize(("what", "ask", "message"), ASKED)
+def test_what_is_asked_of_an_object_that_does_not_have_it_is_refused(what, ask, message):
+    kind = IndexError if what == "contact" else TypeError if "index" in message or "copied" in message else ValueError
+    with pytest.raises(kind, match=message):
+        ask()
+
+
+def test_every_public_function_is_among_those_tried():
+    tried = {}
+    for function, arguments in CALLS.values():
+        tried.setdefault(function.__qualname__, set()).update(arguments)
+    left_out = (ccd.JointMotion, ccd.Robot, ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
+    for public in (getattr(part, name) for part in (ccd, datasets, viz) for name in part.__all__):
+        members = vars(public) if isinstance(public, type) and public not in left_out else {}
+        for name in members:
+            member = getattr(public, name)
+            if not name.startswith("_") and name != "borrowed" and callable(member) and parameters_of(member):
+                assert set(parameters_of(member)) <= tried[member.__qualname__], member
+        if inspect.isfunction(public) and parameters_of(public):
+            assert set(parameters_of(public)) <= tried[public.__qualname__], public
+
+
+# ---- What is given stays the caller's --------------------------------------------------------------------------------
+
+
+def test_mesh_and_pipeline_stay_as_they_are_when_the_caller_changes_what_they_were_made_of():
+    bodies = [
+        (TRIANGLE.copy(), FACE.astype(np.int32)),
+        (START[3:].copy(), FACE[:0], np.array([[0, 1]], dtype=np.int32)),
+    ]
+    others = {"static": np.array([1]), "self_collision": np.array([True, False]), "radius": np.full(6, 0.125)}
+    others |= {"codimensional_points": np.array([True, True]), "body_pairs": np.ones((2, 2), dtype=bool)}
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **others, vertex_world=(world := np.zeros(6, dtype=np.int32)))
+    before = copy.deepcopy(mesh)
+    for array in (*(array for body in bodies for array in body), *others.values(), world):
+        array[...] = 0
+    check_same(mesh, before)
+    pipeline = ccd.CollisionPipeline(MESH, pair_kinds=(kinds := ["vertex_face"]), minimum_separation=0.1)
+    expected = pipeline.mesh_ccd(START, END)
+    kinds[0] = "point_point"
+    check_same(pipeline.mesh_ccd(START, END), expected)
+    layout = START.copy()
+    pipeline.reserve(vertices=layout)
+    launched = [a.copy() for a in arrays_of(pipeline.launch(START, END))]
+    layout *= 1000.0
+    pipeline.reserve(vertices=None)
+    for a, b in zip(arrays_of(pipeline.launch(START, END)), launched, strict=True):
+        np.testing.assert_array_equal(a, b)

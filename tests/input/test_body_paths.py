@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from flint import arb, ctx
+from flint import arb, arb_poly, ctx
+from laws.trajectories import cross, exact, scaled, sub
+from laws.turning import rotated, shortest_rotation_vector, turning
 
 import ccd_warp as ccd
 from ccd_warp._rotations import arc_factors
@@ -55,65 +57,17 @@ def _families():
 FAMILIES = {name: ends for name, *ends in _families()}
 
 
-def exact(values):
-    return [arb(float(x)) for x in values]
-
-
-def cross(a, b):
-    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+def length(vector):
+    return sum((x * x for x in vector), arb(0)).sqrt()
 
 
 def plus(*vectors):
     return [sum(parts, arb(0)) for parts in zip(*vectors, strict=True)]
 
 
-def times(factor, vector):
-    return [factor * x for x in vector]
-
-
-def length(vector):
-    return sum((x * x for x in vector), arb(0)).sqrt()
-
-
-def turned_by(quaternion, vector):
-    """Rotation by a quaternion of any length: q v q* / |q|², written out as a matrix."""
-    x, y, z, w = quaternion
-    rows = [
-        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
-    ]
-    square = x * x + y * y + z * z + w * w
-    return [sum((a * b for a, b in zip(row, vector, strict=True)), arb(0)) / square for row in rows]
-
-
-def turned_about(omega, t, vector):
-    """Rotation by t times a rotation vector, as a quaternion of half the angle."""
-    angle = length(omega)
-    if not angle > 0:
-        return vector
-    sine, cosine = (angle * t / 2).sin(), (angle * t / 2).cos()
-    return turned_by([*times(sine / angle, omega), cosine], vector)
-
-
-def shortest(start, end):
-    """The rotation vector between two quaternions, and its length, from the vector and scalar part of q1 q0*."""
-    *v0, w0 = start
-    *v1, w1 = end
-    vector = plus(times(w0, v1), times(-w1, v0), times(arb(-1), cross(v1, v0)))
-    scalar = w0 * w1 + sum((a * b for a, b in zip(v0, v1, strict=True)), arb(0))
-    if scalar < 0:
-        vector, scalar = times(arb(-1), vector), -scalar
-    sine = length(vector)
-    if not sine > 0:
-        return [arb(0)] * 3, arb(0)
-    angle = 2 * arb.atan2(sine, scalar)
-    return times(angle / sine, vector), angle
-
-
 def check(found, expected, bound):
     """A vector of floats is no farther from one of arb, in Euclidean length, than a multiple of eps."""
-    apart = plus(exact(found), times(arb(-1), expected))
+    apart = sub(exact(found), expected)
     bound = EPS * bound + (arb(0) if bound == 0 else arb(1e-300))  # nothing is asked of what is hardly a float
     assert sum((x * x for x in apart), arb(0)) <= bound**2, (found, bound)
 
@@ -130,28 +84,29 @@ def test_fields_are_within_their_bounds(family):
     for k in range(COUNT):
         p0, p1, c = exact(start[k, :3]), exact(end[k, :3]), exact(pivot[k])
         q0, q1 = exact(start[k, 3:]), exact(end[k, 3:])
-        omega, angle = shortest(q0, q1)
+        omega = shortest_rotation_vector(q0, q1)
+        angle = length(omega)
         size = length(q0)
-        check(linear.rotation[k], times(1 / size, q0), 2)
+        check(linear.rotation[k], scaled(1 / size, q0), 2)
         check(linear.omega[k], omega, 4 * angle)  # exactly 0 where nothing turns
-        arm = turned_by(q0, c)
+        arm = rotated(q0, c)
         check(linear.pivot_t0[k], plus(p0, arm), length(p0) + 8 * length(c))
-        d = plus(p1, times(arb(-1), p0))
-        way = plus(d, turned_by(q1, c), times(arb(-1), arm))
+        d = sub(p1, p0)
+        way = sub(plus(d, rotated(q1, c)), arm)
         check(linear.velocity[k], way, 2 * length(d) + 16 * arb.min(angle, arb(2)) * length(c))
         assert not linear.turning[k].any() and (linear.pivot[k] == pivot[k]).all() and not screw.pivot[k].any()
         np.testing.assert_array_equal(screw.pivot_t0[k], start[k, :3])
         along = d
         if angle > 0:
-            axis = times(1 / angle, omega)
-            along = times(sum((a * b for a, b in zip(axis, d, strict=True)), arb(0)), axis)
-        across = plus(d, times(arb(-1), along))
+            axis = scaled(1 / angle, omega)
+            along = scaled(sum((a * b for a, b in zip(axis, d, strict=True)), arb(0)), axis)
+        across = sub(d, along)
         check(screw.velocity[k], along, 8 * length(d))
         found = exact(screw.turning[k])
         if angle > 0:
             # σ1(1) and σ2(1) as they are defined; the equation for turning, which has factors of at least 2/π
             one, two = angle.sin() / angle, (1 - angle.cos()) / angle**2
-            apart = plus(times(one, found), times(two, cross(omega, found)), times(arb(-1), across))
+            apart = plus(scaled(one, found), scaled(two, cross(omega, found)), scaled(arb(-1), across))
             check([0.0, 0.0, 0.0], apart, 8 * length(d))
         else:
             assert not screw.turning[k].any()
@@ -172,25 +127,14 @@ def test_places_are_those_of_the_definition(path):
     pivot = rng.normal(size=(80, 3)) if path == "linear" else None
     motion = ccd.RigidMotion(start, twist=twist, path=path, pivot=pivot)
     t = rng.uniform(size=80)
-    found = motion._body_paths.positions(points, np.arange(80), t)
-    poses = motion.at(t)
+    found, poses = motion._body_paths.positions(points, np.arange(80), t), motion.at(t)
     for k in range(80):
-        p, q, x, s = exact(start[k, :3]), exact(start[k, 3:]), exact(points[k]), arb(t[k])
-        linear, omega = exact(twist[k, :3]), exact(twist[k, 3:])
-        if path == "linear":
-            c = exact(pivot[k])
-            centre, way = plus(p, turned_by(q, c)), times(s, linear)
-        else:  # about the point of the screw's axis that is nearest to the origin
-            square = sum((w * w for w in omega), arb(0))
-            arm = times(1 / square, cross(omega, linear))
-            inverse = [-q[0], -q[1], -q[2], q[3]]
-            c, centre = turned_by(inverse, arm), plus(p, arm)
-            way = times(s * sum((a * b for a, b in zip(omega, linear, strict=True)), arb(0)) / square, omega)
-        rest = turned_by(q, plus(x, times(arb(-1), c)))
-        expected = plus(centre, way, turned_about(omega, s, rest))
-        scale = 1 + np.abs(twist[k]).sum()
-        check(found[k], expected, 60 * scale)
-        origin = plus(centre, way, turned_about(omega, s, turned_by(q, times(arb(-1), c))))
-        check(poses[k, :3], origin, 60 * scale)
-        turned = turned_about(omega, s, turned_by(q, x))
-        check([float(v.mid()) for v in turned_by(exact(poses[k, 3:]), x)], turned, 60 * scale)
+        local = [points[k], [0.0, 0, 0]]
+        about = {} if pivot is None else {"pivot": pivot[k]}
+        place = turning(local, start[k], path=path, twist=twist[k], **about)(arb_poly([arb(float(t[k]))]))
+        expected, origin = ([arb_poly(x)[0] for x in point] for point in place)
+        bound = 60 * (1 + np.abs(twist[k]).sum())
+        check(found[k], expected, bound)
+        check(poses[k, :3], origin, bound)
+        turned = rotated(exact(poses[k, 3:]), exact(points[k]))
+        check([float(v.mid()) for v in turned], sub(expected, origin), bound)

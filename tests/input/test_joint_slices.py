@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from arc_paths import Basis, _rotation, add, cross, dot, scaled, sub, vector
-from chain_paths import ChainJoint, ChainPath
-from flint import arb, ctx
+from chain_paths import ChainJoint, chain
+from flint import arb, arb_poly, ctx
+from laws.trajectories import add, cross, dot, exact, scaled, sub
+from laws.turning import rotated
 
 import ccd_warp as ccd
 
@@ -20,18 +21,17 @@ def many_digits():
 
 def exact_place(joints, point, t):
     """A point of the last link at a time."""
-    found = ChainPath([point], joints).points(Basis(arb(0), t, arb(0)))[0]
-    return [x[0] for x in found]
+    return [arb_poly(x)[0] for x in chain([point], joints)(arb_poly([t]))[0]]
 
 
 def place_on_path(paths, row, point, s):
     """A point of a body on its path, by the formula that the paths state."""
-    omega, turning = vector(paths.omega[row]), vector(paths.turning[row])
-    basis = Basis(dot(omega, omega).sqrt(), s, arb(0))
-    arm = _rotation(vector(paths.rotation[row]))(sub(vector(point), vector(paths.pivot[row])))
-    turned = add(cross(omega, arm), turning)
-    place = add(add(vector(paths.pivot_t0[row]), scaled(s, vector(paths.velocity[row]))), arm)
-    return add(place, add(scaled(basis.sigma1[0], turned), scaled(basis.sigma2[0], cross(omega, turned))))
+    omega, turning = exact(paths.omega[row]), exact(paths.turning[row])
+    arm = rotated(exact(paths.rotation[row]), sub(exact(point), exact(paths.pivot[row])))
+    turned, theta = add(cross(omega, arm), turning), dot(omega, omega).sqrt()
+    place = add(add(exact(paths.pivot_t0[row]), scaled(s, exact(paths.velocity[row]))), arm)
+    s1, half = ((theta * s).sin() / theta, (theta * s / 2).sin() / theta) if theta > 0 else (s, s / 2)
+    return add(place, add(scaled(s1, turned), scaled(2 * half * half, cross(omega, turned))))
 
 
 def farthest(paths, row, joints, points, begin, end):

@@ -57,17 +57,6 @@ def test_a_quarter_turn_about_z_takes_x_to_y_on_an_arc(motion):
     check_at_ends(motion)
 
 
-def test_poses_are_those_of_warp():
-    start, end = (
-        wp.transform((1.0, 2.0, 3.0), (0.5, 0.5, 0.5, 0.5)),
-        wp.transform((0.0, 1.0, 0.0), (0.0, 0.6, 0.0, 0.8)),
-    )
-    motion = ccd.RigidMotion([start], [end])
-    for t, pose in ((0.0, start), (1.0, end)):
-        expected = wp.transform_point(pose, wp.vec3(4.0, 5.0, 6.0))
-        np.testing.assert_allclose(placed(motion, [4, 5, 6], t), np.array(expected), rtol=0, atol=1e-5)  # of float32
-
-
 def test_a_twist_is_linear_first_and_in_the_frame_of_the_world():
     lying = [5.0, 0, 0, HALF, 0, 0, HALF]  # the body's y is the world's z
     motion = ccd.RigidMotion([lying], twist=[[0, 0, 2, 0, 0, np.pi / 2]])
@@ -121,25 +110,6 @@ def test_a_nut_on_a_bolt_moves_on_a_screw():
     check_at_ends(screw)
 
 
-def test_a_screw_is_a_linear_path_about_a_point_of_its_axis():
-    rng = np.random.default_rng(1)
-    start, end = rng.normal(size=(2, 20, 7))
-    screw = ccd.RigidMotion(start, end, path="screw")
-    paths, bodies = screw._body_paths, np.arange(20)
-    # of the origin's velocity ω × r + v, with r across the axis
-    arm = np.cross(paths.omega, paths.turning) / (paths.omega**2).sum(axis=1, keepdims=True)
-    quaternions = paths.rotation * [-1, -1, -1, 1]
-    inverse = ccd.RigidMotion(np.hstack([np.zeros((20, 3)), quaternions]), twist=np.zeros((20, 6)))
-    pivot = inverse._body_paths.positions(arm, bodies, 0.0)
-    linear = ccd.RigidMotion(start, end, pivot=pivot)
-    points = rng.normal(size=(20, 3))
-    for t in (0.0, 0.2, 0.7, 1.0):
-        # arms of axes far away cost digits
-        np.testing.assert_allclose(
-            paths.positions(points, bodies, t), linear._body_paths.positions(points, bodies, t), rtol=0, atol=1e-11
-        )
-
-
 @pytest.mark.parametrize("path", ["linear", "screw"])
 def test_a_twist_of_whole_turns_comes_back_at_each_of_them(path):
     screw = np.array([[0.0, 0, 3, 0, 0, 6 * np.pi]])  # three turns down a bolt
@@ -170,20 +140,6 @@ def test_a_twist_and_the_end_pose_may_be_given_both(path):
         ccd.RigidMotion([IDENTITY], [[0.0, 0, 3 + 4e-6, 0, 0, HALF, HALF]], twist=twist, path=path)
 
 
-@pytest.mark.parametrize("path", ["linear", "screw"])
-def test_as_the_turn_goes_to_zero_the_path_becomes_the_straight_line(path):
-    point, start = np.array([3.0, -2, 1]), np.array([7.0, 8, 9])
-    for angle in (1e-3, 1e-8, 1e-16, 1e-100, 1e-154, 1e-170, 1e-300, 5e-324, 0.0):
-        motion = ccd.RigidMotion([[*start, *IDENTITY[3:]]], [[*start + 1, 0, 0, angle / 2, 1]], path=path)
-        assert motion.turns[0] == pytest.approx(2 * (angle / 2), rel=1e-6, abs=0.0)
-        for t in (0.0, 0.3, 1.0):
-            expected = start + point + t
-            np.testing.assert_allclose(placed(motion, point, t), expected, rtol=0, atol=6 * angle + 8e-15)
-        if angle == 0.0:
-            assert not motion._body_paths.omega.any() and not motion._body_paths.turning.any()
-            np.testing.assert_array_equal(motion._body_paths.velocity, [[1.0, 1, 1]])
-
-
 # ---- What a motion is ------------------------------------------------------------------------------------------------
 
 
@@ -205,17 +161,11 @@ def test_worlds_are_as_many_motions():
         np.testing.assert_array_equal(motion.at(0.3)[w], alone.at(0.3))
         np.testing.assert_array_equal(motion.at(fractions)[w], alone.at(fractions[w]))
         np.testing.assert_array_equal(motion.at(fractions[0])[w], alone.at(fractions[0]))
+        np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[w, 1], alone.at(0.5)[1])
         np.testing.assert_array_equal(motion._body_paths.velocity[3 * w : 3 * w + 3], alone._body_paths.velocity)
     same = ccd.RigidMotion(start, end, pivot=np.tile(pivot, (4, 1, 1)))
     np.testing.assert_array_equal(same.at(0.3), motion.at(0.3))
     check_at_ends(motion)
-
-
-def test_a_fraction_for_each_body_moves_it_alone():
-    start, end = _worlds()[:, 0]
-    motion = ccd.RigidMotion(start, end, path="screw")
-    np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[1], motion.at(0.5)[1])
-    np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[0], motion.poses_t0[0])
 
 
 def test_arrays_of_other_libraries_are_the_same_poses():
@@ -227,25 +177,6 @@ def test_arrays_of_other_libraries_are_the_same_poses():
         np.testing.assert_array_equal(ccd.RigidMotion(*given).at(0.5), expected)
     by_world = wp.array(start, dtype=wp.transformd, device="cpu")
     assert ccd.RigidMotion(by_world, by_world).num_worlds == 4
-
-
-def test_poses_on_a_gpu_are_read_to_the_host(monkeypatch):
-    start, end = (wp.array(poses[0], dtype=wp.transformd, device="cpu") for poses in _worlds())
-    expected = ccd.RigidMotion(start, end).at(0.5)
-    monkeypatch.setattr("ccd_warp._input.arrays.place_of", lambda *_: (2, 0))  # memory of a GPU, as DLPack numbers it
-    np.testing.assert_array_equal(ccd.RigidMotion(start, end, pivot=wp.zeros((3, 3), device="cpu")).at(0.5), expected)
-
-
-def test_poses_on_a_device_that_warp_does_not_have_are_refused_by_their_name():
-    class OnGpu:
-        def __dlpack__(self, **_):
-            raise AssertionError("never read")
-
-        def __dlpack_device__(self):
-            return 2, 99
-
-    with pytest.raises(ValueError, match="poses_t0 is a OnGpu on cuda:99; expected it on one of cpu"):
-        ccd.RigidMotion(OnGpu(), OnGpu())
 
 
 def test_a_motion_can_be_copied_and_does_not_change():
@@ -299,9 +230,8 @@ def test_affine_bodies_are_where_their_maps_put_them():
 
 # ---- Bad arguments ---------------------------------------------------------------------------------------------------
 
-TWO = np.array([IDENTITY, IDENTITY])
-WORLDS = np.array([TWO, TWO, TWO])
-MATRICES = np.array([np.eye(4), np.eye(4)])
+TWO, MAPS = np.array([IDENTITY, IDENTITY]), np.zeros((2, 3, 4))
+WORLDS, MATRICES = np.array([TWO, TWO, TWO]), np.array([np.eye(4), np.eye(4)])
 
 
 def _with(array, at, value):
@@ -310,156 +240,80 @@ def _with(array, at, value):
     return array
 
 
+def rigid(*poses, **options):
+    return lambda: ccd.RigidMotion(*poses, **options)
+
+
+def twisted(at, value, poses=TWO, end=None):
+    """A twist of zeros but for some values."""
+    end = () if end is None else (end,)
+    return rigid(poses, *end, twist=_with(np.zeros((*poses.shape[:-1], 6)), at, value))
+
+
+MOST = "twist turns body 0 by 1e.06 rad; expected less than 1e.06 rad in a step: divide it"
 BAD = [
-    ((TWO,), {}, "poses_t1 is None; expected the poses at the end of the step, or twist in their place"),
-    (
-        (TWO[:, :6], TWO),
-        {},
-        r"poses_t0 has shape \(2, 6\); expected shape \(B, 7\), position and quaternion x y z w, sc",
-    ),
-    ((TWO[0], TWO), {}, r"poses_t0 has shape \(7,\); expected shape \(B, 7\)"),
-    ((np.eye(4), TWO), {}, r"poses_t0 has shape \(4, 4\); expected shape .* or \(B, 4, 4\)"),
-    ((WORLDS[None], TWO), {}, r"poses_t0 has shape \(1, 3, 2, 7\)"),
-    ((TWO, TWO[:1]), {}, "poses_t1 is of 1 body; expected 2 bodies like poses_t0"),
-    ((WORLDS, WORLDS[:2]), {}, "poses_t1 is of 2 bodies in each of 2 worlds; expected 2 bodies in each of 3 worlds"),
-    ((WORLDS, TWO), {}, "poses_t1 is of 2 bodies; expected 2 bodies in each of 3 worlds like poses_t0"),
-    ((TWO, "there"), {}, "poses_t1 is 'there'; expected shape"),
-    ((TWO, [[1.0], [1.0, 2.0]]), {}, "poses_t1 is not an array but .*; expected shape"),
-    ((_with(TWO, (1, 0), np.nan), TWO), {}, "poses_t0 holds nan for body 1; expected finite numbers"),
-    ((WORLDS, _with(WORLDS, (2, 1, 5), -np.inf)), {}, "poses_t1 holds -inf for body 1 of world 2; expected finite"),
-    ((_with(MATRICES, (1, 2, 3), np.inf), TWO), {}, "poses_t0 holds inf for body 1"),
-    (
-        (TWO, _with(TWO, (0, 6), 0)),
-        {},
-        "poses_t1 has a quaternion of length 0 for body 0; expected any other length .*last",
-    ),
-    (
-        (TWO, _with(MATRICES, (1, 3, 0), 0.5)),
-        {},
-        r"poses_t1 has the bottom row \[0.5, 0.0, 0.0, 1.0\] for body 1; expected",
-    ),
-    ((_with(MATRICES, (0, 3, 3), 2), TWO), {}, r"poses_t0 has the bottom row \[0.0, 0.0, 0.0, 2.0\] for body 0"),
-    ((TWO, _with(MATRICES, (1, 0, 0), 1.01)), {}, "poses_t1 holds no rotation for body 1: .* 0.0201 .* at most 1e-06"),
-    ((_with(MATRICES, (1, 0, 1), 2e-6), TWO), {}, "poses_t0 holds no rotation for body 1: .* are 2e-06 from"),
-    ((_with(MATRICES, (0, 0, 0), 1e200), TWO), {}, "poses_t0 holds no rotation for body 0: .* are inf from"),
-    (
-        (_with(MATRICES, (1, 0, 0), -1), TWO),
-        {},
-        "poses_t0 holds a reflection for body 1, with determinant -1; expected",
-    ),
-    ((TWO, TWO), {"path": "spline"}, "path is 'spline'; expected 'linear' or 'screw'"),
-    ((TWO, TWO), {"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
-    (
-        (TWO, TWO),
-        {"pivot": [0, 0]},
-        r"pivot has shape \(2,\); expected shape \(3,\) or \(2, 3\), in the bodies' frames",
-    ),
-    ((WORLDS, WORLDS), {"pivot": np.zeros((3, 3))}, r"pivot has shape \(3, 3\); .* \(3,\) or \(2, 3\) or \(3, 2, 3\)"),
-    ((TWO, TWO), {"pivot": [0, np.nan, 0]}, "pivot holds nan for body 0; expected finite"),
-    ((TWO,), {"twist": [[0.0] * 6]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
-    (
-        (TWO,),
-        {"twist": np.zeros((2, 7))},
-        r"twist has shape \(2, 7\); expected shape \(B, 6\), linear part first, then ang",
-    ),
-    ((TWO,), {"twist": _with(np.zeros((2, 6)), (1, 3), np.nan)}, "twist holds nan for body 1"),
-    (
-        (TWO, TWO),
-        {"twist": _with(np.zeros((2, 6)), (1, 0), 0.5)},
-        "twist ends 0.5 and 0 rad away from poses_t1 for body 1; expected the same pose to 1e-06, relative, or",
-    ),
-    (
-        (WORLDS, WORLDS),
-        {"twist": _with(np.zeros((3, 2, 6)), (2, 0, 4), 3e-6)},
-        "ends 0 and 3e-06 rad .* body 0 of world 2",
-    ),
-    ((TWO, TWO), {"twist": _with(np.zeros((2, 6)), (0, 5), 2.0)}, "twist ends 0 and 2 rad away"),
-    (
-        (_with(TWO, (1, 0), -1.7e308), _with(TWO, (1, 0), 1.7e308)),
-        {},
-        "velocity of the motion holds .* for body 1; expected",
-    ),
-    (
-        (TWO,),
-        {"twist": _with(np.zeros((2, 6)), (1, 5), -1e6)},
-        "twist turns body 1 by 1e.06 rad; expected less than 1e.06",
-    ),
-    (
-        (WORLDS,),
-        {"twist": _with(np.zeros((3, 2, 6)), (2, 1, slice(3, 6)), 1.7e308)},
-        "turns body 1 of world 2 by inf rad",
-    ),
-    (
-        (_with(TWO, (0, 0), 1.7e308),),
-        {"twist": _with(np.zeros((2, 6)), (0, 0), 1.7e308)},
-        "the end of twist holds inf for",
-    ),
-]
-
-
-@pytest.mark.parametrize(("arguments", "options", "message"), BAD)
-def test_what_is_no_motion_is_refused_by_its_name(arguments, options, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.RigidMotion(*arguments, **options)
-
-
-def test_a_motion_may_turn_by_as_much_as_sine_and_cosine_are_proved_for():
-    most = np.nextafter(1e6, 0)
-    assert ccd.RigidMotion([IDENTITY], twist=[[0, 0, 0, 0, -most, 0]]).turns == most
-    message = "twist turns body 0 by 1e.06 rad; expected less than 1e.06 rad in a step: divide it"
-    for make in (ccd.RigidMotion, ccd.RigidMotion.from_scalar_first):
-        with pytest.raises(ValueError, match=message):
-            make([[0, 0, 0, 1, 0, 0, 0]], twist=[[0, 0, 0, 8e5, 6e5, 0]])
-    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])
-    with pytest.raises(ValueError, match=message):
-        ccd.rigid_ccd(mesh, [IDENTITY], twist=[[0, 0, 0, 0, 0, 1e6]], device="cpu")
-
-
-def test_scalar_first_takes_no_matrices_and_says_its_order():
-    with pytest.raises(
-        ValueError, match=r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"
-    ):
-        ccd.RigidMotion.from_scalar_first(MATRICES, MATRICES)
-    with pytest.raises(ValueError, match=r"quaternion of length 0 for body 1; .*w x y z, scalar first"):
-        ccd.RigidMotion.from_scalar_first(TWO, _with(TWO, (1, 6), 0))
-
-
-@pytest.mark.parametrize(
-    ("t", "message"),
-    [
+    (rigid(TWO), "poses_t1 is None; expected the poses at the end of the step, or twist in their place"),
+    (rigid(TWO[:, :6], TWO), r"poses_t0 has shape \(2, 6\); expected shape \(B, 7\), position and quaternion x y z w,"),
+    (rigid(TWO[0], TWO), r"poses_t0 has shape \(7,\); expected shape \(B, 7\)"),
+    (rigid(np.eye(4), TWO), r"poses_t0 has shape \(4, 4\); expected shape .* or \(B, 4, 4\)"),
+    (rigid(WORLDS[None], TWO), r"poses_t0 has shape \(1, 3, 2, 7\)"),
+    (rigid(TWO, TWO[:1]), "poses_t1 is of 1 body; expected 2 bodies like poses_t0"),
+    (rigid(WORLDS, WORLDS[:2]), "poses_t1 is of 2 bodies in each of 2 worlds; expected 2 bodies in each of 3 worlds"),
+    (rigid(WORLDS, TWO), "poses_t1 is of 2 bodies; expected 2 bodies in each of 3 worlds like poses_t0"),
+    (rigid(TWO, "there"), "poses_t1 is 'there'; expected shape"),
+    (rigid(TWO, [[1.0], [1.0, 2.0]]), "poses_t1 is not an array but .*; expected shape"),
+    (rigid(_with(TWO, (1, 0), np.nan), TWO), "poses_t0 holds nan for body 1; expected finite numbers"),
+    (rigid(WORLDS, _with(WORLDS, (2, 1, 5), -np.inf)), "poses_t1 holds -inf for body 1 of world 2; expected finite"),
+    (rigid(_with(MATRICES, (1, 2, 3), np.inf), TWO), "poses_t0 holds inf for body 1"),
+    (rigid(TWO, _with(TWO, (0, 6), 0)), "poses_t1 has a quaternion of length 0 for body 0; expected any other .*last"),
+    (rigid(TWO, _with(MATRICES, (1, 3, 0), 0.5)), r"poses_t1 has the bottom row \[0.5, 0.0, 0.0, 1.0\] for body 1"),
+    (rigid(_with(MATRICES, (0, 3, 3), 2), TWO), r"poses_t0 has the bottom row \[0.0, 0.0, 0.0, 2.0\] for body 0"),
+    (rigid(TWO, _with(MATRICES, (1, 0, 0), 1.01)), "poses_t1 holds no rotation for body 1: .* 0.0201 .* at most 1e-06"),
+    (rigid(_with(MATRICES, (1, 0, 1), 2e-6), TWO), "poses_t0 holds no rotation for body 1: .* are 2e-06 from"),
+    (rigid(_with(MATRICES, (0, 0, 0), 1e200), TWO), "poses_t0 holds no rotation for body 0: .* are inf from"),
+    (rigid(_with(MATRICES, (1, 0, 0), -1), TWO), "poses_t0 holds a reflection for body 1, with determinant -1"),
+    (rigid(TWO, TWO, path="spline"), "path is 'spline'; expected 'linear' or 'screw'"),
+    (rigid(TWO, TWO, path="screw", pivot=[0, 0, 0]), r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
+    (rigid(TWO, TWO, pivot=[0, 0]), r"pivot has shape \(2,\); expected shape \(3,\) or \(2, 3\), in the bodies'"),
+    (rigid(WORLDS, WORLDS, pivot=np.zeros((3, 3))), r"pivot has shape \(3, 3\); .* \(3,\) or \(2, 3\) or \(3, 2, 3\)"),
+    (rigid(TWO, TWO, pivot=[0, np.nan, 0]), "pivot holds nan for body 0; expected finite"),
+    (rigid(TWO, twist=[[0.0] * 6]), "twist is of 1 body; expected 2 bodies like poses_t0"),
+    (rigid(TWO, twist=np.zeros((2, 7))), r"twist has shape \(2, 7\); expected shape \(B, 6\), linear part"),
+    (twisted((1, 3), np.nan), "twist holds nan for body 1"),
+    (twisted((1, 0), 0.5, end=TWO), "twist ends 0.5 and 0 rad away from poses_t1 for body 1; expected the same pose"),
+    (twisted((2, 0, 4), 3e-6, WORLDS, WORLDS), "ends 0 and 3e-06 rad .* body 0 of world 2"),
+    (twisted((0, 5), 2.0, end=TWO), "twist ends 0 and 2 rad away"),
+    (rigid(*(_with(TWO, (1, 0), x) for x in (-1.7e308, 1.7e308))), "velocity of the motion holds .* for body 1"),
+    (twisted((1, 5), -1e6), "twist turns body 1 by 1e.06 rad; expected less than 1e.06"),
+    (twisted((2, 1, slice(3, 6)), 1.7e308, WORLDS), "turns body 1 of world 2 by inf rad"),
+    (twisted((0, 0), 1.7e308, _with(TWO, (0, 0), 1.7e308)), "the end of twist holds inf for"),
+    *((lambda make=make: make([[0, 0, 0, 1, 0, 0, 0]], twist=[[0, 0, 0, 8e5, 6e5, 0]]), MOST)
+      for make in (ccd.RigidMotion, ccd.RigidMotion.from_scalar_first)),
+    (lambda: ccd.RigidMotion.from_scalar_first(MATRICES, MATRICES),
+     r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"),
+    (lambda: ccd.RigidMotion.from_scalar_first(TWO, _with(TWO, (1, 6), 0)), "0 for body 1; .*w x y z, scalar first"),
+    *((lambda t=t: ccd.RigidMotion(WORLDS, WORLDS).at(t), message) for t, message in (
         (1.5, "t is 1.5; expected a fraction in"),
         (-1e-300, "t is -1e-300"),
         (np.nan, "t is nan"),
         ("half", "t is 'half'"),
         ([0.5], r"t has shape \(1,\); expected a fraction in \[0, 1\], or such fractions of shape \(2,\) or \(3, 2\)"),
         ([0.5, np.nan], "t is nan for body 1 of world 0"),
-        (np.full((3, 2), 2.0), "t is 2.0 for body 0 of world 0"),
-    ],
-)
-def test_a_fraction_beyond_the_step_is_refused(t, message):
+        (np.full((3, 2), 2.0), "t is 2.0 for body 0 of world 0"))),
+    (lambda: ccd.AffineMotion(np.zeros((2, 4, 4)), MAPS), r"affine_t0 has shape \(2, 4, 4\); expected shape \(B, 3"),
+    (lambda: ccd.AffineMotion(MAPS, MAPS[:1]), r"affine_t1 has shape \(1, 3, 4\); expected \(2, 3, 4\) like affine_t0"),
+    (lambda: ccd.AffineMotion(MAPS, MAPS * np.nan), "affine_t1 holds nan for body 0; expected finite"),
+    (lambda: ccd.AffineMotion(MAPS, MAPS).positions_t0([X, Y], [0, 2]), r"body holds index 2; .* indices in \[0, 2\)"),
+    (lambda: ccd.AffineMotion(MAPS, MAPS).positions_t1([X, Y], [0]), r"body has shape \(1,\); .* as many as points"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "message"), BAD)
+def test_what_is_no_motion_is_refused_by_its_name(call, message):
     with pytest.raises(ValueError, match=message):
-        ccd.RigidMotion(WORLDS, WORLDS).at(t)
+        call()
 
 
-@pytest.mark.parametrize(
-    ("maps", "message"),
-    [
-        ((np.zeros((2, 4, 4)), np.zeros((2, 3, 4))), r"affine_t0 has shape \(2, 4, 4\); expected shape \(B, 3, 4\)"),
-        (
-            (np.zeros((2, 3, 4)), np.zeros((1, 3, 4))),
-            r"affine_t1 has shape \(1, 3, 4\); expected \(2, 3, 4\) like affine_t0",
-        ),
-        ((np.zeros((2, 3, 4)), np.full((2, 3, 4), np.nan)), "affine_t1 holds nan for body 0; expected finite"),
-    ],
-)
-def test_what_is_no_affine_motion_is_refused_by_its_name(maps, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.AffineMotion(*maps)
-
-
-def test_points_of_no_affine_body_are_refused():
-    motion = ccd.AffineMotion(np.zeros((2, 3, 4)), np.zeros((2, 3, 4)))
-    with pytest.raises(ValueError, match=r"body holds index 2; expected indices in \[0, 2\)"):
-        motion.positions_t0([X, Y], [0, 2])
-    with pytest.raises(ValueError, match=r"body has shape \(1,\); expected \(2,\), as many as points"):
-        motion.positions_t1([X, Y], [0])
+def test_a_motion_may_turn_by_as_much_as_sine_and_cosine_are_proved_for():
+    most = np.nextafter(1e6, 0)
+    assert ccd.RigidMotion([IDENTITY], twist=[[0, 0, 0, 0, -most, 0]]).turns == most

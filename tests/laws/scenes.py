@@ -287,7 +287,28 @@ class _Drawing:
             start, end = self.stacked(mesh, start, end)
         if self.family == "far":
             start, end = (x + size * 1e6 * rng.choice([-1, 0, 1], self.dimension) for x in (start, end))
+        if not self.is_on_grid and self.family not in ("in plane", "arcs") and self.flip(0.6):
+            self.meet(mesh, start, end)
         return start, with_static_at_rest(mesh, start, end)
+
+    def meet(self, mesh, start, end) -> None:
+        """Vertices that come onto a face, an edge or a plane at some time, but for rounding, and perhaps beyond."""
+        rng, solids = self.rng, mesh.faces if len(mesh.faces) else mesh.edges
+        free = rng.permutation(np.flatnonzero(~(mesh.static | mesh.kinematic)[mesh.vertex_body]))
+        for n, v in enumerate(free[:6]):
+            t = (1.0, 0.5, rng.uniform(0.1, 1.0))[n % 3]
+            if n < 4 and len(solids):
+                corners = solids[rng.integers(len(solids))]
+                target = rng.dirichlet(np.ones(len(corners))) @ ((1 - t) * start[corners] + t * end[corners])
+            elif len(mesh.planes):
+                k = rng.integers(len(mesh.planes))
+                normal, own = mesh.planes.normals[k], mesh.planes.vertices[k]
+                point = mesh.planes.points[k] if own < 0 else (1 - t) * start[own] + t * end[own]
+                x = (1 - t) * start[v] + t * end[v]
+                target = x - (x - point) @ normal / (normal @ normal) * normal
+            else:
+                continue
+            end[v] = start[v] + (target - start[v]) / t
 
     def stacked(self, mesh, start, end):
         """Each body begins or ends where it just touches the one before, along the last axis, and slides or parts."""

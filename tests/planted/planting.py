@@ -43,8 +43,7 @@ class Copy:
         (folder / "answers").mkdir()
         unneeded = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / "ccd_warp", folder / "package" / "ccd_warp", ignore=unneeded)
-        for part in ("kernels", "benchmarks"):
-            shutil.copytree(ROOT / part, folder / "package" / "ccd_warp" / part, ignore=unneeded)
+        shutil.copytree(ROOT / "kernels", folder / "package" / "ccd_warp" / "kernels", ignore=unneeded)
         shutil.copytree(ROOT / "tests", folder / "tests", ignore=unneeded)
 
     def path_of(self, file: str) -> Path:

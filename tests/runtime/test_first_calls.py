@@ -1,34 +1,42 @@
-"""First calls of a process that many threads make at once, and calls of a process that was forked from a busy one.
+"""First calls of a process that many threads make at once, and calls of a process that was forked from a busy one."""
 
-`python tests/runtime/test_first_calls.py [--runs 20] [--forks 40]` makes more of both.
-"""
-
-import argparse
 import os
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 import traceback
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "helpers"))
 
 import numpy as np
 import pytest
 import warp as wp
-from scenes import CORNERS, random_pairs, sheet_over_floor
 
 import ccd_warp as ccd
 
+RNG = np.random.default_rng(0)
+PAIRS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
+START, END = RNG.uniform(size=(2, 30, 4, 3))
+
+
+def sheet_over_floor():
+    """A sheet falls through another, which is static: a new mesh, and both ends of the step."""
+    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
+    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
+    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
+    return mesh, mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
+
 
 def of_pairs(kind, **options):
-    return lambda: getattr(ccd, f"{kind}_ccd")(*random_pairs(kind), minimum_separation=0.02, **options).toi
+    frames = (x[:, : PAIRS[kind]].copy() for x in (START, END))
+    return lambda frames=tuple(frames): getattr(ccd, f"{kind}_ccd")(*frames, minimum_separation=0.02, **options).toi
 
 
-def of_mesh(name, **options):
-    return lambda: getattr(ccd, name)(*sheet_over_floor(), num_threads=2, **options)
+def of_mesh(name, field=None, **options):
+    def call():
+        result = getattr(ccd, name)(*sheet_over_floor(), num_threads=2, **options)
+        return result if field is None else getattr(result, field)
+
+    return call
 
 
 def launch(dtype=wp.vec3d, method="launch", **options):
@@ -42,27 +50,20 @@ def launch(dtype=wp.vec3d, method="launch", **options):
 
 
 CALLS = [
-    *(of_pairs(kind) for kind in CORNERS),
-    *(of_pairs(kind, precision="float32") for kind in CORNERS),
+    *(of_pairs(kind, precision=precision) for precision in ("float64", "float32") for kind in PAIRS),
     of_pairs("edge_edge", method="bisection"),
-    lambda: of_mesh("mesh_ccd")().vertex_toi,
-    lambda: of_mesh("mesh_ccd", precision="float32")().vertex_toi,
-    of_mesh("collision_free_step"),
-    lambda: of_mesh("find_candidates")().edge_edge,
-    lambda: of_mesh("line_search")().vertices,
+    of_mesh("mesh_ccd", "vertex_toi"),
+    of_mesh("collision_free_step", precision="float32"),
+    of_mesh("find_candidates", "edge_edge"),
     launch(),
-    launch(wp.vec3f),
+    launch(wp.vec3f, precision="float32"),
     launch(method="launch_line_search"),
-    launch(precision="float32"),
 ]
-# One module of kernels, which takes seconds to compile.
-FEW = CALLS[:4]
 
 
 def call_at_once(calls, num_threads):
-    """Make calls on threads that begin together; each then once more, alone, to compare. The exit status."""
-    barrier = threading.Barrier(num_threads)
-    answers, errors = [None] * num_threads, []
+    """Make calls on threads that begin together; each then once more, alone, to compare. What went wrong."""
+    barrier, answers, errors = threading.Barrier(num_threads), [None] * num_threads, []
 
     def work(k):
         barrier.wait()
@@ -79,79 +80,55 @@ def call_at_once(calls, num_threads):
     for k in range(num_threads):
         if not errors and answers[k].tobytes() != np.array(calls[k % len(calls)]()).tobytes():
             errors.append(f"call {k} answered otherwise the second time")
-    if errors:
-        print(f"{len(errors)} of {num_threads} threads failed\n{errors[0]}", file=sys.stderr)
-    return int(bool(errors))
+    return errors
 
 
 def call_in_children(num_forks, patience=120.0):
-    """Fork while threads are at work; each child makes a call of its own on two threads. The exit status."""
-    mesh, start, end = sheet_over_floor()
-    expected = ccd.mesh_ccd(mesh, start, end, num_threads=2)
-    is_done = threading.Event()
+    """Fork while threads are at work; each child makes a call of its own on two threads. What went wrong."""
+    call, is_done, errors = of_mesh("mesh_ccd", "vertex_toi"), threading.Event(), []
+    expected = call().tobytes()
 
     def work():
-        own, *frames = sheet_over_floor()
         while not is_done.is_set():
-            ccd.mesh_ccd(own, *frames, num_threads=2)
+            call()
 
     threads = [threading.Thread(target=work) for _ in range(2)]
     for thread in threads:
         thread.start()
-    hung = wrong = 0
     for k in range(num_forks):
         time.sleep(1e-3 * (k % 7))
-        child = os.fork()
-        if child == 0:
+        if (child := os.fork()) == 0:
             status = 1
             try:
-                result = ccd.mesh_ccd(mesh, start, end, num_threads=2)
-                status = int(result.vertex_toi.tobytes() != expected.vertex_toi.tobytes())
+                status = int(call().tobytes() != expected)
             finally:
                 os._exit(status)
         last = time.monotonic() + patience
         while (ended := os.waitpid(child, os.WNOHANG))[0] == 0 and time.monotonic() < last:
             time.sleep(2e-3)
         if ended[0] == 0:
-            hung += 1
             os.kill(child, 9)
             os.waitpid(child, 0)
-        else:
-            wrong += int(ended[1] != 0)
+        errors += [f"child {k} ended with {ended}"] * (ended[0] == 0 or ended[1] != 0)
     is_done.set()
     for thread in threads:
         thread.join()
-    if hung or wrong:
-        print(f"of {num_forks} children {hung} hung and {wrong} failed", file=sys.stderr)
-    return int(bool(hung or wrong))
+    return errors
 
 
-def in_own_process(*arguments, cache=None, timeout=600):
-    """Run this file; what it wrote to the error stream where it failed or hung."""
-    environment = os.environ | ({"WARP_CACHE_PATH": cache} if cache else {})
-    command = [sys.executable, __file__, "--run", *map(str, arguments)]
-    try:
-        done = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=False, timeout=timeout, cwd=os.getcwd()
-        )
-    except subprocess.TimeoutExpired:
-        return f"did not end within {timeout} s"
-    return "" if done.returncode == 0 else f"ended with {done.returncode}: {done.stderr[-3000:]}"
-
-
-@pytest.mark.parametrize("num_threads", [pytest.param(4, marks=pytest.mark.long), 20])
-def test_first_calls_of_a_process_come_from_many_threads(num_threads):
-    assert in_own_process("all", num_threads) == ""
-
-
-@pytest.mark.long
-def test_first_calls_come_from_many_threads_while_nothing_is_compiled_yet(tmp_path):
-    assert in_own_process("few", 8, cache=str(tmp_path), timeout=900) == ""
+IN_PROCESSES = {
+    "20 threads, then forks": lambda: call_at_once(CALLS, 20) + call_in_children(20),
+    "nothing compiled": lambda: call_at_once(CALLS[:4], 8),  # one module of kernels, which takes seconds to compile
+}
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="fork of POSIX")
-def test_child_of_a_process_with_busy_threads_makes_calls_of_its_own():
-    assert in_own_process("fork", 20) == ""
+@pytest.mark.parametrize("name", [pytest.param(k, marks=[pytest.mark.long] * (k[0] != "2")) for k in IN_PROCESSES])
+def test_first_calls_of_a_process_come_from_many_threads_or_from_a_child_of_a_busy_one(tmp_path, name):
+    cache = {"WARP_CACHE_PATH": str(tmp_path)} if name == "nothing compiled" else {}
+    command, environment = [sys.executable, __file__, name], os.environ | cache
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=900)
+    assert done.returncode == 0, done.stderr[-3000:]
 
 
 def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
@@ -178,31 +155,6 @@ def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
     assert has_ended
 
 
-def main():
-    if sys.argv[1:2] == ["--run"]:
-        wp.config.log_level = wp.LOG_ERROR
-        kind, count = sys.argv[2], int(sys.argv[3])
-        if kind == "fork":
-            sys.exit(call_in_children(count))
-        # with an offset the threads begin with other calls
-        calls = FEW if kind == "few" else CALLS
-        offset = int(sys.argv[4]) if len(sys.argv) > 4 else 0
-        sys.exit(call_at_once(calls[offset % len(calls) :] + calls[: offset % len(calls)], count))
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=20, help="with warm caches, for each number of threads")
-    parser.add_argument("--cold-runs", type=int, default=2, help="with an empty cache")
-    parser.add_argument("--forks", type=int, default=40)
-    arguments = parser.parse_args()
-    for num_threads in (2, 4, 20):
-        failed = [found for k in range(arguments.runs) if (found := in_own_process("all", num_threads, 5 * k))]
-        print(f"{num_threads} threads, warm: {len(failed)} of {arguments.runs} runs failed", *failed[:1], flush=True)
-    failed = []
-    for k in range(arguments.cold_runs):
-        with tempfile.TemporaryDirectory() as cache:
-            failed += [found for found in [in_own_process("all", 20, 5 * k, cache=cache, timeout=900)] if found]
-    print(f"20 threads, cold: {len(failed)} of {arguments.cold_runs} runs failed", *failed[:1], flush=True)
-    print(f"forks: {in_own_process('fork', arguments.forks, timeout=900) or 'all well'}")
-
-
 if __name__ == "__main__":
-    main()
+    wp.config.log_level = wp.LOG_ERROR
+    sys.exit("\n".join(IN_PROCESSES[sys.argv[1]]()) or 0)

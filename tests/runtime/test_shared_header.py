@@ -1,12 +1,14 @@
 """Threads that compile take one precompiled header, and wait for the thread that makes it."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
 import types
+from pathlib import Path
 
 import pytest
 from warp._src import context
@@ -30,54 +32,36 @@ def runtime(tmp_path, monkeypatch):
     return fake
 
 
-def folder_here(runtime):
+def folder_here() -> str:
     with one_header():
-        return runtime.get_clang_pch_dir()
+        return context.runtime.get_clang_pch_dir()
 
 
-def on_another_thread(call):
+def on_another_thread(call, timeout=None):
+    """What a call gives on another thread, in a list that stays empty until it is given."""
     found = []
     thread = threading.Thread(target=lambda: found.append(call()), daemon=True)
     thread.start()
+    thread.join(timeout)
     return thread, found
 
 
-def test_threads_that_compile_for_this_library_share_a_folder_and_others_have_their_own(runtime):
-    first = folder_here(runtime)
-    for call, is_shared in ((lambda: folder_here(runtime), True), (lambda: runtime.get_clang_pch_dir(), False)):
-        thread, found = on_another_thread(call)
-        thread.join()
-        assert (found == [first]) == is_shared
-
-
-def test_a_thread_waits_until_the_header_has_its_name(runtime, tmp_path):
-    folder = tmp_path / str(threading.get_ident())
-    assert folder_here(runtime) == str(folder)
+def test_threads_that_compile_share_a_folder_once_its_header_has_its_name_or_make_their_own(runtime, monkeypatch):
+    folder = Path(folder_here())
+    assert on_another_thread(folder_here)[1] == [str(folder)] != on_another_thread(runtime.get_clang_pch_dir)[1]
     begun = folder / "header.pch.tmp"
     begun.touch()
-    thread, found = on_another_thread(lambda: folder_here(runtime))
-    thread.join(timeout=0.2)
+    thread, found = on_another_thread(folder_here, timeout=0.2)
     assert not found
     begun.rename(folder / "header.pch")
     thread.join()
     assert found == [str(folder)]
-
-
-def test_who_waits_in_vain_makes_a_header_of_its_own(runtime, tmp_path, monkeypatch):
-    first = folder_here(runtime)
-    (tmp_path / first / "header.pch.tmp").touch()
+    begun.touch()
     monkeypatch.setattr(shared_header, "_LONGEST_WAIT", 0.0)
-    thread, found = on_another_thread(lambda: folder_here(runtime))
-    thread.join()
-    assert found != [first]
-    assert folder_here(runtime) == first  # whose header the others take from now on
-
-
-def test_a_folder_that_is_gone_is_not_given(runtime, tmp_path):
-    thread, found = on_another_thread(lambda: folder_here(runtime))
-    thread.join()
-    (tmp_path / found[0]).rmdir()
-    assert folder_here(runtime) == str(tmp_path / str(threading.get_ident()))
+    assert on_another_thread(folder_here)[1] != [str(folder)]
+    assert folder_here() == str(folder)  # whose header the others take from now on
+    shutil.rmtree(folder)  # one that is gone is not given
+    assert Path(folder_here()).is_dir()
 
 
 def test_ctrl_c_while_the_header_is_made_leaves_no_file(tmp_path):
@@ -88,8 +72,7 @@ def test_ctrl_c_while_the_header_is_made_leaves_no_file(tmp_path):
         "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have had it ignored
         "from ccd_warp._cli.command import run_program; run_program()"
     )
-    temporary = tmp_path / "temporary"
-    temporary.mkdir()
+    (temporary := tmp_path / "temporary").mkdir()
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", program, "run", "start.obj", "end.obj", "--device", "cpu"],
         cwd=tmp_path,
@@ -103,9 +86,3 @@ def test_ctrl_c_while_the_header_is_made_leaves_no_file(tmp_path):
     process.send_signal(signal.SIGINT)
     assert (process.communicate(timeout=600.0)[1], process.returncode) == ("", 130)
     assert not any(temporary.iterdir())
-
-
-def test_where_warp_asks_for_no_folder_nothing_is_changed(monkeypatch):
-    monkeypatch.setattr(context, "runtime", types.SimpleNamespace())
-    with one_header():
-        assert vars(context.runtime) == {}

@@ -1,336 +1,157 @@
-"""Every version of the functions on sixteen lanes, against NumPy: plain, vectors of the compiler, AVX-512."""
+"""Versions of the functions on sixteen lanes: vectors of the compiler, and AVX-512, do what plain numbers do."""
+
+import types
 
 import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes import lanes, pair_lanes
 
-WIDTH = 16
-_kernels = {}
+FLOATS, INTS, MASKS = wp.array[wp.float32], wp.array[wp.int32], wp.array2d[wp.uint32]
+POINTS = wp.array[wp.vec3d]
+kernel = wp.kernel(module="unique", enable_backward=False)
 
 
-def supports(version):
-    """Whether this processor, and Warp's compiler for it, can run a version."""
-    if version != "avx512":
-        return True
-    if "probe" not in _kernels:
-
-        @wp.func_native(f"#if {lanes._AVX512}\n    return 1;\n#else\n    return 0;\n#endif\n")
-        def has_avx512() -> int: ...
-
-        @wp.kernel(module="unique", enable_backward=False)
-        def probe(out: wp.array[wp.int32]):
-            out[0] = has_avx512()
-
-        result = wp.zeros(1, dtype=wp.int32, device="cpu")
-        wp.launch(probe, dim=1, inputs=[result], device="cpu")
-        _kernels["probe"] = bool(result.numpy()[0])
-    return _kernels["probe"]
-
-
-def blocks(rng, count, num_aabbs):
-    """Boxes on a coarse lattice, so that ties abound, some infinite and some empty; [count, num_aabbs, 6, 16]."""
-    lower = rng.integers(-4, 4, (count, num_aabbs, 3, WIDTH)).astype(np.float32)
-    upper = lower + rng.integers(0, 4, lower.shape).astype(np.float32)
-    lower[rng.random(lower.shape) < 0.02] = -np.inf
-    upper[rng.random(upper.shape) < 0.02] = np.inf
-    empty = np.broadcast_to(rng.random((count, 1, 1, WIDTH)) < 0.1, lower.shape)
-    return np.concatenate([np.where(empty, np.inf, lower), np.where(empty, -np.inf, upper)], axis=2).astype(np.float32)
-
-
-def on_cpu(array, dtype):
-    return wp.array(np.ascontiguousarray(array).reshape(-1), dtype=dtype, device="cpu")
-
-
-def make_overlap(sources, version):
-    @wp.func_native(sources[version])
-    def overlap(
-        nodes: wp.array[wp.float32],
-        block: int,
-        query_nodes: wp.array[wp.float32],
-        query_block: int,
-        query_lane: int,
-        with_open: int,
-        num_aabbs: int,
-    ) -> wp.uint32: ...
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(
-        nodes: wp.array[wp.float32],
-        queries: wp.array[wp.float32],
-        with_open: int,
-        num_aabbs: int,
-        out: wp.array2d[wp.uint32],
-    ):
+def of_boxes(f):
+    def run(a: FLOATS, b: FLOATS, option: int, out: MASKS):
         i, j = wp.tid()
-        out[i, j] = overlap(nodes, j, queries, i / 16, i % 16, with_open, num_aabbs)
+        out[i, j] = f(a, j, b, i / 16, i % 16, option)
 
     return run
 
 
-def cases(sources):
-    return [(name, version) for name, versions in sources.items() for version in versions]
-
-
-@pytest.mark.parametrize(
-    ("name", "version", "num_aabbs"),
-    [
-        *((*case, 1) for case in cases({"OVERLAP": lanes.OVERLAP, "MOVING_OVERLAP": lanes.MOVING_OVERLAP})),
-        *((*case, 2) for case in cases({"MOVING_OVERLAP": lanes.MOVING_OVERLAP})),
-    ],
-)
-def test_overlap(name, version, num_aabbs):
-    if not supports(version):
-        pytest.skip(f"this processor has no {version}")
-    rng = np.random.default_rng(1)
-    boxes, queries = blocks(rng, 20, num_aabbs), blocks(rng, 4, num_aabbs)
-    b = boxes.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, 1, -1)
-    q = queries.transpose(1, 2, 0, 3).reshape(num_aabbs, 6, -1, 1)
-    if num_aabbs == 1:
-        closed = (b[0, :3] <= q[0, 3:]).all(axis=0) & (b[0, 3:] >= q[0, :3]).all(axis=0)
-        opened = (b[0, :3] < q[0, 3:]).all(axis=0) & (b[0, 3:] > q[0, :3]).all(axis=0)
-    else:
-        closed = (b[:, :3] <= q[:, 3:]).any(axis=0).all(axis=0) & (b[:, 3:] >= q[:, :3]).any(axis=0).all(axis=0)
-        opened = closed
-    for with_open in (0, 1) if name == "OVERLAP" else (0,):
-        out = wp.zeros((64, 20), dtype=wp.uint32, device="cpu")
-        inputs = [on_cpu(boxes, wp.float32), on_cpu(queries, wp.float32), with_open, num_aabbs]
-        wp.launch(make_overlap(getattr(lanes, name), version), dim=(64, 20), inputs=inputs, outputs=[out], device="cpu")
-        weight = 1 << np.arange(WIDTH, dtype=np.uint32)
-        expected = (closed.reshape(64, 20, WIDTH) * weight).sum(axis=2)
-        if with_open:
-            expected = expected + ((opened & closed).reshape(64, 20, WIDTH) * (weight << 16)).sum(axis=2)
-        assert np.array_equal(out.numpy(), expected)
-    assert 0 < opened.sum() < closed.sum() or num_aabbs == 2
-
-
-@pytest.mark.parametrize("version", lanes.SHARED_VERTEX)
-@pytest.mark.parametrize("corners", [(1, 3), (2, 2), (3, 1)])
-def test_shared_vertex(version, corners):
-    @wp.func_native(lanes.SHARED_VERTEX[version])
-    def shared(
-        corners: wp.array[wp.int32],
-        block: int,
-        num_corners: int,
-        query_corners: wp.array[wp.int32],
-        query_block: int,
-        query_lane: int,
-        num_query_corners: int,
-    ) -> wp.uint32: ...
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(a: wp.array[wp.int32], n: int, q: wp.array[wp.int32], m: int, out: wp.array2d[wp.uint32]):
+def of_corners(f):
+    def run(a: INTS, n: int, b: INTS, m: int, out: MASKS):
         i, j = wp.tid()
-        out[i, j] = shared(a, j, n, q, i / 16, i % 16, m)
+        out[i, j] = f(a, j, n, b, i / 16, i % 16, m)
 
-    rng = np.random.default_rng(2)
-    targets, queries = rng.integers(0, 30, (10, 3, WIDTH)), rng.integers(0, 30, (4, 3, WIDTH))
-    out = wp.zeros((64, 10), dtype=wp.uint32, device="cpu")
-    inputs = [on_cpu(targets, wp.int32), corners[1], on_cpu(queries, wp.int32), corners[0]]
-    wp.launch(run, dim=(64, 10), inputs=inputs, outputs=[out], device="cpu")
-    t = targets[:, : corners[1]].transpose(1, 0, 2).reshape(1, corners[1], 1, -1)
-    q = queries[:, : corners[0]].transpose(1, 0, 2).reshape(corners[0], 1, -1, 1)
-    shares = (t == q).any(axis=(0, 1)).reshape(64, 10, WIDTH)
-    assert np.array_equal(out.numpy(), (shares * (1 << np.arange(WIDTH))).sum(axis=2))
+    return run
 
 
-@pytest.mark.parametrize("version", lanes.LEAVES)
-@pytest.mark.parametrize("num_corners", [1, 2, 3])
-@pytest.mark.parametrize("num_aabbs", [1, 2])
-def test_leaves_vertex_aabbs_and_unions(version, num_corners, num_aabbs):
-    @wp.func_native(lanes.LEAVES[version])
-    def leaves(
-        vertex_aabbs: wp.array[wp.float32],
-        num_aabbs: int,
-        corners: wp.array[wp.int32],
-        num_corners: int,
-        nodes: wp.array[wp.float32],
-        block: int,
-        count: int,
-    ): ...
+def of_moving_corners(f):
+    def run(x: POINTS, y: POINTS, inflation: wp.float64, a: INTS, n: int, b: INTS, m: int, out: MASKS):
+        i, j = wp.tid()
+        out[i, j] = f(x, y, inflation, a, j, n, b, i / 16, i % 16, m, wp.uint32(0xBEEF))
 
-    @wp.func_native(lanes.UNION[version])
-    def union(nodes: wp.array[wp.float32], block: int, at: int): ...
-
-    @wp.func_native(lanes.UNITED_VERTEX_AABBS[version])
-    def united(vertex_aabbs: wp.array[wp.float32], v0: int, v1: int, v2: int) -> lanes.vec8f: ...
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(
-        vertex_aabbs: wp.array[wp.float32],
-        num_aabbs: int,
-        corners: wp.array[wp.int32],
-        n: int,
-        count: int,
-        nodes: wp.array[wp.float32],
-        out: wp.array[wp.float32],
-    ):
-        b = wp.tid()
-        leaves(vertex_aabbs, num_aabbs, corners, n, nodes, b, count - 16 * b)
-        for f in range(num_aabbs):
-            union(nodes, b * num_aabbs + f, (4 * num_aabbs + f) * 96 + b)
-        c = 48 * b
-        r = united(vertex_aabbs, corners[c] * num_aabbs, corners[c + 16] * num_aabbs, corners[c + 32] * num_aabbs)
-        for k in range(8):
-            out[8 * b + k] = r[k]
-
-    rng = np.random.default_rng(3)
-    count = 53
-    vertex_aabbs = rng.standard_normal((40, num_aabbs, 8)).astype(np.float32)
-    corners = rng.integers(0, 40, (4, 3, WIDTH))
-    nodes = wp.zeros(5 * num_aabbs * 96, dtype=wp.float32, device="cpu")
-    out = wp.zeros(32, dtype=wp.float32, device="cpu")
-    inputs = [on_cpu(vertex_aabbs, wp.float32), num_aabbs, on_cpu(corners, wp.int32), num_corners, count]
-    wp.launch(run, dim=4, inputs=inputs, outputs=[nodes, out], device="cpu")
-    least = vertex_aabbs[corners[:, :num_corners]].min(axis=1)  # [block, lane, aabb, 8]
-    least[np.arange(64).reshape(4, WIDTH) >= count] = np.inf
-    expected = np.concatenate([least[..., :3], -least[..., 4:7]], axis=-1).transpose(0, 2, 3, 1)
-    found = nodes.numpy().reshape(5, num_aabbs, 6, WIDTH)
-    assert np.array_equal(found[:4], expected)
-    assert np.array_equal(found[4, :, :3, :4], expected[:, :, :3].min(axis=3).transpose(1, 2, 0))
-    assert np.array_equal(found[4, :, 3:, :4], expected[:, :, 3:].max(axis=3).transpose(1, 2, 0))
-    assert np.array_equal(out.numpy().reshape(4, 8), vertex_aabbs[corners[:, :, 0], 0].min(axis=1))
+    return run
 
 
-@pytest.mark.parametrize("inflation", [0.0, 0.25, 5e-324])
-@pytest.mark.parametrize("corners", [(1, 3), (2, 2), (3, 1)])
-@pytest.mark.parametrize("version", pair_lanes.SEPARATED)
-def test_boxes_that_are_apart_in_float64(version, corners, inflation):
+def of_leaves(f):
+    def run(aabbs: FLOATS, num_aabbs: int, corners: INTS, n: int, count: int, out: wp.array2d[wp.float32]):
+        j, b = wp.tid()
+        f(aabbs, num_aabbs, corners, n, out[j], b, count - 16 * b)
+
+    return run
+
+
+def of_unions(f):
+    def run(nodes: FLOATS, out: wp.array2d[wp.float32]):
+        _, b = wp.tid()
+        f(nodes, b, 96 * out.shape[1] + b)
+        for k in range(6):
+            out[k, b] = nodes[96 * out.shape[1] + 16 * k + b]
+
+    return run
+
+
+def of_vertices(f):
+    def run(aabbs: FLOATS, corners: wp.array[wp.vec3i], out: wp.array2d[wp.float32]):
+        i, k = wp.tid()
+        out[i, k] = f(aabbs, corners[i][0], corners[i][1], corners[i][2])[k]
+
+    return run
+
+
+def blocks(rng, count, num_aabbs=1):
+    """Boxes on a coarse lattice, so that ties abound, some infinite and some empty."""
+    lower = rng.integers(-4, 4, (count, num_aabbs, 3, 16)).astype(np.float32)
+    upper = lower + rng.integers(0, 4, lower.shape).astype(np.float32)
+    lower[rng.random(lower.shape) < 0.02] = -np.inf
+    upper[rng.random(upper.shape) < 0.02] = np.inf
+    empty = rng.random((count, 1, 1, 16)) < 0.1
+    return np.concatenate([np.where(empty, np.inf, lower), np.where(empty, -np.inf, upper)], axis=2)
+
+
+def on_lattice(rng):
     """Vertices on a coarse lattice and next to it, so that boxes touch exactly, or miss by one rounding."""
+    x = 0.25 * rng.integers(-5, 5, (40, 3))
+    return np.where(rng.random(x.shape) < 0.3, np.nextafter(x, np.inf), x)
 
-    @wp.func_native(pair_lanes.SEPARATED[version])
-    def separated(
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        inflation: wp.float64,
-        corners: wp.array[wp.int32],
-        block: int,
-        num_corners: int,
-        query_corners: wp.array[wp.int32],
-        query_block: int,
-        query_lane: int,
-        num_query_corners: int,
-        tied: wp.uint32,
-    ) -> wp.uint32: ...
 
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(
-        vertices_t0: wp.array[wp.vec3d],
-        vertices_t1: wp.array[wp.vec3d],
-        inflation: wp.float64,
-        a: wp.array[wp.int32],
-        n: int,
-        q: wp.array[wp.int32],
-        m: int,
-        tied: wp.uint32,
-        out: wp.array2d[wp.uint32],
-    ):
-        i, j = wp.tid()
-        out[i, j] = separated(vertices_t0, vertices_t1, inflation, a, j, n, q, i / 16, i % 16, m, tied)
-
-    rng = np.random.default_rng(3)
-    frames = 0.25 * rng.integers(-5, 5, (2, 40, 3))
-    frames = np.where(rng.random(frames.shape) < 0.3, np.nextafter(frames, np.inf), frames)
-    targets, queries = rng.integers(0, 40, (2, 12, 3, WIDTH)).astype(np.int32)
-    queries[:, corners[1] :], targets[:, corners[0] :] = -1, -1
-    tied = 0xBEEF
-    out = wp.zeros((12 * WIDTH, 12), dtype=wp.uint32, device="cpu")
-    vertices = [wp.array(frame, dtype=wp.vec3d, device="cpu") for frame in frames]
-    arrays = [on_cpu(targets, wp.int32), corners[0], on_cpu(queries, wp.int32), corners[1]]
-    inputs = [*vertices, inflation, *arrays, tied]
-    wp.launch(run, dim=out.shape, inputs=inputs, outputs=[out], device="cpu")
-
-    def boxes(blocks, count):
-        points = frames[:, blocks[:, :count].transpose(0, 2, 1).reshape(-1, count)].transpose(1, 0, 2, 3)
-        points = points.reshape(len(points), -1, 3)
+def are_apart(x, y, inflation, *sides):
+    """The masks of boxes that are apart, by NumPy: versions share how a box is enlarged."""
+    boxes = []
+    for corners, count in (sides[:2], sides[2:]):
+        of_boxes = corners[:, :count].transpose(0, 2, 1).reshape(-1, count)
+        points = np.concatenate([x[of_boxes], y[of_boxes]], axis=1)
         lower, upper = points.min(axis=1), points.max(axis=1)
         if inflation > 0:
             lower, upper = np.nextafter(lower - inflation, -np.inf), np.nextafter(upper + inflation, np.inf)
-        return lower, upper
-
-    (low, high), (query_low, query_high) = boxes(targets, corners[0]), boxes(queries, corners[1])
+        boxes += [lower, upper]
+    low, high, query_low, query_high = boxes
     apart = (low > query_high[:, None]).any(axis=2) | (query_low[:, None] > high).any(axis=2)
-    expected = (apart.reshape(-1, 12, WIDTH) * (1 << np.arange(WIDTH))).sum(axis=2) & tied
-    assert np.array_equal(out.numpy(), expected)
-    assert 0 < apart.sum() < apart.size
+    return (apart.reshape(-1, 12, 16) * (1 << np.arange(16))).sum(axis=2) & 0xBEEF
 
 
-@pytest.mark.parametrize("capacity", [0, 5, 1000])
-@pytest.mark.parametrize("order", [0, 1, 2])
-def test_keys_of_a_query_and_a_block(order, capacity):
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(
-        primitive: wp.array[wp.int32],
-        order: int,
-        capacity: int,
-        counts: wp.array2d[wp.int64],
-        keys: wp.array[wp.int64],
-        out: wp.array[wp.int32],
-    ):
-        mask = wp.uint32(0x8421)
-        for k in range(2):
-            out[k] = pair_lanes.append_keys(primitive, 20, primitive, 1, mask, order, counts, 1, 2, capacity, 3, keys)
+SIDES = (1, 3), (2, 2), (3, 1)
+# The function and its versions, a kernel, the shape of what it fills, and the inputs of each launch.
+FUNCTIONS = {
+    "overlap": (lanes.overlap_mask, lanes.OVERLAP, of_boxes, (64, 20), wp.uint32)
+    + (lambda rng: [(blocks(rng, 20), blocks(rng, 4), with_open) for with_open in (0, 1)],),
+    "moving overlap": (lanes.moving_overlap_mask, lanes.MOVING_OVERLAP, of_boxes, (64, 20), wp.uint32)
+    + (lambda rng: [(blocks(rng, 20, n), blocks(rng, 4, n), n) for n in (1, 2)],),
+    "shared vertex": (lanes.shared_vertex_mask, lanes.SHARED_VERTEX, of_corners, (64, 10), wp.uint32)
+    + (lambda rng: [(rng.integers(0, 30, (10, 3, 16)), m, rng.integers(0, 30, (4, 3, 16)), n) for n, m in SIDES],),
+    "apart": (pair_lanes.separated_mask, pair_lanes.SEPARATED, of_moving_corners, (192, 12), wp.uint32)
+    + (
+        lambda rng: [
+            (on_lattice(rng), on_lattice(rng), inflation)
+            + (rng.integers(0, 40, (12, 3, 16)), n, rng.integers(0, 40, (12, 3, 16)), m)
+            for n, m in SIDES
+            for inflation in (0.0, 0.25, 5e-324)
+        ],
+    ),
+    "leaves": (lanes.write_leaves, lanes.LEAVES, of_leaves, (1, 4 * 2 * 96), wp.float32)
+    + (
+        lambda rng: [
+            (rng.standard_normal((40, k, 8)).astype(np.float32), k, rng.integers(0, 40, (4, 3, 16)), n, 53)
+            for n in (1, 2, 3)
+            for k in (1, 2)
+        ],
+    ),
+    "union": (lanes.write_union, lanes.UNION, of_unions, (6, 12), wp.float32)
+    + (lambda rng: [(np.concatenate([blocks(rng, 12), np.zeros((1, 1, 6, 16))]),)],),
+    "vertices": (lanes.united_vertex_aabbs, lanes.UNITED_VERTEX_AABBS, of_vertices, (30, 8), wp.float32)
+    + (lambda rng: [(rng.standard_normal((40, 8)).astype(np.float32), rng.integers(0, 40, (30, 3)))],),
+}
 
-    primitive = np.random.default_rng(4).permutation(2**31 - 1 - np.arange(32)).astype(np.int32)
-    counts, keys = wp.zeros((2, 8), dtype=wp.int64, device="cpu"), wp.zeros(20, dtype=wp.int64, device="cpu")
-    out = wp.zeros(2, dtype=wp.int32, device="cpu")
-    inputs = [on_cpu(primitive, wp.int32), order, capacity]
-    wp.launch(run, dim=1, inputs=inputs, outputs=[counts, keys, out], device="cpu")
-    pairs = [(int(primitive[20]), int(primitive[16 + k])) for k in (0, 5, 10, 15)]
-    ordered = [(pair, pair[::-1], tuple(sorted(pair)))[order] for pair in pairs * 2][:capacity]
-    expected = np.zeros(20, dtype=np.int64)
-    expected[3 : 3 + len(ordered)] = [a << 32 | b for a, b in ordered]
-    assert np.array_equal(keys.numpy(), expected)
-    assert out.numpy().tolist() == [4, 4]
-    assert counts.numpy()[1, 2] == counts.numpy().sum() == 8  # what there was no capacity for counts, too
+
+def on_cpu(value):
+    if np.ndim(value) == 0:
+        return value
+    if value.shape[-1] == 3:
+        return wp.array(value, dtype=wp.vec3d if value.dtype == np.float64 else wp.vec3i, device="cpu")
+    dtype = wp.int32 if value.dtype.kind == "i" else wp.float32
+    return wp.array(value.reshape(-1), dtype=dtype, device="cpu")
 
 
-@pytest.mark.parametrize("of_first", [1, 2])
-@pytest.mark.parametrize("order", [0, 1, 2])
-def test_pairs_of_a_query_and_a_block_are_collected(order, of_first):
-    capacity, query, block = 20, 21, 2
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def run(
-        primitives: wp.array2d[wp.int32],
-        corners: wp.array2d[wp.int32],
-        order: int,
-        of_first: int,
-        collected: wp.array[wp.int32],
-        out: wp.array[wp.int32],
-    ):
-        out[0] = pair_lanes.collect_pairs(
-            primitives[0],
-            corners[0],
-            query,
-            primitives[1],
-            corners[1],
-            block,
-            wp.uint32(0x8421),
-            order,
-            of_first,
-            3,
-            capacity,
-            collected,
-        )
-
-    rng = np.random.default_rng(6)
-    primitives = rng.permutation(96).astype(np.int32).reshape(2, 48)
-    primitives[0, query] = 48
-    corners = rng.integers(0, 1000, (2, 3, 3, WIDTH), dtype=np.int32)  # trees, blocks, vertices, lanes
-    collected, out = (wp.full(n, -1, dtype=wp.int32, device="cpu") for n in (6 * capacity, 1))
-    arrays = [wp.array(a, dtype=wp.int32, device="cpu") for a in (primitives, corners.reshape(2, -1))]
-    wp.launch(run, dim=1, inputs=[*arrays, order, of_first], outputs=[collected, out], device="cpu")
-    expected = np.full((6, capacity), -1)
-    turned = []
-    for n, lane in enumerate((0, 5, 10, 15)):
-        pair = [
-            (primitives[0, query], corners[0, query // WIDTH, :, query % WIDTH]),
-            (primitives[1, block * WIDTH + lane], corners[1, block, :, lane]),
-        ]
-        turned.append(order == 1 or (order == 2 and pair[1][0] < pair[0][0]))
-        (first, a), (second, b) = pair[::-1] if turned[-1] else pair
-        expected[:, 3 + n] = [*a[:of_first], *b[: 4 - of_first], first, second]
-    assert np.array_equal(collected.numpy().reshape(6, capacity), expected)
-    assert out.numpy()[0] == 7
-    assert len(set(turned)) == (2 if order == 2 else 1)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_version_does_the_same(name):
+    function, versions, make, shape, dtype, draw = FUNCTIONS[name]
+    answers = []
+    # where the processor has no AVX-512, the last is the vectors once more
+    for source in (versions["scalar"], versions["vector"], lanes.chosen(versions)):
+        plain = function.func
+        version = types.FunctionType(plain.__code__, plain.__globals__, f"{plain.__name__}_{len(answers)}")
+        version.__annotations__, version.__module__ = plain.__annotations__, __name__
+        run = kernel(make(wp.func_native(source)(version)))
+        answers.append([])
+        for inputs in draw(np.random.default_rng(1)):
+            out = wp.zeros(shape, dtype=dtype, device="cpu")
+            dim = (shape[0], 4) if make is of_leaves else (1, 12) if make is of_unions else shape
+            wp.launch(run, dim=dim, inputs=[*map(on_cpu, inputs)], outputs=[out], device="cpu")
+            answers[-1].append(out.numpy())
+    for inputs, scalar, *others in zip(draw(np.random.default_rng(1)), *answers, strict=True):
+        assert name != "apart" or np.array_equal(scalar, are_apart(*inputs))
+        assert len(np.unique(scalar)) > 6
+        assert all(scalar.tobytes() == other.tobytes() for other in others)

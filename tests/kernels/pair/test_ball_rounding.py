@@ -11,14 +11,11 @@ from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.pair.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
-from cull_probe import WIDTHS, culled
+from cull_probe import culled
 from exact import exact_distance_tois
 from hard_cases import FAMILIES
-from rounding_samples import cross, drawn, exactly
+from rounding_samples import CORNERS, FLOATS, KINDS, REALS, cross, drawn, dropped, exactly
 
-REALS = {"float64": wp.float64, "float32": wp.float32}
-FLOATS = {"float64": np.float64, "float32": np.float32}
-KINDS = {"vertex-face": 0, "edge-edge": 1}
 # Powers of two by which the axes are scaled: with the second, products of lengths on the short axes underflow.
 SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -900), "thin": (0, -200, 0)}
 
@@ -89,14 +86,10 @@ def probed(kind, points, real, distance, directions, times):
     options.tolerance, options.minimum_separation = 1e-300, distance
     options.t_max = options.t_end = 1.0
     n = len(times)
-    outputs = [
-        wp.zeros(n, dtype=wp.vec3d, device="cpu"),
-        wp.zeros((n, 10), dtype=wp.float64, device="cpu"),
-        wp.zeros((n, 5), dtype=wp.float64, device="cpu"),
-    ]
-    x = [wp.array(p, dtype=wp.vec3d, device="cpu") for p in (*points, directions)]
-    inputs = [KINDS[kind], *x[:2], options, x[2], wp.array(times, dtype=wp.float64, device="cpu")]
-    wp.launch(probe, dim=n, inputs=inputs, outputs=outputs, device="cpu")
+    outputs = [wp.zeros(n, dtype=wp.vec3d), *(wp.zeros((n, k), dtype=wp.float64) for k in (10, 5))]
+    x = [wp.array(p, dtype=wp.vec3d) for p in (*points, directions)]
+    inputs = [KINDS[kind], *x[:2], options, x[2], wp.array(times, dtype=wp.float64)]
+    wp.launch(probe, dim=n, inputs=inputs, outputs=outputs)
     return tuple(array.numpy() for array in outputs)
 
 
@@ -166,8 +159,7 @@ def test_no_clip_passes_the_time_at_which_the_distance_is_reached(share, scale, 
     advanced = np.zeros(5, dtype=int)
     for family in ("random", "random_colliding", "one_plane", "lattice", "slivers", "rotation_like", "tiny_motion"):
         points = [np.ldexp(p, SCALES[scale]) for p in FAMILIES[family](kind, 40, rng)]
-        rows = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
-        start = np.mean([points[0][:, i] - points[0][:, j] for i, j in rows], axis=0)
+        start = np.mean([points[0][:, i] - points[0][:, j] for i, j in CORNERS[kind]], axis=0)
         largest = np.abs(start).max(axis=1, keepdims=True)
         d = start / np.where(largest > 0, largest, 1) + rng.normal(0, 0.2, start.shape) * (largest > 0)
         d = d.astype(FLOATS[real]).astype(np.float64)
@@ -191,13 +183,9 @@ def test_cull_drops_no_pair_that_comes_within_the_distance(scale, test, t_end, k
         points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 80, rng)]
         for share in (1e-3, 0.2):
             distance = share * float(np.median(np.abs(points[0]).max(axis=(1, 2))))
-            options = {"separation": distance, "is_euclidean": True, "t_end": t_end, "test": test}
-            dropped, *wider = (culled(kind, *points, width, **options) for width in WIDTHS)
-            assert all(np.array_equal(dropped, each) for each in wider)
-            exact = exact_distance_tois(kind, *(p[dropped] for p in points), distance, t_end)
-            assert not any(truth.hit for truth in exact)
+            free = dropped(kind, points, exact_distance_tois, distance, t_end, is_euclidean=True, test=test)
             # the box around the ball holds more than the ball
-            boxed = culled(kind, *points, 1, **(options | {"is_euclidean": False}))
-            assert boxed.sum() <= dropped.sum() + 2 or abs(scale) > 100
-            num_dropped += dropped.sum()
+            boxed = culled(kind, *points, 1, separation=distance, t_end=t_end, test=test)
+            assert boxed.sum() <= free.sum() + 2 or abs(scale) > 100
+            num_dropped += free.sum()
     assert num_dropped > 20 or scale != 0

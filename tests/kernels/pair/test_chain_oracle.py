@@ -4,12 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from arc_pairs import quaternion
-from arc_paths import Basis, RigidPath, StraightPath
-from arc_search import BITS, first_contact
-from chain_pairs import answers, chain_sets, gaps, hostile_chain_sets, paths_of, positions
-from chain_paths import ChainJoint, ChainPath
-from flint import arb, ctx
+from chain_pairs import chain_sets, positions, trajectories_of
+from chain_paths import ChainJoint, chain
+from flint import arb, arb_poly, ctx
+from laws.trajectories import BITS, first_contact, straight
+from laws.turning import quaternion, turning
 
 HERE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
 WALL = [[0.0, -9.0, -9.0], [0.0, 9.0, -9.0], [0.0, 0.0, 9.0]]  # in the plane x = 0
@@ -23,7 +22,7 @@ def many_digits():
 
 def reaches_the_wall(joints, point, expected):
     """A point of the last link gets to x = 0 at a time."""
-    lo, hi, _ = first_contact("vertex-face", [ChainPath([point], joints), StraightPath(WALL, WALL)])
+    lo, hi, _ = first_contact("vertex-face", chain([point], joints), straight(WALL, WALL))
     assert lo <= hi and hi - lo < 1e-20
     assert abs(float(lo) - expected) < 1e-15  # what is expected is rounded
 
@@ -52,29 +51,18 @@ def test_a_free_joint_is_a_rigid_path():
     rng = np.random.default_rng(1)
     start, end, local = rng.normal(size=7), rng.normal(size=7), rng.normal(size=(1, 3))
     wall = rng.normal(size=(3, 3)) + 0.5 * (start[:3] + end[:3])
-    straight = StraightPath(wall, wall)
-    found = first_contact(
-        "vertex-face", [ChainPath(local, [ChainJoint("free", HERE, ends=(start, end))]), straight], 1.0
+    joint = ChainJoint("free", HERE, ends=(start, end))
+    found, expected = (
+        first_contact("vertex-face", points, straight(wall, wall), 1.0)
+        for points in (chain(local, [joint]), turning(local, start, end))
     )
-    expected = first_contact("vertex-face", [RigidPath(local, start, end), straight], 1.0)
     assert found[0] is not None and abs(found[0] - expected[0]) < arb(1e-20)
-
-
-def test_no_contact_is_seen_before_its_time_and_all_that_is_claimed_is_there():
-    for name, pairs in (chain_sets(3) | hostile_chain_sets(2)).items():
-        truth = answers(pairs)
-        assert not truth.undecided.any() or name.endswith("at the end")
-        until = np.where(truth.free, 1.0, truth.lo)
-        before = gaps(pairs, np.linspace(0, 1, 400, endpoint=False) * until[:, None])
-        assert (before[:, 1:] > -1e-13).all() and (before[truth.free] > 0).all()
-        at = gaps(pairs, until[:, None])[truth.touches, 0]
-        assert (np.where(truth.lo[truth.touches] > 0, at, 0) < 1e-13).all()
 
 
 def test_samples_and_enclosures_are_of_one_trajectory():
     pairs = chain_sets(1)["edge-edge, 0.5 rad, two links"]
     for t in (0.0, 0.3, 1.0):
-        for side, path in enumerate(paths_of(pairs, 0)):
+        for side, path in enumerate(trajectories_of(pairs, 0)):
             seen = positions(pairs, side, np.array([[t]]))[0, 0]
-            exact = path.points(Basis(arb(0), arb(t), arb(0)))
-            assert np.abs(seen - [[float(x[0]) for x in point] for point in exact]).max() < 1e-15
+            exact = path(arb_poly([arb(t)]))
+            assert np.abs(seen - [[float(arb_poly(x)[0]) for x in point] for point in exact]).max() < 1e-15

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.template import specialised
+from distance_queries import SOLVE, UNIT_ROUNDOFF, named_vector
+from oracle_corners import integer_rows
 
 import ccd_warp as ccd
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
-UNIT_ROUNDOFF = {"float64": 2.0**-53, "float32": 2.0**-24}
 
 # Distance lost to rounding, in units of roundoff and of the largest distance of a corner from the origin. An end of an
 # edge, a foot on it, and the coordinates of a foot on the patch are each a chain of about ten roundings of numbers of
@@ -23,55 +24,40 @@ POINT = {"float64": 2.0**-510, "float32": 2.0**-62}
 
 
 @cache
-def _kernels(precision):
+def _kernel(precision):
     real = {"float64": wp.float64, "float32": wp.float32}[precision]
     vec3 = wp.types.vector(length=3, dtype=real)
     functions = specialised("pair.closest_point", real=real)
     closest_weights, closest_on_patch = functions.closest_weights, functions.closest_on_patch
 
     @wp.kernel(module="unique", enable_backward=False)
-    def weights_of_patches(
+    def closest_points(
         # in
         corners: wp.array2d[vec3],
         is_triangle: bool,
         # out
         weights: wp.array[vec3],
+        vectors: wp.array[vec3],
     ):
         i = wp.tid()
         wb, wc, from_w11 = closest_weights(corners[i, 0], corners[i, 1], corners[i, 2], corners[i, 3], is_triangle)
         weights[i] = vec3(wb, wc, wp.where(from_w11, real(1.0), real(0.0)))
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def vectors_to_patches(
-        # in
-        corners: wp.array2d[vec3],
-        is_triangle: bool,
-        # out
-        vectors: wp.array[vec3],
-    ):
-        i = wp.tid()
-        q, _wb, _wc, _from_w11 = closest_on_patch(
-            corners[i, 0], corners[i, 1], corners[i, 2], corners[i, 3], is_triangle
-        )
+        q, _b, _c, _from_w11 = closest_on_patch(corners[i, 0], corners[i, 1], corners[i, 2], corners[i, 3], is_triangle)
         vectors[i] = q
 
-    return weights_of_patches, vectors_to_patches, vec3
+    return closest_points, vec3
 
 
-def _launch(which, corners, is_triangle, precision, device):
-    vec3 = _kernels(precision)[2]
-    out = wp.zeros(len(corners), dtype=vec3, device=device)
-    given = wp.array(corners, dtype=vec3, device=device)
-    wp.launch(_kernels(precision)[which], dim=len(corners), inputs=[given, is_triangle], outputs=[out], device=device)
-    return out.numpy()
+def _launch(corners, is_triangle, precision):
+    """Weights of the closest points, whether they are of the fourth corner, and the vectors to them."""
+    kernel, vec3 = _kernel(precision)
+    out = [wp.zeros(len(corners), dtype=vec3) for _ in range(2)]
+    wp.launch(kernel, dim=len(corners), inputs=[wp.array(corners, dtype=vec3), is_triangle], outputs=out)
+    return tuple(x.numpy().astype(np.float64) for x in out)
 
 
 def _dot(a, b):
-    return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))
-
-
-def _combined(points, weights):
-    return [_dot(weights, axis) for axis in zip(*points, strict=True)]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def _root(square):
@@ -79,46 +65,37 @@ def _root(square):
     return float(square * 4**400) ** 0.5 * 2.0**-400
 
 
-def exact_square(corners, is_triangle):
-    """Square of the least distance of a flat patch from the origin: its edges' and, where it is inside, its foot's."""
-    a, b, c, d = ([Fraction(float(x)) for x in corner] for corner in corners)
-    sides = [(a, b), (b, c), (c, a)] if is_triangle else [(a, b), (b, d), (d, c), (c, a)]
-    squares = [_dot(p, p) for p in (a, b, c, d)]
-    for start, end in sides:
-        side = [y - x for x, y in zip(start, end, strict=True)]
-        if any(side):
-            w = -_dot(start, side) / _dot(side, side)
-            if 0 < w < 1:
-                foot = _combined((start, end), (1 - w, w))
-                squares.append(_dot(foot, foot))
-    q, r = ([y - x for x, y in zip(a, end, strict=True)] for end in (b, c))
-    qq, qr, rr, qa, ra = _dot(q, q), _dot(q, r), _dot(r, r), -_dot(q, a), -_dot(r, a)
-    area = qq * rr - qr * qr
-    if area:
-        v, u = (qa * rr - ra * qr) / area, (ra * qq - qa * qr) / area
-        if min(u, v) >= 0 and (u + v <= 1 if is_triangle else max(u, v) <= 1):
-            foot = _combined((a, q, r), (1, v, u))
-            squares.append(_dot(foot, foot))
-    return min(squares)
+def exact_squares(patches, is_triangle):
+    """Squares of the least distances of flat patches from the origin: their edges', or of a foot inside."""
+    flat = np.concatenate([patches.reshape(len(patches), 12).astype(np.float64), np.ones((len(patches), 1))], axis=1)
+    for row in integer_rows(flat):  # the last entry is the scale of the integers
+        a, b, c, d = (row[k : k + 3] for k in (0, 3, 6, 9))
+        squares = [(_dot(p, p), 1) for p in (a, b, c, d)]
+        for start, end in [(a, b), (b, c), (c, a)] if is_triangle else [(a, b), (b, d), (d, c), (c, a)]:
+            side = [y - x for x, y in zip(start, end, strict=True)]
+            along, length = -_dot(start, side), _dot(side, side)
+            if 0 < along < length:
+                squares.append((_dot(start, start) * length - along * along, length))
+        q, r = ([y - x for x, y in zip(a, end, strict=True)] for end in (b, c))
+        qq, qr, rr, qa, ra = _dot(q, q), _dot(q, r), _dot(r, r), -_dot(q, a), -_dot(r, a)
+        area, v, u = qq * rr - qr * qr, qa * rr - ra * qr, ra * qq - qa * qr
+        if area and min(u, v) >= 0 and (u + v <= area if is_triangle else max(u, v) <= area):
+            squares.append((_dot(a, [q[k - 2] * r[k - 1] - q[k - 1] * r[k - 2] for k in range(3)]) ** 2, area))
+        yield min(Fraction(*square) for square in squares) / row[-1] ** 2
 
 
-def assert_closest(corners, is_triangle, precision, device):
+def assert_closest(corners, is_triangle, precision):
     """The weights lie in the simplex, and no point of the patch is closer by more than the roundings."""
-    unit = UNIT_ROUNDOFF[precision]
-    found = _launch(0, corners, is_triangle, precision, device)
-    excess = np.zeros(len(corners))
-    for i, (wb, wc, from_w11) in enumerate(found):
-        assert wb >= 0
-        assert wc >= 0
-        assert float(wb) + float(wc) <= 1 + 2 * unit
-        points = [[Fraction(float(x)) for x in corner] for corner in corners[i]]
-        wb, wc = Fraction(float(wb)), Fraction(float(wc))
-        point = _combined([points[3 if from_w11 else 0], *points[1:3]], (1 - wb - wc, wb, wc))
-        square, least = _dot(point, point), exact_square(corners[i], is_triangle)
-        size = np.linalg.norm(corners[i].astype(np.float64), axis=-1).max() + POINT[precision]
+    unit, found = UNIT_ROUNDOFF[precision], _launch(corners, is_triangle, precision)[0]
+    assert (found >= 0).all() and (found[:, :2].sum(axis=1) <= 1 + 2 * unit).all()
+    size = np.linalg.norm(corners.astype(np.float64), axis=-1).max(axis=1) + POINT[precision]
+    for weights, patch, length, least in zip(found, corners, size, exact_squares(corners, is_triangle), strict=True):
+        wb, wc, from_w11 = (Fraction(w) for w in weights.tolist())
+        rows = [[Fraction(x) for x in row] for row in patch.astype(np.float64)[[3 if from_w11 else 0, 1, 2]].tolist()]
+        point = [(1 - wb - wc) * x + wb * y + wc * z for x, y, z in zip(*rows, strict=True)]
+        square = _dot(point, point)
         if square > least:
-            excess[i] = max(_root(square) - _root(least) - POINT[precision], 0.0) / (size * unit)
-    assert excess.max() <= ROUNDINGS, (excess.argmax(), excess.max())
+            assert _root(square) - _root(least) - POINT[precision] <= ROUNDINGS * length * unit, patch
 
 
 def _directions(rng, n):
@@ -137,35 +114,36 @@ def _patches(sides_q, sides_r, is_triangle, rng, dtype):
     return np.stack([first, second, third, fourth], axis=1).astype(dtype)
 
 
+of_both_shapes = pytest.mark.parametrize("is_triangle", [True, False], ids=["triangle", "parallelogram"])
 SLIVERS = {
     "float64": [1e-3, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14, 1e-15],
     "float32": [1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7],
 }
 
 
-@pytest.mark.parametrize("is_triangle", [True, False], ids=["triangle", "parallelogram"])
+@of_both_shapes
 @pytest.mark.parametrize("lean", [0.0, 0.4, 1.0, 2.5, -1.0])
-def test_slivers(lean, is_triangle, precision, device):
+def test_slivers(lean, is_triangle, precision):
     """The second side is a multiple of the first, but for a small share across: needles, caps and folded shapes."""
     rng = np.random.default_rng(1)
     for aspect in SLIVERS[precision]:
         q = _directions(rng, 40)
         r = lean * q + aspect * _directions(rng, 40)
         for sides in ((q, r), (r, q)):
-            assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision, device)
+            assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision)
 
 
-@pytest.mark.parametrize("is_triangle", [True, False], ids=["triangle", "parallelogram"])
-def test_patches_with_area(is_triangle, precision, device):
+@of_both_shapes
+def test_patches_with_area(is_triangle, precision):
     rng = np.random.default_rng(2)
     lengths = 10.0 ** rng.uniform(-6, 0, (2, 300, 1))
     sides = lengths * rng.normal(size=(2, 300, 3))
-    assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision, device)
+    assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision)
 
 
-@pytest.mark.parametrize("is_triangle", [True, False], ids=["triangle", "parallelogram"])
+@of_both_shapes
 @pytest.mark.parametrize("sides", [(0, 1), (1, 0), (1, 1), (1, 2), (2, 1), (1, -1), (-3, 1), (0, 0)])
-def test_sides_without_length_and_sides_in_one_line(sides, is_triangle, precision, device):
+def test_sides_without_length_and_sides_in_one_line(sides, is_triangle, precision):
     """Triples in every order, the duplicate at every corner; of parallelograms, no length of either edge or of both."""
     rng = np.random.default_rng(3)
     # coordinates on a grid, so that the points are in one line exactly
@@ -174,52 +152,37 @@ def test_sides_without_length_and_sides_in_one_line(sides, is_triangle, precisio
     second, third = first + sides[0] * along, first + sides[1] * along
     fourth = third if is_triangle else second + third - first
     corners = np.stack([first, second, third, fourth], axis=1).astype(DTYPES[precision])
-    assert_closest(corners, is_triangle, precision, device)
+    assert_closest(corners, is_triangle, precision)
     # the vector that clips time is the closest point's, too
-    vectors = _launch(1, corners, is_triangle, precision, device).astype(np.float64)
-    least = np.array([_root(exact_square(c, is_triangle)) for c in corners])
+    _, vectors = _launch(corners, is_triangle, precision)
+    least = np.array([_root(square) for square in exact_squares(corners, is_triangle)])
     size = np.linalg.norm(corners.astype(np.float64), axis=-1).max(axis=1)
     slack = ROUNDINGS * UNIT_ROUNDOFF[precision] * size
     assert (np.abs(np.linalg.norm(vectors, axis=1) - least) <= slack).all()
 
 
-def test_sides_whose_squares_underflow(precision, device):
+def test_sides_whose_squares_underflow(precision):
     rng = np.random.default_rng(4)
     for exponent in (-60, -70, -76, -80) if precision == "float32" else (-500, -530, -540, -600):
         short = np.ldexp(rng.normal(size=(40, 3)), exponent)
         long = rng.normal(size=(40, 3))
         for sides in ((short, long), (long, short), (short, short[::-1]), (long, long + short)):
             for is_triangle in (True, False):
-                assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision, device)
+                assert_closest(_patches(*sides, is_triangle, rng, DTYPES[precision]), is_triangle, precision)
 
 
 # --- what the user gets ---
 
 
-def named_gap(kind, points_t0, points_t1, result):
-    """Distance between the points that the parameters name, at toi."""
-    t = result.toi[:, None, None]
-    x = (1 - t) * points_t0 + t * points_t1
-    u, v = result.parameters.T[..., None]
-    if kind == "vertex-face":
-        gap = x[:, 0] - ((1 - u - v) * x[:, 1] + u * x[:, 2] + v * x[:, 3])
-    else:
-        gap = (1 - u) * x[:, 0] + u * x[:, 1] - ((1 - v) * x[:, 2] + v * x[:, 3])
-    return np.linalg.norm(gap, axis=1)
-
-
-def least_gap(kind, points_t0, points_t1, result):
-    """Least distance of the primitives at toi."""
+def least_gaps(kind, points_t0, points_t1, result):
+    """Least distances of the primitives at toi."""
     t = result.toi[:, None, None]
     v0, v1, v2, v3 = ((1 - t) * points_t0 + t * points_t1).transpose(1, 0, 2)
     if kind == "vertex-face":
         corners = np.stack([v0 - v1, v0 - v2, v0 - v3, v0 - v3], axis=1)
     else:
         corners = np.stack([v0 - v2, v0 - v3, v1 - v2, v1 - v3], axis=1)
-    return np.array([_root(exact_square(c, kind == "vertex-face")) for c in corners])
-
-
-SOLVE = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
+    return np.array([_root(square) for square in exact_squares(corners, kind == "vertex-face")])
 
 
 def test_edge_beside_an_edge_without_length(precision):
@@ -231,30 +194,15 @@ def test_edge_beside_an_edge_without_length(precision):
     assert swapped.parameters[0, 1] == pytest.approx(0.5, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("face", "expected"),
-    [
-        (((-1, 0, 0), (-1, 0, 0), (1, 0, 0)), (None, 0.5)),
-        (((-1, 0, 0), (1, 0, 0), (-1, 0, 0)), (0.5, None)),
-        (((1, 0, 0), (-1, 0, 0), (-1, 0, 0)), None),
-    ],
-    ids=["f0_is_f1", "f0_is_f2", "f1_is_f2"],
-)
-def test_vertex_falls_on_the_middle_of_a_face_with_two_corners_in_one(face, expected, precision):
-    p0 = np.array([[(0, 0, 1), *face]], dtype=float)
-    p1 = p0.copy()
-    p1[0, 0, 2] = -1
-    result = ccd.vertex_face_ccd(p0, p1, minimum_separation=0.1, precision=precision)
-    # of two points in one any share is right; where they are f1 and f2, the sum is 1/2
-    u, v = result.parameters[0]
-    if expected is None:
-        assert u + v == pytest.approx(0.5, abs=1e-6)
-    else:
-        found = u if expected[0] is not None else v
-        assert found == pytest.approx(0.5, abs=1e-6)
+# of two points in one any share is right; where they are f1 and f2, the sum is 1/2
+@pytest.mark.parametrize(("face", "share"), [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])])
+def test_vertex_falls_on_the_middle_of_a_face_with_two_corners_in_one(face, share, precision):
+    p0 = np.array([[(0, 0, 1), *((x, 0, 0) for x in face)]], dtype=float)
+    result = ccd.vertex_face_ccd(p0, p0 * [1, 1, -1], minimum_separation=0.1, precision=precision)
+    assert result.parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
 
 
-@pytest.mark.parametrize("kind", SOLVE)
+@pytest.mark.parametrize("kind", ["vertex-face", "edge-edge"])
 @pytest.mark.parametrize("aspect", [0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2])
 @pytest.mark.parametrize("limit", [None, 1], ids=["within_the_separation", "at_the_limit"])
 def test_parameters_of_a_sliver_are_of_the_closest_point(limit, aspect, kind, precision):
@@ -269,14 +217,14 @@ def test_parameters_of_a_sliver_are_of_the_closest_point(limit, aspect, kind, pr
     end[:, :moving] += rng.uniform(-1, 1, (n, 1, 3))
     options = {} if limit is None else {"max_iterations": limit}
     solve = {"minimum_separation": 0.2, "length_scale": 1.0, "precision": precision, **options}
-    result = SOLVE[kind](start, end, **solve)
-    hit = result.hit
+    hit = SOLVE[kind](start, end, **solve).hit
     assert hit.sum() > 20
     start, end = start[hit], end[hit]
     result = SOLVE[kind](start, end, **solve)
     # the pairs are about 3 across, and corners at toi carry roundings of their own (kernels/pair/rounding.py)
     slack = 12 * ROUNDINGS * UNIT_ROUNDOFF[precision]
-    assert (named_gap(kind, start, end, result) <= least_gap(kind, start, end, result) + slack).all()
+    apart = np.linalg.norm(named_vector(kind, start, end, result), axis=1)
+    assert (apart <= least_gaps(kind, start, end, result) + slack).all()
     assert (result.parameters >= 0).all()
     # a sum of two numbers of float32 may be above 1 by a rounding
     assert (result.parameters.sum(axis=1) <= (1 if kind == "vertex-face" else 2) + 2.0**-23).all()

@@ -3,16 +3,12 @@
 import numpy as np
 import pytest
 import trimesh
-from distance_oracle import exact_distance
-from exact import exact_distance_tois, exact_tois
+import warp as wp
 from oracle import exact_gap
-from oracles import brute_force, corners_of
 from scenes import FACE, TRIANGLE, sheet
 from slides import FACES, GROUND, SLIDERS, slides_of
-from thick_scenes import KIND_NAMES, crowd, crowd_in_plane
 
 import ccd_warp as ccd
-from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
 DISTANCE = 1e-3
 NORMS = {
@@ -22,13 +18,15 @@ NORMS = {
 # In sizes of a pair, whose coordinates are no larger here: what a search may lose is a third of it.
 LOST = 400 * 2.0**-53
 EVERY_PER = ("scene", "world", "body", "vertex")
+NO_FACES = np.zeros((0, 3), dtype=int)
+every_norm = pytest.mark.parametrize("norm", NORMS)
 
 
 def shortened_by_launch(pipeline, start, end, **arguments):
     """The end positions of a line search on the device, which is not to overflow."""
-    reached = end.copy()
-    assert not pipeline.launch_line_search(start, reached, **arguments).flags.numpy().any()
-    return reached
+    given, reached = (wp.array(x.reshape(-1, 3), dtype=wp.vec3d) for x in (start, end))
+    assert not pipeline.launch_line_search(given, reached, **arguments).flags.numpy().any()
+    return reached.numpy().reshape(end.shape)
 
 
 def ways(pipeline, start, end):
@@ -40,124 +38,65 @@ def ways(pipeline, start, end):
         yield f"launch_line_search, {per}", shortened_by_launch(pipeline, start, end, per=per)
 
 
+def check_reached(pipeline, start, end, expected, *, but_not_by=()):
+    """Every call reaches the expected positions, every number of which is the same."""
+    for way, reached in ways(pipeline, start, end):
+        if way not in but_not_by:
+            np.testing.assert_array_equal(reached, expected, err_msg=way)
+
+
+def of_second(start, motion):
+    """The end positions where the second of two triangles moves."""
+    return start + np.repeat([[0.0, 0.0, 0.0], motion], 3, axis=0)
+
+
 def two_triangles(gap, **options):
     """Two parallel triangles, the upper one above the lower one by a gap: pipeline and start."""
     start = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, gap]])
     mesh = ccd.CollisionMesh.from_arrays([(start[:3], FACE), (start[3:], FACE)])
-    return ccd.CollisionPipeline(mesh, device="cpu", **options), start
+    return ccd.CollisionPipeline(mesh, **options), start
 
 
-@pytest.mark.parametrize("norm", NORMS)
-@pytest.mark.parametrize("share", [1.0, 0.9, 1e-3, 1 - 1e-12, 1 + 1e-15, 1 + 1e-7])
-def test_triangle_at_its_distance_parts_and_slides_and_does_not_approach(norm, share, precision):
-    pipeline, start = two_triangles(share * DISTANCE, precision=precision, **NORMS[norm])
-    for motion in ([0.0, 0.0, 10 * DISTANCE], [0.3, 0.1, 0.0], [-0.7, 0.2, 1e-9]):
-        end = start + np.repeat([[0.0, 0.0, 0.0], motion], 3, axis=0)
-        assert pipeline.mesh_ccd(start, end).toi == 0.0 or share > 1 + 1e-8  # it stays strict
-        for way, reached in ways(pipeline, start, end):
-            np.testing.assert_array_equal(reached, end, err_msg=f"{way}, by {motion}")
-    for motion in ([0.0, 0.0, -10 * DISTANCE], [0.3, 0.0, -DISTANCE]):
-        end = start + np.repeat([[0.0, 0.0, 0.0], motion], 3, axis=0)
-        for way, reached in ways(pipeline, start, end):
-            # beyond the distance, the gap that is left may shrink by 90 %
-            least = min(share, 1.0) * DISTANCE - LOST
-            assert reached[3:, 2].min() >= least, f"{way}, by {motion}"
+@every_norm
+def test_triangle_at_its_distance_parts_and_slides_and_does_not_approach(norm, precision):
+    pipeline, _ = two_triangles(DISTANCE, precision=precision, **NORMS[norm])
+    for share in (1.0, 0.9, 1e-3, 1 - 1e-12, 1 + 1e-15, 1 + 1e-7):
+        start = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, share * DISTANCE]])
+        for motion in ([0.0, 0.0, 10 * DISTANCE], [0.3, 0.1, 0.0], [-0.7, 0.2, 1e-9]):
+            end = of_second(start, motion)
+            assert pipeline.mesh_ccd(start, end).toi == 0.0 or share > 1 + 1e-8  # it stays strict
+            check_reached(pipeline, start, end, end)
+        for motion in ([0.0, 0.0, -10 * DISTANCE], [0.3, 0.0, -DISTANCE]):
+            end = of_second(start, motion)
             if share <= 1.0:
-                np.testing.assert_array_equal(reached, start, err_msg=f"{way}, by {motion}")
-    if share <= 1.0:
-        assert len(pipeline.line_search(start, end, per="vertex").touching)
+                check_reached(pipeline, start, end, start)
+                assert len(pipeline.line_search(start, end, per="vertex").touching)
+            for way, reached in ways(pipeline, start, end) if share > 1.0 else ():
+                # beyond the distance, the gap that is left may shrink by 90 %
+                assert reached[3:, 2].min() >= DISTANCE - LOST, f"{way}, by {motion}"
 
 
-@pytest.mark.parametrize("norm", NORMS)
+@every_norm
 def test_tilted_triangle_that_float32_cannot_tell_from_its_distance_is_lifted(norm):
     pipeline, start = two_triangles(0.3, precision="float32", **NORMS[norm])
     sharp, _ = two_triangles(0.3, **NORMS[norm])
     rng = np.random.default_rng(0)
-    fall = np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -0.6]], 3, axis=0)
+    fall = of_second(0.0 * start, [0.0, 0.0, -0.6])
     for tilt in (1e-3, 0.1):
         above = start + np.repeat([0.0, tilt], 3)[:, None] * rng.normal(size=(6, 1)) * [0.0, 0.0, 1.0]
         above[3:, :2] += 0.05 * rng.normal(size=2)
         met = above + sharp.mesh_ccd(above, above + fall).toi * fall
         for beyond in (3e-9, 3e-8, 3e-7):
             x = met - beyond / 0.6 * fall
-            for way, reached in ways(pipeline, x, x - fall):
-                np.testing.assert_array_equal(reached, x - fall, err_msg=f"{way}, {beyond} beyond")
+            check_reached(pipeline, x, x - fall, x - fall)
 
 
 def test_none_stays_strict_and_a_number_shrinks_the_gap():
-    start, end = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.5 * DISTANCE]]), None
-    end = start + np.repeat([[0.0, 0.0, 0.0], [0.3, 0.0, 0.01]], 3, axis=0)
-    strict, _ = two_triangles(0.5 * DISTANCE, start_gap_fraction=None, **NORMS["ball"])
-    assert all(np.array_equal(reached, start) for _, reached in ways(strict, start, end))
+    strict, start = two_triangles(0.5 * DISTANCE, start_gap_fraction=None, **NORMS["ball"])
+    end = of_second(start, [0.3, 0.0, 0.01])
+    check_reached(strict, start, end, start)
     half, _ = two_triangles(0.5 * DISTANCE, start_gap_fraction=0.5, **NORMS["ball"])
-    assert np.array_equal(half.line_search(start, end).vertices, end)
-    assert half.mesh_ccd(start, end).toi == np.inf
-
-
-def kept_by_pair(mesh, start, of_pair, distance_of):
-    """For each kind the pairs, their corners, and what each keeps: brute force over all pairs at the start."""
-    hold = np.full(mesh.num_vertices, np.inf)
-    found = []
-    for kind, pairs in zip(ccd.PairKind, brute_force(mesh, 0 * start, 0 * start), strict=True):
-        if not pairs or kind == ccd.PairKind.VERTEX_PLANE:
-            continue
-        corners = corners_of(mesh, kind, pairs)
-        apart = np.array([distance_of(KIND_NAMES[kind], start[c], start[c], 0.0) for c in corners])
-        distances = of_pair(kind, corners)
-        holders = corners if kind in (ccd.PairKind.EDGE_EDGE, ccd.PairKind.POINT_POINT) else corners[:, :1]
-        is_near = apart <= distances
-        np.minimum.at(hold, holders[is_near], apart[is_near, None])
-        found.append((kind, corners, distances))
-    return [(kind, corners, np.minimum(distances, hold[corners].min(axis=1))) for kind, corners, distances in found]
-
-
-def check_kept(mesh, start, end, kept, tois):
-    """No pair with a vertex that moves comes closer than what it keeps, by exact arithmetic."""
-    has_moved = (start != end).any(axis=1)
-    for kind, corners, keep in kept:
-        x, y = start[corners], end[corners]
-        low, high = (np.minimum(x.min(1), y.min(1)), np.maximum(x.max(1), y.max(1)))
-        keep = keep - LOST * np.maximum(np.abs(low), np.abs(high)).max(axis=1)
-        for is_zero in (True, False):
-            at = np.flatnonzero(has_moved[corners].any(axis=1) & ((keep <= 0) == is_zero))
-            if len(at):
-                given = KIND_NAMES[kind], x[at], y[at]
-                found = exact_tois(*given) if is_zero else tois(*given, keep[at])
-                assert not any(each.hit for each in found), kind
-
-
-@pytest.mark.parametrize("make", [crowd, crowd_in_plane])
-def test_no_pair_of_a_crowd_that_starts_close_comes_closer_than_it_or_its_vertices_were(make):
-    for seed in range(3):
-        mesh, start, end = make(seed, count=10, motion=0.03, largest=0.08)
-
-        def of_pair(kind, corners, radius=mesh.radius):
-            split = 2 if kind == ccd.PairKind.EDGE_EDGE else 1
-            return radius[corners[:, :split]].max(axis=1) + radius[corners[:, split:]].max(axis=1)
-
-        kept = kept_by_pair(mesh, start, of_pair, exact_distance)
-        assert sum((keep < of_pair(kind, corners)).sum() for kind, corners, keep in kept) > 20
-        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-        for way, reached in ways(pipeline, start, end):
-            check_kept(mesh, start, reached, kept, exact_distance_tois)
-            assert not way.endswith("vertex") or not np.array_equal(reached, start)
-
-
-def test_no_pair_of_a_crowd_that_starts_close_comes_closer_in_the_maximum_norm():
-    for seed in range(2):
-        mesh, start, end = crowd(seed, count=8, motion=0.03, largest=0.0)
-        mesh = ccd.CollisionMesh.from_arrays(
-            [(mesh.vertices, mesh.faces, mesh.edges[mesh.codimensional_edges])], codimensional_points=True
-        )
-        kept = kept_by_pair(mesh, start, lambda kind, corners: np.full(len(corners), 0.06), exact_gap)
-
-        def tois(kind, x, y, keep):
-            return [exact_tois(kind, x[i : i + 1], y[i : i + 1], separation=keep[i])[0] for i in range(len(x))]
-
-        pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_separation=0.06, length_scale=1.0)
-        for way, reached in ways(pipeline, start, end):
-            if way.endswith(("vertex", "step")):
-                check_kept(mesh, start, reached, kept, tois)
+    assert np.array_equal(half.line_search(start, end).vertices, end) and half.mesh_ccd(start, end).toi == np.inf
 
 
 @pytest.mark.parametrize("is_static", [True, pytest.param(False, marks=pytest.mark.long)])
@@ -165,18 +104,14 @@ def test_patch_slides_over_a_mesh_with_parallel_edges_in_any_direction_without_l
     ground, patch = sheet(40), sheet(8)
     turns = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3, 3)))[0]
     for share, turn in zip((0.3, 0.999, 1.0), turns, strict=True):
-        table = ground[0] @ turn
-        placed = (0.2 * patch[0] + [0.1, 0.1, share * 0.01]) @ turn
-        mesh = ccd.CollisionMesh.from_arrays(
-            [(table, ground[1]), (placed, patch[1])], static=[0] if is_static else [], radius=0.005
-        )
-        pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 20, max_contacts=1 << 16)
+        bodies = [(ground[0] @ turn, ground[1]), ((0.2 * patch[0] + [0.1, 0.1, share * 0.01]) @ turn, patch[1])]
+        mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0] if is_static else [], radius=0.005)
+        pipeline = ccd.CollisionPipeline(mesh, max_pairs=1 << 20, max_contacts=1 << 16)
         start = mesh.vertices
         for _ in range(3):
             end = start + (mesh.vertex_body == 1)[:, None] * ([0.21, 0.13, 0.0] @ turn)
-            for way, reached in ways(pipeline, start, end):
-                # a step does not know what it stops at, so a rounding beyond the distance may shorten it (`hold`)
-                assert way == "step" or np.array_equal(reached, end), (way, share)
+            # a step does not know what it stops at, so a rounding beyond the distance may shorten it (`hold`)
+            check_reached(pipeline, start, end, end, but_not_by=("step",))
             start = end
 
 
@@ -203,9 +138,9 @@ def test_edges_that_are_nearly_parallel_lose_no_more_than_rounding_in_the_maximu
     y[:, 2:] += np.concatenate([rng.choice([-0.5, 0.1], (count, 2)), -0.4 * angle], axis=1)[:, None]
     turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
     x, y = x @ turn, y @ turn
-    cables = [(x[0, k : k + 2], np.zeros((0, 3), dtype=int), [[0, 1]]) for k in (0, 2)]
+    cables = [(x[0, k : k + 2], NO_FACES, [[0, 1]]) for k in (0, 2)]
     mesh = ccd.CollisionMesh.from_arrays(cables, self_collision=False).replicate(count)
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_separation=0.01, length_scale=1.0)
+    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=0.01, length_scale=1.0)
     reached = pipeline.line_search(x, y, per="world").vertices.reshape(x.shape)
     for world in range(count):
         before, after = (float(exact_gap("edge-edge", rows[world], rows[world], 0.0)) for rows in (x, reached))
@@ -213,23 +148,20 @@ def test_edges_that_are_nearly_parallel_lose_no_more_than_rounding_in_the_maximu
 
 
 def test_segments_that_turn_as_they_part_are_decided_to_rounding_and_not_to_the_tolerance():
-    """Of four thousand slides that are disturbed, some that a tolerance takes for contacts at the start."""
+    """Of four thousand slides that are disturbed, some that part, exactly, and a tolerance takes for contacts."""
     _, start, end = slides_of(5, 4000, "segment", "radius")
     rng = np.random.default_rng(1)
     end[:, GROUND:] += rng.normal(size=(4000, 2, 3)) * 10.0 ** -rng.uniform(0, 9, (4000, 1, 1))
     for x, y in zip(start[[79, 532, 578, 837]], end[[79, 532, 578, 837]], strict=True):
-        bodies = [(x[:GROUND], FACES), (x[GROUND:], np.zeros((0, 3), dtype=int), [[0, 1]])]
+        bodies = [(x[:GROUND], FACES), (x[GROUND:], NO_FACES, [[0, 1]])]
         mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], self_collision=False, radius=0.01)
-        check_kept(
-            mesh, x, y, kept_by_pair(mesh, x, lambda _, c: np.full(len(c), 0.02), exact_distance), exact_distance_tois
-        )
-        np.testing.assert_array_equal(ccd.line_search(mesh, x, y, tolerance=1e-2, device="cpu").vertices, y)
+        np.testing.assert_array_equal(ccd.line_search(mesh, x, y, tolerance=1e-2).vertices, y)
 
 
 @pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.long)])
 def test_ten_thousand_presses_lose_less_than_a_hundred_thousandth_of_the_thickness(precision):
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE)]).replicate(100)
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", precision=precision, **NORMS["ball"])
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **NORMS["ball"])
     rng = np.random.default_rng(0)
     x = np.tile(np.concatenate([TRIANGLE, TRIANGLE + [0, 0, DISTANCE]]), (100, 1, 1))
     before = x[:, 3:, 2].min()
@@ -255,64 +187,22 @@ def test_pairs_at_their_distance_are_not_stuck_when_they_are_pulled_apart_at_any
     apart[:, 3:] = 0.5 * turn[:, 2:3] + rng.normal(size=(count, 1, 2)) @ turn[:, :2]
     mesh = ccd.CollisionMesh.from_arrays([(x[0, :3], FACE), (x[0, 3:], FACE)]).replicate(count)
     options = {"minimum_distance": scale * DISTANCE, "length_scale": scale, "tolerance": tolerance}
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", precision=precision, **options)
+    pipeline = ccd.CollisionPipeline(mesh, precision=precision, **options)
     y = x + scale * apart
     np.testing.assert_array_equal(pipeline.line_search(x, y, per="world").vertices.reshape(y.shape), y)
     np.testing.assert_array_equal(shortened_by_launch(pipeline, x, y, per="world"), y)
 
 
-@pytest.mark.parametrize("norm", NORMS)
+@every_norm
 def test_cable_slides_from_one_cable_to_the_next_without_losing_height(norm):
     """It is the second edge of both pairs, and takes along what it kept of the first."""
     across = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0]])
     above = np.array([[-0.2, 0.0, 0.9 * DISTANCE], [0.2, 0.0, 0.9 * DISTANCE]])
-    cables = [(x, np.zeros((0, 3), dtype=int), [[0, 1]]) for x in (across, across + [1.0, 0.0, 0.0], above)]
+    cables = [(x, NO_FACES, [[0, 1]]) for x in (across, across + [1.0, 0.0, 0.0], above)]
     mesh = ccd.CollisionMesh.from_arrays(cables)
     end = mesh.vertices + [1.0, 0.1, 0.0] * (mesh.vertex_body == 2)[:, None]
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", **NORMS[norm])
-    for way, reached in ways(pipeline, mesh.vertices, end):
-        np.testing.assert_array_equal(reached, end, err_msg=way)
-
-
-def layers_on_a_ball(num_layers=2, count=12):
-    """Sheets of cloth above a ball: mesh, start, and the rows of the cloth."""
-    ball = trimesh.creation.icosphere(2, radius=0.3)
-    vertices, faces = sheet(count)
-    layers = [(0.45 * vertices + [0, 0, 0.31 + 0.01 * k], faces) for k in range(num_layers)]
-    mesh = ccd.CollisionMesh.from_arrays(
-        [*layers, (ball.vertices, ball.faces)], static=[num_layers], radius=0.5 * DISTANCE
-    )
-    return mesh, mesh.vertices.copy(), num_layers * len(vertices)
-
-
-@pytest.mark.parametrize("way", ["line_search", "launch_line_search"])
-@pytest.mark.parametrize("with_response", [False, True])
-def test_layers_pressed_on_a_ball_keep_their_thickness_and_come_free_when_they_are_lifted(way, with_response):
-    mesh, x, moving = layers_on_a_ball()
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 19, max_contacts=1 << 17)
-
-    def searched(x, y):
-        if way == "line_search":
-            return pipeline.line_search(x, y, per="vertex").vertices
-        return shortened_by_launch(pipeline, x, y, per="vertex")
-
-    rows = np.arange(moving)
-    for _ in range(20):
-        y = x.copy()
-        y[rows] += [0.0, 0.0, -0.01]
-        if with_response:
-            near = pipeline.find_proximity(x, 0.2 * DISTANCE)
-            push, lacking = np.zeros_like(y), np.maximum(1.2 * DISTANCE - near.distance, 0.0)
-            np.add.at(push, near.vertices, lacking[:, None, None] * near.weights[..., None] * near.direction[:, None])
-            y[rows] += push[rows]
-        x = searched(x, y)
-        assert pipeline.find_proximity(x, 0.0).distance.min(initial=DISTANCE) > DISTANCE * (1 - 1e-9)
-    assert len(pipeline.find_proximity(x, 0.01 * DISTANCE)) > 20
-    y = x.copy()
-    y[rows] += [0.0, 0.0, 0.1]
-    lifted = searched(x, y)
-    np.testing.assert_allclose(lifted[rows], y[rows], atol=1e-12)
-    assert not len(pipeline.find_intersections(lifted))
+    pipeline = ccd.CollisionPipeline(mesh, **NORMS[norm])
+    check_reached(pipeline, mesh.vertices, end, end)
 
 
 def sliding(name, share, frames):
@@ -332,7 +222,7 @@ def sliding(name, share, frames):
         ring = trimesh.creation.torus(0.1 + inner, 0.1, major_sections=24, minor_sections=12)
         links = np.stack([np.arange(60), np.arange(1, 61)], axis=1)
         rope = np.linspace(-5.5, 0.5, 61)[:, None] * [1.0, 0.0, 0.0]
-        bodies = [(ring.vertices[:, [2, 0, 1]], ring.faces), (rope, np.zeros((0, 3), dtype=int), links)]
+        bodies = [(ring.vertices[:, [2, 0, 1]], ring.faces), (rope, NO_FACES, links)]
         along = 4.0 * time**2
     else:
         bodies = []
@@ -348,11 +238,9 @@ def sliding(name, share, frames):
 
 
 @pytest.mark.parametrize("frames", [20, pytest.param(300, marks=pytest.mark.long)])
-@pytest.mark.parametrize("way", ["line_search, scene", "line_search, vertex", "launch_line_search, scene"])
 @pytest.mark.parametrize("thickness", ["radius", "minimum_distance"])
-@pytest.mark.parametrize("name", ["sheet", "rope", "piston"])
-def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thickness, way, frames):
-    call, per = way.split(", ")
+@pytest.mark.parametrize("name", ["sheet", "rope", pytest.param("piston", marks=pytest.mark.long)])
+def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thickness, frames):
     for seed, share in enumerate((1.0, 0.3) if frames < 300 else (1.0, 0.999, 0.3)):
         rng = np.random.default_rng(seed)
         turn, origin = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
@@ -361,23 +249,15 @@ def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thick
         radius = [0.5 * DISTANCE] * 2 if name == "sheet" else [0.0, DISTANCE]
         options = {"radius": radius} if thickness == "radius" else {}
         mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], **options)
-        pipeline = ccd.CollisionPipeline(
-            mesh, device="cpu", max_pairs=1 << 17, max_contacts=1 << 15, **({} if options else NORMS["ball"])
-        )
-        moves = (mesh.vertex_body == 1)[:, None]
-        x, num_cut, num_still = mesh.vertices, 0, 0
+        capacities = {"max_pairs": 1 << 17, "max_contacts": 1 << 15}
+        pipeline = ccd.CollisionPipeline(mesh, **capacities, **({} if options else NORMS["ball"]))
+        x = mesh.vertices
         for displacement in np.diff(places, axis=0) @ turn:
-            y = x + displacement * moves
-            if call == "line_search":
-                reached = pipeline.line_search(x, y, per=per).vertices
-            else:
-                reached = shortened_by_launch(pipeline, x, y, per=per)
-            num_cut += not np.array_equal(reached, y)
-            num_still += not np.array_equal(x, y) and np.array_equal(reached, x)
-            x = reached
-        assert (num_cut, num_still) == (0, 0), f"cut and still, of {frames} searches that start at {share}"
-        travel = (x - mesh.vertices)[moves[:, 0]] @ turn.T
-        np.testing.assert_allclose(travel, np.broadcast_to(places[-1] - places[0], travel.shape), atol=1e-12)
+            y = x + displacement * (mesh.vertex_body == 1)[:, None]
+            for per in ("scene", "vertex"):
+                np.testing.assert_array_equal(pipeline.line_search(x, y, per=per).vertices, y)
+            np.testing.assert_array_equal(shortened_by_launch(pipeline, x, y, per="scene"), y)
+            x = y
         assert pipeline.find_proximity(x, 0.0).distance.min(initial=DISTANCE) > share * DISTANCE - 1e-12
 
 
@@ -385,40 +265,19 @@ def test_what_slides_at_its_distance_travels_as_if_nothing_were_near(name, thick
 
 
 @pytest.mark.parametrize("normal", [[0.0, 0.0, 1.0], [0.3, -0.4, 2.0]])
-@pytest.mark.parametrize("distance", [0.0, DISTANCE])
-@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_vertex_over_a_half_space_leaves_it_and_slides_even_from_a_gap_of_0(normal, distance, share):
+@pytest.mark.parametrize("gap", [0.0, 0.5 * DISTANCE, DISTANCE])
+def test_vertex_over_a_half_space_leaves_it_and_slides_even_from_a_gap_of_0(normal, gap):
     unit = np.array(normal) / np.linalg.norm(normal)
     across = np.cross(unit, [1.0, 0.0, 0.0])
-    mesh = ccd.CollisionMesh.from_arrays(
-        [(TRIANGLE, FACE), ccd.HalfSpace([0.0, 0.0, 0.0], normal)], self_collision=False
-    )
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=distance)
-    start = np.outer([0.0, 1.0, 2.0], across) + share * distance * unit
-    if share * distance == 0.0:
-        start = np.zeros((3, 3))  # on the plane exactly
-    for motion, is_free in ((unit, True), (0.1 * unit + across, True), (-unit, False)):
-        end = start + motion
-        for way, reached in ways(pipeline, start, end):
-            if is_free:
-                np.testing.assert_array_equal(reached, end, err_msg=way)
-            else:
-                np.testing.assert_array_equal(reached, start, err_msg=way)
-    if share * distance > 0.0 or normal[:2] == [0.0, 0.0]:
-        end = start + [1.0, 0.5, 0.0] if normal[:2] == [0.0, 0.0] else start + across
-        for way, reached in ways(pipeline, start, end):
-            np.testing.assert_array_equal(reached, end, err_msg=way)
-
-
-def test_vertex_pressed_on_a_tilted_half_space_never_enters_it():
-    normal = np.array([0.1, 0.7, 1.0])
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace([0.1, 0.2, 0.3], normal)])
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
-    rng = np.random.default_rng(5)
-    x = TRIANGLE + [0.0, 0.0, 2.0]
-    for _ in range(200):
-        x = pipeline.line_search(x, x + rng.normal(size=3) * [1, 1, 0.1] - [0, 0, 0.3], per="vertex").vertices
-        assert ((x - [0.1, 0.2, 0.3]) @ normal).min() > -1e-15
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace([0, 0, 0], normal)], self_collision=False)
+    # with a gap of 0 all three vertices lie on the plane exactly, in one point
+    start = np.outer([0.0, 1.0, 2.0], across) + gap * unit if gap else np.zeros((3, 3))
+    is_flat = normal[:2] == [0.0, 0.0]
+    for distance in (DISTANCE,) if gap else (0.0, DISTANCE):
+        pipeline = ccd.CollisionPipeline(mesh, minimum_distance=distance)
+        for motion in (unit, 0.1 * unit + across, *([[1.0, 0.5, 0.0]] if is_flat else [across] if gap else [])):
+            check_reached(pipeline, start, start + motion, start + motion)
+        check_reached(pipeline, start, start - unit, start)
 
 
 @pytest.mark.parametrize("share", [1.0, 0.5])
@@ -427,62 +286,28 @@ def test_vertices_at_their_distance_over_a_tilted_half_space_slide_by_their_whol
     unit = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     point, across = rng.normal(size=3), rng.normal(size=(2, 2000, 2)) @ unit[:2]
     start = point + across[0] + share * DISTANCE * unit[2]  # to within rounding, above and below
-    mesh = ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), dtype=int)), ccd.HalfSpace(point, unit[2])])
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", minimum_distance=DISTANCE)
+    mesh = ccd.CollisionMesh.from_arrays([(start, NO_FACES), ccd.HalfSpace(point, unit[2])])
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=DISTANCE)
     end = start + 0.3 * across[1]
     np.testing.assert_array_equal(pipeline.line_search(start, end, per="vertex").vertices, end)
     np.testing.assert_array_equal(shortened_by_launch(pipeline, start, end, per="vertex"), end)
 
 
-# ---- What it goes with -----------------------------------------------------------------------------------------------
-
-
-def test_worlds_that_start_close_do_not_change_the_others():
-    one = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1], FACE)])
-    near = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.5 * DISTANCE]])
-    far = np.concatenate([TRIANGLE, TRIANGLE + [0.0, 0.0, 0.1]])
-    both = np.stack([near, far])
-    end = both + np.repeat([[0.0, 0.0, 0.0], [0.2, 0.0, -1.0]], 3, axis=0)
-    worlds = ccd.CollisionPipeline(one.replicate(2), device="cpu", **NORMS["ball"])
-    alone = ccd.CollisionPipeline(one, device="cpu", **NORMS["ball"])
-    expected = alone.line_search(far, end[1], per="world").vertices
-    np.testing.assert_array_equal(worlds.line_search(both, end, per="world").vertices[6:], expected)
-    expected = shortened_by_launch(alone, far, end[1], per="world")
-    np.testing.assert_array_equal(shortened_by_launch(worlds, both, end, per="world")[1], expected)
-
-
-def test_scene_in_which_nothing_starts_close_looks_for_no_holds(monkeypatch):
-    monkeypatch.setattr(HoldStep, "find_holds", None)
-    pipeline, start = two_triangles(2 * DISTANCE, **NORMS["ball"])
-    end = start + np.repeat([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]], 3, axis=0)
-    assert 0.0 < pipeline.line_search(start, end).fraction < 0.01
-
-
 def test_edge_beyond_the_capacity_at_the_start_does_not_let_a_point_come_closer_to_the_face_it_leaves():
     # Two edges slide at 0.9 of the distance. A third one, which leaves a face from beyond it, is among the pairs at the
     # start alone, for which there is no capacity.
-    edge, faceless = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.zeros((0, 3), dtype=int)
-    across = edge[:, [1, 0, 2]]
-    parts = [
-        edge - [10.0, 0.0, 0.0],
-        across + [-10.0, 0.0, 0.9 * DISTANCE],
-        TRIANGLE,
-        across + [0.05, -1.0, -(1 + 2e-7) * DISTANCE],
-        np.array([[0.0, -0.5, 0.5]]),
-    ]
-    edges = [[[0, 1]], [[0, 1]], None, [[0, 1]], None]
-    bodies = [
-        (x, FACE) if len(x) == 3 else (x, faceless) if of is None else (x, faceless, of)
-        for x, of in zip(parts, edges, strict=True)
-    ]
+    edge = np.array([[-0.5, 0.0, 0.0], [0.5, 0.0, 0.0]])
+    across, point = edge[:, [1, 0, 2]], np.array([[0.0, -0.5, 0.5]])
+    cables = [edge - [10, 0, 0], across + [-10, 0, 0.9 * DISTANCE], across + [0.05, -1, -(1 + 2e-7) * DISTANCE]]
+    first, second, third = ((x, NO_FACES, [[0, 1]]) for x in cables)
+    bodies = [first, second, (TRIANGLE, FACE), third, (point, NO_FACES)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True)
-    start = np.concatenate(parts)
-    end = start.copy()
+    end = mesh.vertices.copy()
     end[2:4, 0] += 0.01
     end[7:9, 2] -= 0.5
     end[9, 2] = 0.3 * DISTANCE
     for max_pairs in (1, 100):
-        pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=max_pairs, **NORMS["ball"])
-        reached = end.copy()
-        pipeline.launch_line_search(start, reached, per="vertex")
-        assert reached[9, 2] > DISTANCE
+        pipeline = ccd.CollisionPipeline(mesh, max_pairs=max_pairs, **NORMS["ball"])
+        reached = wp.array(end, dtype=wp.vec3d)
+        pipeline.launch_line_search(wp.array(mesh.vertices, dtype=wp.vec3d), reached, per="vertex")
+        assert reached.numpy()[9, 2] > DISTANCE

@@ -10,7 +10,7 @@ The largest ratios are printed with `pytest -s`, and recorded as properties of t
 
 from fractions import Fraction
 from functools import cache
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -22,20 +22,14 @@ from ccd_warp.kernels.template import specialised
 from cull_probe import WIDTHS, culled
 from exact import exact_tois
 from hard_cases import FAMILIES
-from rounding_samples import cross, drawn, exactly
-
-REALS = {"float64": wp.float64, "float32": wp.float32}
-FLOATS = {"float64": np.float64, "float32": np.float32}
-KINDS = {"vertex-face": 0, "edge-edge": 1}
+from rounding_samples import CORNERS, FLOATS, KINDS, REALS, cross, drawn, dropped, exactly
 
 # Columns of the kernel's output, in the order in which it writes them.
 _LAYOUT = {
     "unit": 3,
     "size": 3,
-    "v00": 6,  # corners w00, w01, w10, w11 of the root at both ends of the step
-    "v01": 6,
-    "v10": 6,
-    "v11": 6,
+    "corners_t0": 12,  # w00, w01, w10, w11 of the root at both ends of the step
+    "corners_t1": 12,
     "sub": 6,  # corner (u, v) of the sub-patch at both ends
     "sub_at": 3,  # the same at time t
     "root_at": 3,
@@ -55,10 +49,8 @@ _LAYOUT = {
     "d_x": 3,
     "moving": 3,  # Bernstein coefficients of its product with corner w00
 }
-_COLUMNS = {}
-for _name, _count in _LAYOUT.items():
-    _begin = sum(c.stop - c.start for c in _COLUMNS.values())
-    _COLUMNS[_name] = slice(_begin, _begin + _count)
+_ENDS = np.cumsum([0, *_LAYOUT.values()]).tolist()
+_COLUMNS = {name: slice(*ends) for name, ends in zip(_LAYOUT, pairwise(_ENDS), strict=True)}
 
 
 @cache
@@ -66,25 +58,20 @@ def make_probe(real):
     """Kernels that write the intermediate quantities of the solver, and the clips that it is built of."""
     vec3 = wp.types.vector(length=3, dtype=real)
     vec4 = wp.types.vector(length=4, dtype=real)
-    corners_at = specialised("pair.patch", real=real).corners_at
+    patch = specialised("pair.patch", real=real)
+    Corners, corners_at = patch.Corners, patch.corners_at
     Options = specialised("pair.query", real=real).Options
     normalise = specialised("pair.solver", real=real).normalise
     sub_corners = specialised("pair.sub_patch", real=real).sub_corners
     # the functions for one lane; `test_lane_width` compares those for several with them
     inclusion = specialised("pair.inclusion", real=real)
-    clip = inclusion.clip
-    clip_corner = inclusion.clip_corner
-    offset = inclusion.offset
+    clip, clip_corner, offset = inclusion.clip, inclusion.clip_corner, inclusion.offset
     volume = specialised("pair.volume", real=real)
+    Hull, hull_fall, restrict, separation_offset = volume.Hull, volume.fall, volume.restrict, volume.separation_offset
     advance_volume = specialised("pair.advance", real=real).advance_volume
-    Hull = volume.Hull
-    restrict = volume.restrict
-    separation_offset = volume.separation_offset
-    hull_fall = volume.fall
-    facets = specialised("pair.facets", real=real)
-    direction = facets.direction
     fall = specialised("pair.moving_clip", real=real).fall
-    clip_facet = facets.clip_facet
+    facets = specialised("pair.facets", real=real)
+    direction, clip_facet = facets.direction, facets.clip_facet
     half = wp.constant(real(0.5))
     num_clips = wp.constant(12)
 
@@ -102,6 +89,10 @@ def make_probe(real):
         out[i, k + 1] = wp.float64(a[1])
         out[i, k + 2] = wp.float64(a[2])
         return k + 3
+
+    @wp.func
+    def put_corners(out: wp.array2d[wp.float64], i: int, k: int, c: Corners) -> int:
+        return put(out, i, put(out, i, put(out, i, put(out, i, k, c.w00), c.w01), c.w10), c.w11)
 
     @wp.func
     def put4(out: wp.array2d[wp.float64], i: int, k: int, a: vec4) -> int:
@@ -145,14 +136,8 @@ def make_probe(real):
             out[i, k + m] = n.unit[m]
         k += 3
         k = put(out, i, k, n.size)
-        k = put(out, i, k, n.patch.t0.w00)
-        k = put(out, i, k, n.patch.t1.w00)
-        k = put(out, i, k, n.patch.t0.w01)
-        k = put(out, i, k, n.patch.t1.w01)
-        k = put(out, i, k, n.patch.t0.w10)
-        k = put(out, i, k, n.patch.t1.w10)
-        k = put(out, i, k, n.patch.t0.w11)
-        k = put(out, i, k, n.patch.t1.w11)
+        k = put_corners(out, i, k, n.patch.t0)
+        k = put_corners(out, i, k, n.patch.t1)
         sub_t0 = sub_corners(n.patch.t0, u, u, v, v)
         sub_t1 = sub_corners(n.patch.t1, u, u, v, v)
         k = put(out, i, k, sub_t0.w00)
@@ -260,8 +245,7 @@ class Sample:
         unit = self.out["unit"]
         points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
         # (corner, side) as in kernels/pair/patch.py, from the definition of each pair kind
-        rows = {"vertex-face": ((0, 1), (0, 2), (0, 3), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
-        self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in rows] for p in points]
+        self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in (*CORNERS[kind], (0, 3))[:4]] for p in points]
         sides = {"vertex-face": ((1, 2), (1, 3)), "edge-edge": ((2, 3), (1, 0))}[kind]
         self.sides = [[(p[:, i] - p[:, j]) / unit for i, j in sides] for p in points]
         self.m = self.out["size"]
@@ -312,13 +296,8 @@ def step(name: str, least: float = 0.1):
 
 @step("2 difference and normalisation")
 def _(s: Sample):
-    error, bound = [], []
-    for frame in range(2):
-        for name, corner in zip(("v00", "v01", "v10", "v11"), s.corners[frame], strict=True):
-            found = s.out[name][:, 3 * frame : 3 * frame + 3]
-            error.append(abs(found - corner))
-            bound.append(s.constant(_SLACK) * s.u * abs(found))
-    return np.concatenate(error, axis=1), np.concatenate(bound, axis=1)
+    found = np.concatenate([s.out["corners_t0"], s.out["corners_t1"]], axis=1)
+    return abs(found - np.concatenate([*s.corners[0], *s.corners[1]], axis=1)), s.constant(_SLACK) * s.u * abs(found)
 
 
 @step("3 corner of a sub-patch")
@@ -407,24 +386,23 @@ def _(s: Sample):
 
 
 # The factor 1 - 12u covers eleven roundings between a crossing and a time; the functions measured here make fewer.
+def _first_crossing(s: Sample, last: int, found: np.ndarray):
+    h = [s.h[:, k] for k in range(last + 1)]
+    times = [i + (j - i) * _crossing(h[i], h[j]) for i, j in combinations(range(last + 1), 2)]
+    exact = np.where(h[0] > 0, np.minimum.reduce(times), 9)
+    valid = exact < last + 1
+    fraction = np.where(valid, exact / s.constant(last), 1)
+    return np.where(valid, found[:, 0] - fraction, 0), 12 * s.u * fraction
+
+
 @step("9 crossing of the hull")
 def _(s: Sample):
-    h = [s.h[:, k] for k in range(4)]
-    pairs = [(i, j) for i in range(4) for j in range(i + 1, 4)]
-    exact = np.minimum.reduce([np.where(h[0] > 0, (i + (j - i) * _crossing(h[i], h[j])), 9) for i, j in pairs])
-    valid = (h[0] > 0) & (exact < 4)
-    fraction = np.where(valid, exact / s.constant(3), 1)
-    return np.where(valid, s.out["hull"][:, 0] - fraction, 0), 12 * s.u * fraction
+    return _first_crossing(s, 3, s.out["hull"])
 
 
 @step("10 crossing of a facet")
 def _(s: Sample):
-    h = [s.h[:, k] for k in range(3)]
-    pairs = [(0, 1), (0, 2), (1, 2)]
-    exact = np.minimum.reduce([np.where(h[0] > 0, (i + (j - i) * _crossing(h[i], h[j])), 9) for i, j in pairs])
-    valid = (h[0] > 0) & (exact < 3)
-    fraction = np.where(valid, exact / s.constant(2), 1)
-    return np.where(valid, s.out["zero"][:, 0] - fraction, 0), 12 * s.u * fraction
+    return _first_crossing(s, 2, s.out["zero"])
 
 
 @step("10 moving facet")
@@ -482,31 +460,24 @@ def mutated(inputs: dict, real: str, rng: np.random.Generator) -> dict:
     return child
 
 
+def launched(which: int, kind: str, points, real: str, separation: float, numbers: list, others: list, outputs: list):
+    """What one of the kernels writes."""
+    Options, *kernels = make_probe(REALS[real])
+    options = Options()
+    options.length_scale, options.tolerance, options.minimum_separation = 1.0, 1e-300, separation
+    options.t_max = options.t_end = 1.0
+    x = [wp.array(p, dtype=wp.vec3d) for p in points]
+    numbers = wp.array(np.concatenate(numbers, axis=1), dtype=wp.float64)
+    wp.launch(kernels[which], len(x[0]), [KINDS[kind], *x, options, numbers, *others], outputs=outputs)
+    return tuple(array.numpy() for array in outputs)
+
+
 def evaluated(kind: str, inputs: dict, real: str, separation: float) -> np.ndarray:
     """What the kernel computes, shape [n, columns]."""
-    Options, probe, _ = make_probe(REALS[real])
-    options = Options()
-    options.length_scale = 1.0
-    options.tolerance = 1e-300
-    options.minimum_separation = separation
-    options.t_max = options.t_end = 1.0
-    n = len(inputs["u"])
     numbers = [inputs["d"], inputs["margin"], *(inputs[k][:, None] for k in ("u", "v", "t", "x")), inputs["h"]]
-    out = wp.zeros((n, list(_COLUMNS.values())[-1].stop), dtype=wp.float64, device="cpu")
-    wp.launch(
-        probe,
-        dim=n,
-        inputs=[
-            KINDS[kind],
-            *(wp.array(inputs[name], dtype=wp.vec3d, device="cpu") for name in ("vertices_t0", "vertices_t1")),
-            options,
-            wp.array(np.concatenate(numbers, axis=1), dtype=wp.float64, device="cpu"),
-            wp.array(inputs["facet"], dtype=wp.int32, device="cpu"),
-        ],
-        outputs=[out],
-        device="cpu",
-    )
-    return out.numpy()
+    out, facets = wp.zeros((len(inputs["u"]), _ENDS[-1]), dtype=wp.float64), wp.array(inputs["facet"], dtype=wp.int32)
+    points = inputs["vertices_t0"], inputs["vertices_t1"]
+    return launched(0, kind, points, real, separation, numbers, [facets], [out])[0]
 
 
 def searched(kind: str, real: str, function, *, samples: int, generations: int, seed: int) -> float:
@@ -556,23 +527,9 @@ def test_bound_holds_and_is_not_lazy(name, real, record_property):
 
 def clip_times(kind: str, points: tuple, real: str, separation: float, d: np.ndarray, t: np.ndarray) -> tuple:
     """Times that each clip reports, and the normalised unit of each axis."""
-    Options, _, clips = make_probe(REALS[real])
-    options = Options()
-    options.length_scale = 1.0
-    options.tolerance = 1e-300
-    options.minimum_separation = separation
-    options.t_max = options.t_end = 1.0
-    n = len(t)
-    outputs = [
-        wp.zeros(n, dtype=wp.float64, device="cpu"),
-        wp.zeros(n, dtype=wp.float64, device="cpu"),
-        wp.zeros((n, 12), dtype=wp.float64, device="cpu"),
-        wp.zeros(n, dtype=wp.vec3d, device="cpu"),
-    ]
-    numbers = wp.array(np.concatenate([d, t[:, None]], axis=1), dtype=wp.float64, device="cpu")
-    x = [wp.array(p, dtype=wp.vec3d, device="cpu") for p in points]
-    wp.launch(clips, dim=n, inputs=[KINDS[kind], *x, options, numbers], outputs=outputs, device="cpu")
-    return tuple(array.numpy() for array in outputs)
+    outputs = [wp.zeros(shape, dtype=wp.float64) for shape in (len(t), len(t), (len(t), 12))]
+    outputs.append(wp.zeros(len(t), dtype=wp.vec3d))
+    return launched(1, kind, points, real, separation, [d, t[:, None]], [], outputs)
 
 
 _CLIP_FAMILIES = ("random_colliding", "lattice", "slivers", "tiny_motion", "mixed_axis_scales", "one_ulp_neighbours")
@@ -586,8 +543,7 @@ def test_clip_is_a_lower_bound(separation, kind, real):
     clipped_some = 0
     for family in _CLIP_FAMILIES:
         points = FAMILIES[family](kind, 60, rng)
-        rows = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}[kind]
-        start, end = ([p[:, i] - p[:, j] for i, j in rows] for p in points)
+        start, end = ([p[:, i] - p[:, j] for i, j in CORNERS[kind]] for p in points)
         t = rng.choice([0.0, 0.25, 0.5], 60)
         # a direction that separates at t in general, as the closest pair's does: the mean corner, and noise
         size = np.maximum(np.abs(start).max(axis=0), np.abs(end).max(axis=0)) + 1e-300
@@ -598,7 +554,7 @@ def test_clip_is_a_lower_bound(separation, kind, real):
         for i in np.flatnonzero(s > t):
             clipped_some += 1
             stop = Fraction(min(float(s[i]), 1.0))
-            for a, b in rows:
+            for a, b in CORNERS[kind]:
                 # linear in time, so both ends of [t, s] tell; at s itself d may just cease to separate
                 products = []
                 for time in (Fraction(float(t[i])), stop):
@@ -648,11 +604,7 @@ def test_cull_drops_no_contact(test, separation, scale, t_end, kind):
     num_dropped = 0
     for family in ("random", "one_plane", "parallel_edges", *_CLIP_FAMILIES):
         points = [np.ldexp(p, _SCALES[scale]) for p in FAMILIES[family](kind, 100, rng)]
-        dropped, *wider = (culled(kind, *points, w, separation=separation, t_end=t_end, test=test) for w in WIDTHS)
-        assert all(np.array_equal(dropped, each) for each in wider)
-        exact = exact_tois(kind, *(p[dropped] for p in points), separation, t_end)
-        assert not any(truth.hit for truth in exact)
-        num_dropped += dropped.sum()
+        num_dropped += dropped(kind, points, exact_tois, separation, t_end, test=test).sum()
     assert num_dropped > 10 or scale != "as_drawn"
 
 
@@ -684,13 +636,12 @@ def make_end_probe():
         b: wp.array[wp.vec3d],
         t: wp.array[wp.float64],
         # out
-        lower: wp.array[wp.vec3d],
-        upper: wp.array[wp.vec3d],
+        ends: wp.array2d[wp.vec3d],
     ):
         i = wp.tid()
         box = end_box(a[i], b[i], t[i])
-        lower[i] = box.lower
-        upper[i] = box.upper
+        ends[i, 0] = box.lower
+        ends[i, 1] = box.upper
 
     return end_probe
 
@@ -703,18 +654,12 @@ def test_box_at_the_end_of_a_shorter_step_holds_the_point(exponent):
     b[::3] = np.nextafter(a[::3], np.inf)
     a[1::7] *= 1e-9
     t = rng.random(n) ** rng.integers(1, 20, n)
-    boxes = [wp.empty(n, dtype=wp.vec3d, device="cpu") for _ in range(2)]
-    points = [wp.array(x, dtype=wp.vec3d, device="cpu") for x in (a, b)]
-    times = wp.array(t, dtype=wp.float64, device="cpu")
-    wp.launch(make_end_probe(), dim=n, inputs=[*points, times], outputs=boxes, device="cpu")
-    lower, upper = (box.numpy() for box in boxes)
-    tight = 0
-    for i in range(n):
-        for k in range(3):
-            exact = Fraction(a[i, k]) + Fraction(t[i]) * (Fraction(b[i, k]) - Fraction(a[i, k]))
-            assert Fraction(lower[i, k]) <= exact <= Fraction(upper[i, k])
-            tight += lower[i, k] < upper[i, k]
-    assert tight > n
+    ends, points = wp.empty((n, 2), dtype=wp.vec3d), [wp.array(x, dtype=wp.vec3d) for x in (a, b)]
+    wp.launch(make_end_probe(), dim=n, inputs=[*points, wp.array(t, dtype=wp.float64)], outputs=[ends])
+    x, y, s = exactly(a), exactly(b), exactly(t)[:, None]
+    lower, upper = ends.numpy().swapaxes(0, 1)
+    at = x + s * (y - x)
+    assert (exactly(lower) <= at).all() and (at <= exactly(upper)).all() and (lower < upper).sum() > n
 
 
 def test_constants_cover_the_steps():

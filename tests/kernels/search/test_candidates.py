@@ -271,7 +271,7 @@ def test_published_pairs_are_found(scene):
 
 def test_blocks_of_boxes_that_exceed_the_memory_limit_keep_the_order():
     """The least limit holds the partners of one box a thread; a block of sixteen, which have more, is cut."""
-    mesh, *frames = all_in_one_place(2, 60, 200)
+    mesh, *frames = all_in_one_place(2, 280, 900)
     expected = tuples_of(ccd.find_candidates(mesh, *frames, num_threads=1))
     for num_threads in (1, 3):
         with pytest.raises(ValueError, match="memory_limit is 1 bytes; expected at least") as error:

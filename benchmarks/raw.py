@@ -1,0 +1,57 @@
+"""The raw figures: a CSV file for each part, and runs.csv, which says where and when each was measured."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from machine import machine
+
+RUNS = "runs"
+
+
+def write(folder: Path, part: str, rows: list[dict], *, quick: bool = False) -> None:
+    """Write the rows of a part, and about them a row of runs.csv in place of an older one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _save(pd.DataFrame([flat(row) for row in rows], dtype=object), folder / f"{part}.csv")
+    about = pd.DataFrame([{"part": part, **machine(), "quick": quick}])
+    kept = read(folder, RUNS)
+    others = [kept[kept.part != part]] if len(kept) else []
+    _save(pd.concat([*others, about]).sort_values("part"), folder / f"{RUNS}.csv")
+
+
+def _save(table: pd.DataFrame, path: Path) -> None:
+    new = path.with_suffix(".new")
+    # six digits are more than a measurement has; of integers all
+    table.map(lambda x: float(f"{x:.6g}") if isinstance(x, float) else x).to_csv(new, index=False)
+    os.replace(new, path)
+
+
+def read(folder: Path, part: str) -> pd.DataFrame:
+    """The rows of a part, none where it was not measured."""
+    path = folder / f"{part}.csv"
+    return pd.read_csv(path, keep_default_na=False, na_values=[""]) if path.is_file() else pd.DataFrame()
+
+
+def described(folder: Path, part: str) -> str:
+    """Where and when a part was measured, in one line; empty if it was not."""
+    runs = read(folder, RUNS)
+    rows = runs[runs.part == part] if len(runs) else runs
+    if not len(rows):
+        return ""
+    about = rows.iloc[0].dropna()
+    gpus = f", {about.gpus}" if "gpus" in about and about.gpus else ""
+    where = f"{about.cpu}, {about.cores} cores{gpus}, {about.memory_gib} GiB, {about.system}, Python {about.python}"
+    return f"{where}, {about.versions}, {about.date}"
+
+
+def flat(record: dict, prefix: str = "") -> dict[str, Any]:
+    """Nested dictionaries and lists by joined names."""
+    result: dict[str, Any] = {}
+    for key, value in record.items():
+        if isinstance(value, list | tuple):
+            value = dict(enumerate(value))
+        result |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return result

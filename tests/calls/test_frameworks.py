@@ -1,0 +1,187 @@
+"""PyTorch and JAX: their functions are launches, with the gradients of these, and say what they do not take."""
+
+import gc
+import importlib
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from toi_scenes import FACE, TRIANGLE, random_scene
+
+import ccd_warp as ccd
+
+FALL = np.array([[0.0, 0, 0]] * 3 + [[0.0, 0, 1]] * 3)
+PER = ("scene", "world", "body", "vertex")
+
+
+@pytest.fixture(scope="module")
+def torch():
+    return pytest.importorskip("torch")
+
+
+@pytest.fixture(scope="module")
+def jax():
+    module = pytest.importorskip("jax")
+    module.config.update("jax_enable_x64", True)
+    return module
+
+
+@pytest.fixture(params=["torch", "jax"])
+def library(request):
+    """A library's functions, its arrays of NumPy's, and a check of gradients against differences of tois."""
+    module = request.getfixturevalue(request.param)
+    ours = importlib.import_module(f"ccd_warp.{request.param}")
+    if request.param == "torch":
+
+        def check(function, *ends):  # differences of tois in float64 have some eight digits
+            assert module.autograd.gradcheck(function, ends, eps=1e-7, atol=1e-6, rtol=1e-5)
+
+        make = lambda x: module.from_numpy(np.array(x)).requires_grad_(x.dtype.kind == "f")  # noqa: E731
+        return ours, make, lambda x: x.detach().numpy(), module.where, check
+    check_grads = importlib.import_module("jax.test_util").check_grads
+
+    def check(function, *ends):
+        check_grads(module.jit(function), ends, order=1, modes=["rev"], eps=1e-6, atol=1e-6, rtol=1e-5)
+
+    return ours, module.numpy.array, np.array, module.numpy.where, check
+
+
+def thrown():
+    """Tetrahedra that are thrown into each other: a pipeline, and both ends."""
+    mesh, start, end, options = random_scene(1)
+    return ccd.CollisionPipeline(mesh, tolerance=1e-12, **options), start, end
+
+
+def worlds():
+    """A pipeline of three worlds in each of which a triangle is above another, and its positions by world."""
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 1.0], FACE)]).replicate(3)
+    return ccd.CollisionPipeline(mesh), mesh.vertices.reshape(3, 6, 3)
+
+
+def test_results_are_those_of_launches_and_pass_the_check_of_gradients(library):
+    ours, make, numbers, where, check = library
+    pipeline, *given = thrown()
+    ends, result = [make(x) for x in given], pipeline.launch(*given).to_host()
+    tois = {"scene": result.toi, "world": [result.toi], "body": result.body_toi, "vertex": result.vertex_toi}
+    for per in PER:
+        found = numbers(ours.toi(pipeline, *ends, per=per))
+        np.testing.assert_array_equal(found, tois[per])
+        np.testing.assert_array_equal(numbers(ours.toi_is_regular(pipeline, *ends, per=per)), np.isfinite(found))
+        is_finite = make(np.isfinite(found)) if found.shape else make(np.array(True))
+        check(lambda *x, f=is_finite, p=per: where(f, ours.toi(pipeline, *x, per=p), 0.0), *ends)
+        check(lambda *x, p=per: ours.line_search(pipeline, *x, per=p), *ends)
+    assert numbers(ours.collision_free_step(pipeline, *ends)) == result.toi
+    assert numbers(ours.collision_free_step(pipeline, ends[0], ends[0])) == 1.0
+    shortened = numbers(ours.line_search(pipeline, *ends, per="body", safety=0.8))
+    assert numbers(ours.line_search_is_regular(pipeline, *ends, per="body", safety=0.8)).all()
+    assert all(np.array_equal(numbers(x), y) for x, y in zip(ends, given, strict=True))
+    pipeline.launch_line_search(*given, per="body", safety=0.8)
+    np.testing.assert_array_equal(shortened, given[1])
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 0.05], FACE)])
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1)  # within it at the start
+    ends = make(mesh.vertices), make(mesh.vertices - FALL)
+    assert not numbers(ours.line_search_is_regular(pipeline, *ends)).any()
+    assert not numbers(ours.toi_is_regular(pipeline, *ends, per="body")).any()
+
+
+def test_worlds_in_one_array(library):
+    ours, make, numbers, *_ = library
+    pipeline, start = worlds()
+    end = start - FALL * np.array([2.0, 4.0, 0.5])[:, None, None]
+    for dtype, tolerance in (("float64", 1e-9), ("float32", 1e-6)):
+        found = ours.toi(pipeline, *(make(x.astype(dtype)) for x in (start, end)), per="world")
+        np.testing.assert_allclose(numbers(found), [0.5, 0.25, np.inf], rtol=tolerance)
+
+
+def test_bad_use_is_told(library):
+    ours, make, numbers, *_ = library
+    pipeline, *given = thrown()
+    start, end = map(make, given)
+    for call, message in (
+        (
+            lambda: ours.toi(pipeline, make(given[0].astype(int)), make(given[1].astype(int))),
+            "vertices_t0 has dtype int",
+        ),
+        (lambda: ours.toi(pipeline, start, end, per="edge"), "per is 'edge'"),
+        (lambda: ours.toi(pipeline.mesh, start, end), "pipeline is"),
+        (lambda: ours.line_search(pipeline, start[1:], end[1:]), "vertices_t0 has "),
+        (lambda: numbers(ours.line_search(pipeline, start, end * np.nan)), "not finite"),
+    ):
+        with pytest.raises((ValueError, RuntimeError), match=message):
+            call()
+
+
+@pytest.mark.parametrize("name", ["torch", "jax"])
+def test_without_a_library_the_extra_is_named(name, monkeypatch):
+    monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.delitem(sys.modules, f"ccd_warp.{name}", raising=False)
+    with pytest.raises(ImportError, match=r"pip install 'ccd-warp\[interop\]'"):
+        importlib.import_module(f"ccd_warp.{name}")
+
+
+def test_torch_shares_memory_keeps_what_it_needs_and_compiles(torch):
+    ours, (pipeline, *given) = importlib.import_module("ccd_warp.torch"), thrown()
+    start, end = (torch.from_numpy(x).requires_grad_() for x in given)
+    found = ours.toi(pipeline, start, end, per="vertex")
+    function = found.grad_fn
+    assert [x.ptr for x in function.arrays] == [start.data_ptr(), end.data_ptr()]
+    assert function.toi.ptr == found.data_ptr()
+    values, weights = found.detach().clone(), torch.isfinite(found).double()
+    first, second = (torch.autograd.grad(found, start, weights * factor, retain_graph=True)[0] for factor in (1.0, 2.0))
+    kept = first.clone()
+    del function
+    ours.toi(pipeline, end, start)  # a later launch
+    gc.collect()
+    assert torch.equal(found, values) and torch.equal(first, kept)
+    torch.testing.assert_close(second, 2.0 * first)
+
+    def squared(x, y):
+        return (ours.collision_free_step(pipeline, x * 1.0, y) * 3.0) ** 2
+
+    both = [
+        torch.autograd.grad(f(start, end), (start, end)) for f in (squared, torch.compile(squared, backend="eager"))
+    ]
+    assert all(torch.equal(x, y) and x.any() for x, y in zip(*both, strict=True))
+    for call, message in (
+        (lambda: ours.toi(pipeline, start, end.detach().numpy()), "vertices_t1 is a ndarray; expected a tensor"),
+        (lambda: ours.line_search_is_regular(pipeline, start, end.detach().numpy()), "vertices_t1 is a ndarray"),
+        (lambda: ours.toi(pipeline, start.detach().T.contiguous().T, end), "vertices_t0 has strides"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+    pipeline.reserve(max_pairs=1000, max_contacts=1)
+    with pytest.raises(RuntimeError, match=r"CONTACTS_OVERFLOW.*reserve"):
+        ours.toi(pipeline, start, end)
+    assert np.isfinite(ours.toi(pipeline, start.detach(), end.detach()).item())  # which needs no list
+
+
+def test_jax_maps_worlds(jax, monkeypatch, capfd):
+    ours, (pipeline, start) = importlib.import_module("ccd_warp.jax"), worlds()
+    start, speed, expected = jax.numpy.array(start), jax.numpy.array([2.0, 4.0, 0.5]), [0.5, 0.25, np.inf]
+
+    def of_world(speed, start, per="scene"):
+        return ours.toi(pipeline, start, start - FALL * speed, per=per)
+
+    def height(speed, start):
+        return ours.line_search(pipeline, start, start - FALL * speed, per="world")[3, 2]
+
+    of_bodies = jax.vmap(lambda *x: of_world(*x, per="body"))(speed, start)
+    for found, values in (
+        (jax.vmap(of_world)(speed, start), expected),
+        (of_bodies, np.transpose([expected, expected])),
+        (jax.jit(jax.vmap(jax.grad(of_world)))(speed, start), [-0.25, -0.0625, 0.0]),
+        (jax.vmap(height)(speed, start), [0.1, 0.1, 0.5]),  # 1 - 0.9 of the gap
+        (jax.vmap(jax.grad(height))(speed, start), [0.0, 0.0, -1.0]),
+        (
+            jax.vmap(lambda x, y: ours.toi_is_regular(pipeline, x, y))(start, start - FALL * speed[:, None, None]),
+            [1, 1, 0],
+        ),
+    ):
+        np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-9)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="expected 18, one a vertex"):
+        jax.vmap(lambda x: ours.toi(pipeline, x, x))(start[:2]).block_until_ready()
+    capfd.readouterr()  # Warp prints what its bridge passes on
+    monkeypatch.setattr(jax.numpy, "zeros", lambda count: SimpleNamespace(dtype="float32"))
+    with pytest.raises(ValueError, match="jax_enable_x64"):
+        ours.toi(pipeline, start, start)

@@ -1,0 +1,415 @@
+"""Tois and line searches on a tape of Warp: forms of the input, what is recorded, kept and flagged, and bad use."""
+
+import gc
+import pickle
+
+import numpy as np
+import pytest
+import warp as wp
+from toi_scenes import FACE, TRIANGLE, array, scene, taped, thick_scene
+
+import ccd_warp as ccd
+from ccd_warp._engine.device.kept_check import KeptCheck
+from ccd_warp._engine.device.step import DeviceStep
+
+TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
+PER = ("scene", "world", "body", "vertex")
+
+
+def pipeline_of(mesh, **options):
+    return ccd.CollisionPipeline(mesh, **{"minimum_distance": 0.1, "tolerance": 1e-12} | options)
+
+
+def pulled(tape, result, given, end_grad=None):
+    """Gradients of a sum over all finite tois, or of positions with these weights, by all arrays."""
+    tape.zero()
+    if end_grad is not None:
+        given[1].grad.assign(end_grad)
+    else:
+        for name in TOIS[1:]:  # the toi of a single world is that of the scene
+            values = getattr(result, name)
+            weights = np.cos(np.arange(len(values)) + len(name))
+            values.grad.assign(np.where(np.isfinite(values.numpy()), weights, 0.0))
+    tape.backward()
+    return [x.grad.numpy().copy() for x in given]
+
+
+def gradients(pipeline, given):
+    """Gradients of the tois of a launch by all arrays."""
+    tape, result = taped(lambda: pipeline.launch(*given[:2]))
+    assert len(tape.launches) == 1
+    return pulled(tape, result, given)
+
+
+def searched(pipeline, given, weights, **search):
+    """Shortened positions, their gradients with these weights by all arrays, and which are regular."""
+    tape, result = taped(lambda: pipeline.launch_line_search(*given[:2], **search))
+    assert len(tape.launches) == 1
+    shortened = given[1].numpy().copy()
+    return shortened, pulled(tape, result, given, weights), result.is_regular().numpy()
+
+
+def falling(height=1.0, **options):
+    """A triangle over another, where it is and where it would fall to."""
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, height], FACE)], **options)
+    end = mesh.vertices - [0, 0, 2.0 * height] * (mesh.vertex_body == 1)[:, None]
+    return mesh, mesh.vertices.copy(), end
+
+
+@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f])
+@pytest.mark.parametrize("form", ["moving rows", "displacements", "components", "worlds"])
+def test_gradients_follow_the_form_of_the_input(dtype, form):
+    """Of launches and of line searches, whose height is 1 − 0.9 (1 − 0.1) by that of the upper triangle."""
+    mesh, start, end = (falling if form == "worlds" else scene)(static=[0])
+    end = np.where((mesh.vertex_body == 0)[:, None], start, end)
+    if form == "worlds":
+        mesh, start, end = mesh.replicate(2), np.tile(start, (2, 1)), np.tile(end, (2, 1))
+    real, moving = (np.float64 if dtype is wp.vec3d else np.float32), mesh.moving_vertices
+    start, end, pipeline = start.astype(real), end.astype(real), pipeline_of(mesh)
+    ends, tolerance = [array(start, dtype), array(end, dtype)], 1e-9 if dtype is wp.vec3d else 1e-4
+    of_start, of_end = gradients(pipeline, ends)
+    still = mesh.vertex_body % 2 == 0 if form == "worlds" else mesh.vertex_body == 0
+    assert np.abs(of_start).max() > 0.1 and np.abs(of_start[still]).max() > 0.0
+    weights = np.random.default_rng(0).standard_normal(start.shape)
+    shortened, of_search, _ = searched(pipeline, ends, weights, per="world")
+    if form == "displacements":
+        given = [array(start, dtype), array(end - start, dtype)]
+        tape, result = taped(lambda: pipeline.launch(given[0], displacements=given[1]))
+        found, expected, tolerance = pulled(tape, result, given), [of_start + of_end, of_end], 1e-4
+    else:
+        change = {
+            "moving rows": lambda x: x[moving],
+            "components": lambda x: x,
+            "worlds": lambda x: x.reshape(2, len(x) // 2, 3),
+        }[form]
+        of_form = wp.dtype_from_numpy(start.dtype) if form == "components" else dtype
+        given = [array(change(x), of_form) for x in (start, end)]
+        found, expected = gradients(pipeline, given), [change(of_start), change(of_end)]
+        given = [array(change(x), of_form) for x in (start, end)]
+        again, of_again, _ = searched(pipeline, given, change(weights), per="world")
+        np.testing.assert_array_equal(again, change(shortened))
+        found, expected = found + of_again, expected + [change(x) for x in of_search]
+    for x, y in zip(found, expected, strict=True):
+        np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("per", PER)
+@pytest.mark.parametrize("make", [scene, thick_scene])
+def test_line_searches_change_as_their_gradients_say(make, per):
+    """Differences of the shortened positions themselves, by both ends and radii, of what is regular."""
+    mesh, start, end = make()
+    pipeline, rng = pipeline_of(mesh), np.random.default_rng(1)
+    radius = [] if pipeline.radius is None else [pipeline.radius]
+    values, weights = [start, end, *(x.numpy().copy() for x in radius)], rng.standard_normal(start.shape)
+
+    def total(*inputs, with_gradient=False):
+        for x, new in zip(radius, inputs[2:], strict=True):
+            x.assign(new)
+            x.requires_grad = with_gradient
+        given = [array(x, requires_grad=with_gradient) for x in inputs[:2]]
+        if with_gradient:
+            return searched(pipeline, given + radius, weights, per=per)
+        pipeline.launch_line_search(*given, per=per)
+        return (weights * given[1].numpy()).sum()
+
+    is_regular = total(*values, with_gradient=True)[2]
+    weights[~is_regular] = 0.0
+    shortened, found, _ = total(*values, with_gradient=True)
+    assert is_regular.any() and total(*values) == (weights * shortened).sum()  # the bits of a search without a tape
+    moves = [1e-7 * rng.standard_normal(x.shape) for x in values]
+    for move in moves[2:]:
+        move[values[2] == 0] = 0.0  # a radius cannot be negative
+    late, early = (total(*(x + s * dx for x, dx in zip(values, moves, strict=True))) for s in (1, -1))
+    change = 2.0 * sum((g * dx).sum() for g, dx in zip(found, moves, strict=True))
+    assert change == pytest.approx(late - early, rel=1e-6)
+
+
+def test_results_have_the_bits_of_a_launch_without_a_tape_and_of_any_threads_and_order(monkeypatch):
+    mesh, start, end = scene()
+    launch, expected, order = DeviceStep.launch, None, 0
+
+    def launch_in_another_order(step, prepared):
+        launch(step, prepared)
+        contacts = step.result.contacts
+        count = int(contacts.count.numpy()[0])
+        rows = np.random.default_rng(order).permutation(count)
+        for name in ("kind", "primitives", "toi", "status", "normal"):
+            values = getattr(contacts, name).numpy()
+            values[:count] = values[rows]
+
+    alone = pipeline_of(mesh).launch(array(start), array(end)).to_host()
+    for order, threads in enumerate((1, 2, 2, 1)):
+        given = [array(start), array(end)]
+        if order > 1:
+            monkeypatch.setattr(DeviceStep, "launch", launch_in_another_order)
+        tape, result = taped(lambda: pipeline_of(mesh, num_threads=threads).launch(*given))  # noqa: B023
+        found = pulled(tape, result, given)
+        assert np.array_equal(result.vertex_toi.numpy(), alone.vertex_toi)
+        expected = expected or found
+        assert all(np.array_equal(x, y) for x, y in zip(found, expected, strict=True))
+
+
+def test_equal_tois_pass_their_gradient_to_the_first_contact():
+    falls = [(0.1 * TRIANGLE + [0.22 * k - 0.33, 0.0, 1.0], FACE) for k in range(4)]  # all meet the floor at once
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), *falls], self_collision=False)
+    given = [array(mesh.vertices), array(mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body > 0)[:, None])]
+    tape, result = taped(lambda: pipeline_of(mesh, minimum_distance=0.01).launch(*given))
+    result.toi.grad.fill_(1.0)
+    tape.backward()
+    contacts = result.to_host().contacts
+    first, gradient = int(contacts.toi.argmin()), contacts.toi_gradient()
+    expected = np.zeros((len(mesh.vertices), 3))
+    np.add.at(expected, gradient.vertices[first], gradient.start[first])
+    assert gradient.is_regular[first] and (contacts.toi == contacts.toi[first]).sum() > 1
+    np.testing.assert_allclose(given[0].grad.numpy(), expected, atol=1e-14)
+
+
+def test_flags_say_which_tois_have_a_gradient():
+    bodies = [(TRIANGLE + [x, 0, z], FACE) for x in (0.0, 10.0, 20.0) for z in (0.0, 1.0)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies)
+    fall = np.array([0.0, 2.0, 0, 0.5, 0, 0.9])[mesh.vertex_body]
+    start, end = mesh.vertices.copy(), mesh.vertices - [0, 0, 1.0] * fall[:, None]
+    start[15:, 2] = 0.05  # the last pair is within its distance at the start
+    _, result = taped(lambda: pipeline_of(mesh).launch(array(start), array(end)))
+    toi = result.body_toi.numpy()
+    assert toi[0] == toi[1] < 1.0 and np.isinf(toi[2:4]).all() and not toi[4:].any()
+    np.testing.assert_array_equal(result.is_regular("body").numpy(), [True, True, *[False] * 4])
+    np.testing.assert_array_equal(result.is_regular().numpy(), [True] * 6 + [False] * 12)
+    assert not result.is_regular("scene").numpy() and not result.is_regular("world").numpy()
+
+
+def test_memory_of_tapes_is_used_again_once_they_are_dropped_and_no_sooner(monkeypatch):
+    """Also where the arrays of a call are overwritten, and launches come between; and what is dropped is freed."""
+    mesh, start, end = scene()
+    pipeline, kept, freed, delete = pipeline_of(mesh), [], [], KeptCheck.__del__
+    ends = [end, start, 0.5 * (start + end), end + 0.01, start + 1.3 * (end - start)]  # with few contacts, and many
+
+    def recorded(pipeline, end):
+        given = [array(start), array(end)]
+        return given, *taped(lambda: pipeline.launch(*given))
+
+    def check(k, given, tape, result):
+        gradient, is_regular = expected[k]
+        np.testing.assert_array_equal(result.is_regular().numpy(), is_regular)
+        assert all(np.array_equal(x, y) for x, y in zip(pulled(tape, result, given), gradient, strict=True))
+
+    alone = [recorded(pipeline_of(mesh), x) for x in ends]
+    expected = [(pulled(tape, result, given), result.is_regular().numpy()) for given, tape, result in alone]
+    assert any(gradient[0].any() for gradient, _ in expected)
+    for order in (range(5), (4, 0, 3, 1, 2, 4), (0, 0)):
+        alive = [(k, *recorded(pipeline, ends[k])) for k in order]
+        for _, given, *_ in alive:
+            given[0].fill_(1.0)
+        kept = kept[::2] + alive[::2]
+        del alive
+        for each in kept[::-1]:
+            check(*each)
+    monkeypatch.setattr(KeptCheck, "__del__", lambda check: (freed.append(check.count), delete(check)))
+    gc.disable()
+    try:
+        for call in (pipeline.launch, pipeline.launch_line_search):
+            tape, result = taped(lambda c=call: c(array(start), array(end)))
+            assert not freed
+            tape.backward()
+            del tape, result
+            assert freed
+            freed.clear()
+    finally:
+        gc.enable()
+
+
+def test_two_launches_on_one_tape_have_gradients_of_their_own():
+    mesh, start, end = scene()
+    pipeline, given = pipeline_of(mesh), [array(start), array(end)]
+    tape, results = taped(lambda: [pipeline.launch(*given), pipeline.launch(*given[::-1])])
+    both = [pulled(tape, result, given) for result in results]
+    for found, ends in zip(both, (given, given[::-1]), strict=True):
+        alone, only = taped(lambda e=ends: pipeline.launch(*e))
+        assert all(np.array_equal(x, y) for x, y in zip(pulled(alone, only, given), found, strict=True))
+
+
+@pytest.mark.parametrize("is_search", [False, True])
+def test_a_graph_holds_both_passes(is_search):
+    mesh, start, end = falling()
+    pipeline, given, kept = pipeline_of(mesh), [array(start), array(end)], []
+    weights = wp.array(np.ones_like(start), dtype=wp.vec3d)
+
+    def both():
+        call = pipeline.launch_line_search if is_search else pipeline.launch
+        tape, result = taped(lambda: call(*given))
+        if is_search:
+            wp.copy(given[1].grad, weights)
+        else:
+            result.toi.grad.fill_(1.0)
+        tape.backward()
+        kept.append((tape, result))
+
+    def run(call, *values):
+        for x, value in zip(given, values, strict=True):
+            x.assign(value)
+            x.grad.zero_()
+        call()
+        return [x.grad.numpy().copy() for x in given]
+
+    expected = run(both, start, end)  # loads the kernels
+    for x in given:
+        x.grad.zero_()
+    with wp.ScopedCapture(device=given[0].device) as capture:
+        both()
+    elsewhere = run(lambda: wp.capture_launch(capture.graph), start * [1.0, 1, 0], end)
+    again = run(lambda: wp.capture_launch(capture.graph), start, end)
+    assert not np.array_equal(elsewhere[0], expected[0])
+    assert all(np.array_equal(x, y) for x, y in zip(again, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("kind", "points", "dimension"),
+    [("vertex_face", 4, 3), ("edge_edge", 4, 3), ("point_segment", 3, 2), ("point_point", 2, 3)],
+)
+def test_pair_functions_on_a_tape_have_the_gradients_of_their_results(kind, points, dimension):
+    solve = getattr(ccd, f"{kind}_ccd")
+    ends = np.random.default_rng(0).standard_normal((2, 200, points, dimension))
+    expected = solve(*ends, minimum_distance=0.3).toi_gradient(*ends)
+    for dtype in (wp.vec3d, wp.float64) if dimension == 3 else (wp.vec2d,):
+        given = [array(x, dtype) for x in ends]
+        tape, result = taped(lambda g=given: solve(*g, minimum_distance=0.3))
+        assert len(tape.launches) == 1 and expected.is_regular.any()
+        result.toi.grad.fill_(2.0)
+        tape.backward()
+        for x, gradient in zip(given, (expected.start, expected.end), strict=True):
+            np.testing.assert_allclose(x.grad.numpy(), 2.0 * gradient, rtol=1e-14)
+
+
+def test_gradients_follow_their_contacts():
+    mesh, start, end = scene()
+    contacts = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.1).contacts
+    gradient = contacts.toi_gradient()
+    launched = ccd.CollisionPipeline(mesh, minimum_distance=0.1).launch(start, end).to_host().contacts
+    for of, rows in ((pickle.loads(pickle.dumps(contacts))[3:7], slice(3, 7)), (launched, slice(None))):
+        for name, values in vars(of.toi_gradient()).items():
+            np.testing.assert_array_equal(values, getattr(gradient, name)[rows])
+    assert len(contacts[:0].toi_gradient()) == 0 and "regular" in repr(gradient)
+
+
+def sliding(height):
+    """A triangle slides up from a floor, within its distance, to a wall; elsewhere one falls on another."""
+    floor, wall = [[-10.0, -10, 0], [0.5, 0, 0], [-10, 10, 0]], [[1.0, -3, -1], [1, 3, -1], [1, 0, 3]]
+    slider, far = [[0.0, 0, height], [-0.2, 0.1, height], [-0.2, -0.1, height]], TRIANGLE + [40.0, 0, 0]
+    above = 0.5 * TRIANGLE + [[40.0, 0, 1], [40, 0, 1.1], [40, 0, 1.2]]
+    mesh = ccd.CollisionMesh.from_arrays([(x, FACE) for x in (floor, wall, slider, far, above)])
+    throw = np.array([[0.0, 0, 0], [0, 0, 0], [2, 0, 0.1], [0, 0, 0], [0, 0, -2]])
+    return mesh, mesh.vertices.copy(), mesh.vertices + throw[mesh.vertex_body]
+
+
+def test_line_searches_say_what_of_them_has_no_derivative():
+    """Shortened heights or places, and flags: of what is pressed, ends in contact, is cut short, or slides."""
+    close, ends, tiny = falling(0.05), falling(), falling(2.0**-20)  # within the distance; at the end; rounded away
+    ends[2][3:, 2], tiny[2][3:, 2] = 0.0, -1.0
+    single = {"precision": "float32", "start_gap_fraction": None, "minimum_distance": 0.0, "tolerance": 1e-6}
+    for (mesh, start, end), options, least, most in (
+        (close, {}, 0.0, 0.0),
+        (ends, {"minimum_distance": 0.0}, 0.9, 0.9),
+        (tiny, single, 1e-12, 0.25 * 2.0**-20),
+    ):
+        shortened, found, is_regular = searched(
+            pipeline_of(mesh, **options), [array(start), array(end)], np.ones_like(start)
+        )
+        fraction = (shortened - start)[3, 2] / (end - start)[3, 2]
+        assert least * (1 - 1e-9) <= fraction <= most * (1 + 1e-9)
+        assert not is_regular.any() and not np.any(found[1])
+        np.testing.assert_array_equal(found[0], 1.0 if fraction == 0 else 0.0)
+    for per, height in (("body", 0.05), ("vertex", 0.1 - 2.0**-52)):
+        mesh, start, end = sliding(height)
+        weights = np.ones_like(start) * [0, 0, 1.0]
+        shortened, found, is_regular = searched(pipeline_of(mesh), [array(start), array(end)], weights, per=per)
+        # it keeps from the wall what it kept before
+        np.testing.assert_allclose([shortened[6, 0], shortened[12, 2]], [0.9 * (1.0 - height), 0.19], rtol=1e-9)
+        np.testing.assert_array_equal(is_regular[6:], mesh.vertex_body[6:] != 2)
+        assert not any(x[mesh.vertex_body == 2].any() for x in found)
+    mesh, start, end = falling(kinematic=[1])  # goes all the way
+    shortened, found, _ = searched(pipeline_of(mesh), [array(start), array(end)], np.ones_like(start))
+    np.testing.assert_array_equal(shortened, end)
+    np.testing.assert_array_equal(found[1][3:], 1.0)
+
+
+def test_vertices_that_take_no_part_leave_gradients_numbers():
+    """A face falls on another beside vertices that are at no number."""
+    mesh, start, end = falling()
+    _, expected, _ = searched(pipeline_of(mesh), [array(start), array(end)], np.ones_like(start), per="body")
+    rows = np.array([1, 2, 3, 5, 6, 7])
+    x, y, weights = np.full((8, 3), np.nan), np.full((8, 3), np.nan), np.zeros((8, 3))
+    x[rows], y[rows], weights[rows] = start, end, 1.0
+    mesh = ccd.CollisionMesh.from_arrays([(x[:4], [[1, 2, 3]]), (x[4:], [[1, 2, 3]])])
+    _, found, is_regular = searched(pipeline_of(mesh), [array(x), array(y)], weights, per="body")
+    assert np.isfinite(found).all() and is_regular.all()
+    np.testing.assert_array_equal(np.array(found)[:, rows], expected)
+
+
+def test_contacts_of_any_pass_that_have_no_gradient_are_flagged_and_have_one_after_reserve():
+    mesh, start, end = scene()
+    pipeline = pipeline_of(mesh, max_contacts=1)
+    result = pipeline.launch_line_search(start, end.copy(), per="vertex")
+    assert result.flags.numpy()[0] == 0 and result.to_host().num_contacts > 1  # the last pass lists none
+    for flag in (ccd.LaunchFlag.CONTACTS_OVERFLOW, 0):
+        given = [array(start), array(end)]
+        _, result = taped(lambda g=given: pipeline.launch_line_search(*g, per="vertex"))
+        assert result.flags.numpy()[0] == flag
+        pipeline.reserve(max_contacts=2 * result.to_host().num_contacts)
+
+
+def test_nothing_is_recorded_where_no_gradient_is_asked_for():
+    mesh, start, end = scene()
+    pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1)
+    x, y = (array(values, requires_grad=False) for values in (start, end))
+    points = [array(values, requires_grad=False) for values in np.random.default_rng(0).standard_normal((2, 3, 4, 3))]
+
+    def calls():
+        pipeline.launch(x, y).contacts.order_by_toi()
+        pipeline.mesh_ccd(start, end)
+        pipeline.launch_proximity(x, 0.1).to_host()
+        pipeline.launch_displacement_bounds(x, 0.1)
+        pipeline.launch_line_search(x, wp.clone(y))
+        pipeline.find_candidates(start, end)
+        return ccd.vertex_face_ccd(*points).hit
+
+    assert not taped(calls)[0].launches
+
+
+def test_who_asks_for_what_has_no_gradient_is_told_why():
+    mesh, start, end = scene()
+    ends, points = [array(start), array(end)], np.random.default_rng(0).standard_normal((2, 3, 4, 3))
+    pipeline, shared = pipeline_of(mesh), pipeline_of(mesh, start_gap_fraction=0.5)
+    thick = pipeline_of(thick_scene()[0])
+    thick.radius.requires_grad = True
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
+    turns = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0]))
+    contacts = ccd.mesh_ccd(mesh, start, end, minimum_distance=0.1).contacts
+    halved = ccd.vertex_face_ccd(*points, minimum_separation=0.1, start_gap_fraction=0.5)
+    result, on_device = ccd.vertex_face_ccd(*points), ccd.vertex_face_ccd(*(array(x) for x in points))
+    integers = wp.zeros((len(start), 3), dtype=wp.int32)
+    without = array(end, requires_grad=False)
+    for call, message in (
+        (lambda: shared.launch(*ends), "expected 'hold' or None for gradients"),
+        (lambda: shared.launch_line_search(*ends), "expected 'hold' or None for gradients"),
+        (lambda: pipeline.launch_line_search(ends[0], without), "vertices_t1 does not require a gradient"),
+        (lambda: pipeline.mesh_ccd(*ends), "vertices_t0 requires a gradient"),
+        (lambda: pipeline.launch_proximity(ends[0], 0.1), "positions requires a gradient .* finds no times of impact"),
+        (lambda: pipeline.launch_displacement_bounds(ends[0], 0.1), "positions requires a gradient .* finds no times"),
+        (lambda: thick.launch_proximity(without, 0.1), "radius requires a gradient .* finds no times of impact"),
+        (lambda: pipeline.launch(integers, integers), "vertices_t0 has dtype int32"),
+        (lambda: ccd.vertex_face_ccd(*2 * [integers.reshape((1, -1, 3))[:, :4]]), "points_t0 has dtype int32"),
+        (
+            lambda: turns.launch(*2 * [array(TRIANGLE)], motion=motion),
+            r"a motion is not recorded.*gradient_by_poses\(\)",
+        ),
+        (lambda: pipeline.launch_line_search(*ends).is_regular("edge"), "per is 'edge'"),
+        (lambda: ccd.Contacts(**vars(contacts)).toi_gradient(), "arrays alone"),
+        (lambda: halved.toi_gradient(*points), r"start_gap_fraction is 0\.5; expected 'hold' or None"),
+        (lambda: result.toi_gradient(points[0], points[1, :2]), r"points_t1 has shape \(2, 4, 3\)"),
+        (lambda: result.toi_gradient(*points[:, :2]), "points_t0 has shape"),
+        (lambda: on_device.toi_gradient(*points), "NumPy arrays"),
+    ):
+        with wp.Tape(), pytest.raises(ValueError, match=message):
+            call()
+    with pytest.raises(ValueError, match="the launch was not recorded; expected one inside a"):
+        pipeline.launch_line_search(array(start), array(end)).is_regular()

@@ -1,0 +1,188 @@
+"""What a person sees at a terminal while the command works, and after Ctrl-C: one process, all else in this one."""
+
+import io
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+import warp as wp
+
+import ccd_warp as ccd
+from ccd_warp._cli.command import main
+from ccd_warp._cli.process import start_quietly
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.progress_line import line_of
+
+PATIENCE = 600.0  # a guard against hanging, not a demand: the answer to Ctrl-C is due within half a second
+# The command, whose lines are shown at once; a shell may have had Ctrl-C ignored.
+PROGRAM = """
+import signal
+signal.signal(signal.SIGINT, signal.default_int_handler)
+import ccd_warp._runtime.progress_line
+ccd_warp._runtime.progress_line.PATIENCE = 0.0
+from ccd_warp._cli.command import run_program
+run_program()
+"""
+
+
+def plane(count):
+    """Triangles that lie over each other in a plane, most pairs of which touch: positions and faces."""
+    x = np.random.default_rng(0).uniform(-1, 1, (3 * count, 2))
+    return np.pad(x, ((0, 0), (0, 1))), np.arange(3 * count).reshape(-1, 3)
+
+
+@pytest.fixture
+def frames(tmp_path, monkeypatch):
+    """Writes two frames of such triangles; their names."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(count):
+        x, faces = plane(count)
+        corners = "".join(f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist())
+        for name, positions in (("start.obj", x), ("end.obj", x + [0.1, 0.0, 0.0])):
+            (tmp_path / name).write_text("".join(f"v {a!r} {b!r} {c!r}\n" for a, b, c in positions.tolist()) + corners)
+        return "start.obj end.obj"
+
+    return write
+
+
+def screen_of(shown) -> list[str]:
+    """Lines that stay on a terminal, but for that of a machine so busy that to load kernels takes seconds."""
+    lines, column = [""], 0
+    for letter in shown.replace("\r\n", "\n"):
+        if letter == "\n":
+            lines.append("")
+        elif letter != "\r":
+            lines[-1] = lines[-1][:column] + letter + lines[-1][column + 1 :]
+        column = 0 if letter in "\r\n" else column + 1
+    return [line.rstrip() for line in lines if line.strip() and "compiling kernels" not in line]
+
+
+def test_ctrl_c_at_a_terminal_ends_a_long_run_and_leaves_the_terminal_as_it_was(frames):
+    """All pairs of 4,000 triangles would take minutes."""
+    pty = pytest.importorskip("pty", reason="terminals of POSIX")
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-P", "-c", PROGRAM, "run", *frames(4000).split(), "--device", "cpu"]
+    process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    os.close(theirs)
+    shown, is_pressed, end = b"", False, time.monotonic() + PATIENCE
+    while time.monotonic() < end:
+        if select.select([ours], [], [], 0.1)[0]:
+            try:
+                shown += os.read(ours, 1 << 16)
+            except OSError:  # all has been read, and nobody writes
+                break
+        if b"narrow phase  [" in shown and not is_pressed:
+            process.send_signal(signal.SIGINT)
+            is_pressed = True
+    os.close(ours)
+    assert (process.communicate(timeout=PATIENCE)[0], process.returncode) == ("", 130) and is_pressed
+    for part in (b"reading the files", b"loading kernels", b"making the mesh"):
+        assert b"\r" + part + b" ..." in shown
+    assert [line for line in screen_of(shown.decode().replace("^C", "")) if "warning" not in line] == []
+
+
+def test_ctrl_c_that_an_import_catches_ends_the_command(monkeypatch):
+    """As trimesh does, whose modules catch whatever their imports raise."""
+
+    class Finder:
+        def find_spec(self, name, *_):
+            if name == "trimesh":
+                with pytest.raises(KeyboardInterrupt):
+                    signal.raise_signal(signal.SIGINT)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    kept = {name: module for name, module in sys.modules.items() if name.startswith("trimesh")}
+    monkeypatch.setattr(sys, "meta_path", [Finder(), *sys.meta_path])
+    sys.modules.pop("trimesh", None)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            start_quietly("cpu")
+    finally:
+        signal.signal(signal.SIGINT, before)
+        sys.modules.update(kept)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """Stderr as a terminal, on which lines are shown at once; Ctrl-C is pressed after words that are put in `press`."""
+
+    class Terminal(io.StringIO):
+        press = None
+
+        def isatty(self):
+            return True
+
+        def flush(self):
+            if self.press is not None and self.press in self.getvalue():
+                self.press = None
+                raise KeyboardInterrupt
+
+    shown = Terminal()
+    monkeypatch.setattr("ccd_warp._runtime.progress_line.PATIENCE", 0.0)
+    monkeypatch.setattr("ccd_warp._runtime.threads._TICK", 1e-3)
+    shown.open = lambda: monkeypatch.setattr(sys, "stderr", shown)
+    return shown
+
+
+@pytest.mark.parametrize(
+    "line, words, stays",
+    [
+        ("sequence {} {} --output out", ["steps  [", " 33%"], None),
+        ("sequence {} --output out --picture out.gif", ["pictures  [", "100%"], None),
+        ("run {} --memory-limit 9000", [], "error: memory_limit is 9000 bytes; expected at least "),
+        ("run {} --quiet", None, None),
+    ],
+)
+def test_progress_is_shown_and_the_terminal_is_left_as_it_was(frames, terminal, line, words, stays):
+    if "picture" in line:
+        pytest.importorskip("pyvista", reason="the extra viz is not installed")
+    terminal.open()
+    main(line.replace("{}", frames(40)).split())
+    shown = terminal.getvalue()
+    assert shown == "" if words is None else [each for each in words if each not in shown] == []
+    assert "narrow phase" not in shown or line.startswith("run")
+    assert screen_of(shown) == [] if stays is None else screen_of(shown)[0].startswith(f"ccd-warp: {stays}")
+
+
+@pytest.mark.parametrize("level, is_shown", [("LOG_WARNING", True), ("LOG_ERROR", False)])
+@pytest.mark.parametrize("name, stage", [("mesh_ccd", "narrow phase"), ("launch", "step")])
+def test_a_long_call_of_the_library_shows_how_far_it_is_unless_warp_is_silent(
+    terminal, monkeypatch, name, stage, level, is_shown
+):
+    monkeypatch.setattr(wp.config, "log_level", getattr(wp, level))
+    x, faces = plane(400)
+    mesh = ccd.CollisionMesh.from_arrays([(x, faces)])
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 20, num_threads=2)
+    terminal.open()
+    getattr(pipeline, name)(x, x + [0.1, 0.0, 0.0])
+    shown = terminal.getvalue()
+    assert (f"\rccd_warp: {stage}  [" in shown) is is_shown and screen_of(shown) == []
+    if is_shown:
+        terminal.press = f"{stage}  ["  # directly after a line was shown, which is cleared whole
+        with pytest.raises(KeyboardInterrupt):
+            getattr(pipeline, name)(x, x + [0.1, 0.0, 0.0])
+        assert screen_of(terminal.getvalue()) == []
+
+
+def test_line_says_the_share_that_is_done_and_what_the_rest_will_take():
+    assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
+    assert line_of(Progress(None, "pairs", 1, 1000), 10.0).endswith("0%  ...")
+    assert line_of(Progress(None, "pairs", 50, 100), 600.0).endswith("about 10 min left")
+
+
+@pytest.mark.parametrize("count, names, words", [(2, ["sheet", "lining"], "sheet and lining"), (12, None, None)])
+def test_warning_of_overlaps_names_the_bodies_in_the_line_of_the_caller(monkeypatch, count, names, words):
+    """Of twelve sheets that lie in each other, no two have a tenth of the pairs."""
+    monkeypatch.setattr("ccd_warp._engine.host.oddities._MANY_PAIRS", 1000)
+    monkeypatch.setattr("ccd_warp._engine.host.oddities._MANY_PAIRS_EACH", 1)
+    mesh = ccd.CollisionMesh.from_arrays([plane(50)] * count, names=names, self_collision=False)
+    often = "$" if words is None else rf".*most often of {words} \(\d+ % of a sample\)$"
+    with pytest.warns(RuntimeWarning, match=f"lie in each other, or .*memory_limit bounds the memory{often}") as said:
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + 0.1)
+    assert [warning.filename for warning in said] == [__file__]

@@ -1,0 +1,167 @@
+"""One mesh in a file of every format that is read, and what the library takes from any file."""
+
+import base64
+import bz2
+import io
+import json
+import re
+import tarfile
+import tempfile
+import zipfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+import ccd_warp as ccd
+
+# Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
+VERTICES = np.round(np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3)), 3)
+FACES = np.array([[0, 1, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [8, 9, 10], [9, 1, 10]])
+ROWS = [" ".join(map(repr, row)) for row in VERTICES.tolist()]
+COUNTED = ["3 " + " ".join(map(str, face)) for face in FACES.tolist()]
+_HEADER = "ply\nformat {} 1.0\ncomment a test\nelement vertex {}\nproperty double x\nproperty double y\n"
+_HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
+
+
+def text_ply(vertices=VERTICES, faces=FACES) -> str:
+    rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
+    rows += ["3 " + " ".join(map(str, face)) for face in np.asarray(faces).tolist()]
+    return _HEADER.format("ascii", len(vertices), len(faces)) + "\n".join([*rows, ""])
+
+
+def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
+    """A binary PLY file in double precision."""
+    rows = np.zeros(len(faces), dtype=[("count", "u1"), ("corners", f"{order}i4", 3)])
+    rows["count"], rows["corners"] = 3, faces
+    name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
+    header = _HEADER.format(name, len(vertices), len(faces))
+    return header.encode() + np.asarray(vertices).astype(f"{order}f8").tobytes() + rows.tobytes()
+
+
+PLY = text_ply()
+OFF = "\n".join(["OFF", "12 6 0", *ROWS, *COUNTED, ""])
+OBJ = "\n".join([*(f"v {row}" for row in ROWS), *(f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()), ""])
+
+
+def zipped(files, method=zipfile.ZIP_DEFLATED) -> bytes:
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", method) as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    return packed.getvalue()
+
+
+def tarred(files, kind="gz") -> bytes:
+    packed = io.BytesIO()
+    with tarfile.open(fileobj=packed, mode=f"w:{kind}") as archive:
+        for name, data in files.items():
+            member = tarfile.TarInfo(name)
+            member.size = len(data)
+            archive.addfile(member, io.BytesIO(data))
+    return packed.getvalue()
+
+
+def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
+    """The tree of a glTF and its buffer, which lies in no file yet."""
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    files = trimesh.Scene(mesh).export(file_type="gltf", merge_buffers=True)
+    tree, (buffer,) = json.loads(files.pop("model.gltf")), files.values()
+    return tree, buffer
+
+
+def gltf_tree() -> dict:
+    """A glTF that holds its buffer."""
+    tree, buffer = gltf_files()
+    tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
+    return tree
+
+
+def exported(kind, vertices=VERTICES, faces=FACES) -> bytes:
+    data = trimesh.Trimesh(vertices, faces, process=False).export(file_type=kind)
+    return data.encode() if isinstance(data, str) else data
+
+
+def of_meshio(name, mesh=None, **options) -> bytes:
+    """A file of cells as meshio writes it: a quadrilateral behind the triangles, and a field of vectors."""
+    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    mesh = mesh or meshio.Mesh(VERTICES, [("triangle", FACES[:5]), ("quad", [[9, 1, 10, 0]])], {"u": VERTICES})
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, name)
+        if path.suffix == ".vtk":
+            meshio.vtk.write(path, mesh, **options)
+        else:
+            mesh.write(path, **options)
+        return path.read_bytes()
+
+
+def _npz() -> bytes:
+    packed = io.BytesIO()
+    np.savez(packed, positions=np.stack([VERTICES, VERTICES + 1.0]), faces=FACES)
+    return packed.getvalue()
+
+
+WHOLE = {
+    "ascii.ply": lambda: PLY.encode(),
+    "coloured.ply": lambda: re.sub(
+        r"(?m)^(3 .*)$", r"\1 255", PLY.replace("vertex_indices\n", "vertex_indices\nproperty uchar red\n")
+    ).encode(),
+    "binary.ply": ply,
+    "big_endian.ply": lambda: ply(order=">"),
+    "text.off": lambda: OFF.encode(),
+    "commented.off": lambda: "\n".join(
+        ["OFF # it is", "", "12 6 0", *ROWS, "# faces", *(row + " 0.5 0.5 1" for row in COUNTED), "# the end", ""]
+    ).encode(),
+    "text.obj": lambda: OBJ.encode(),
+    "binary.stl": lambda: exported("stl"),
+    "ascii.stl": lambda: exported("stl_ascii"),
+    "scene.glb": lambda: exported("glb"),
+    "scene.gltf": lambda: json.dumps(gltf_tree()).encode(),
+    "archive.zip": lambda: zipped({"folder/mesh.ply": PLY, "read me.txt": b"a mesh"}),
+    "archive.tar.gz": lambda: tarred({"mesh.ply": PLY.encode()}),
+    "archive.tar.bz2": lambda: tarred({"mesh.ply": PLY.encode()}, "bz2"),
+    "mesh.ply.bz2": lambda: bz2.compress(PLY.encode()),
+    "text_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=False),
+    "binary_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=True),
+    "text_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=False),
+    "binary_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=True),
+    "text.vtu": lambda: of_meshio("a.vtu", binary=False),
+    "binary.vtu": lambda: of_meshio("a.vtu"),
+    "text.xdmf": lambda: of_meshio("a.xdmf", data_format="XML"),
+    "cache.npz": _npz,
+}
+
+
+@cache
+def whole(name) -> bytes:
+    """The mesh in the format that a name says."""
+    return WHOLE[name]()
+
+
+def content(path) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and faces of any file of a mesh or of a sequence, or poses and times of a table of poses."""
+    if path.name.startswith("poses"):
+        sequence = ccd.read_poses(path.with_name("box.obj"), path)
+        return sequence.poses, sequence.times
+    if path.suffix in (".npz", ".pvd"):
+        sequence = ccd.read_sequence(path)
+        return np.array([*sequence]), sequence.mesh.faces
+    frames = ccd.read_frames(path, path)
+    return frames.vertices_t0, frames.mesh.faces
+
+
+def read(path, data):
+    """What the library takes from a file with this content; None where it refuses it, in a line that names it."""
+    path.write_bytes(data)
+    try:
+        return content(path)
+    except ValueError as error:
+        message = str(error)
+        assert str(path) in message and message.isprintable() and len(message) < 500
+        return None
+
+
+def same(found, expected) -> bool:
+    return all(np.array_equal(a, b) for a, b in zip(found, expected, strict=True))

@@ -1,0 +1,288 @@
+"""Bodies that turn touch when interval arithmetic says so: nothing is missed or late, and nothing too early."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import product
+
+import numpy as np
+import pytest
+
+import ccd_warp as ccd
+from ccd_warp import _motion_worlds
+from laws.moving import Moves
+from laws.outputs import different, outputs_of
+from laws.scenes import drawn
+from laws.truth import PLANE, UNITS
+from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of, turned, unit
+
+pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
+
+SEEDS = range(24)
+LIMITS = [ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT, ccd.CCDStatus.ROUNDING_LIMIT]
+MEDIAN_ERROR = {"float64": 1e-12, "float32": 1e-5}
+
+
+# --- scenes ---
+
+
+def motion_of(mesh, rng, num_worlds=None):
+    """Bodies that turn, by next to nothing or by several turns, on screws or about pivots, towards each other."""
+    bodies = np.flatnonzero(mesh.rigid)
+    size, middle = np.ptp(mesh.vertices, axis=0).max(), mesh.vertices.mean(axis=0)
+    centre = np.array([mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
+    shape = centre.shape if num_worlds is None else (num_worlds, *centre.shape)
+    centre = np.broadcast_to(centre, shape)
+    turns = [np.append(0.3 * rng.standard_normal(shape), np.ones((*shape[:-1], 1)), axis=-1) for _ in range(2)]
+    place = centre - turned(unit(turns[0]), centre) + 0.05 * size * rng.standard_normal(shape)
+    shift = rng.choice([0.5, 1.0, 2.0]) * (middle - centre) + 0.1 * size * rng.standard_normal(shape)
+    motion = {"poses_t0": np.concatenate([place, turns[0]], axis=-1), "path": str(rng.choice(["linear", "screw"]))}
+    if rng.random() < 0.3:
+        end = centre - turned(unit(turns[1]), centre) + shift
+        motion["poses_t1"] = np.concatenate([end, turns[1]], axis=-1)
+    else:
+        omega = rng.choice([1e-9, 0.05, 0.5, 4.0]) * rng.standard_normal(shape)
+        motion["twist"] = np.concatenate([shift, omega], axis=-1)
+    if motion["path"] == "linear" and rng.random() < 0.7:
+        motion["pivot"] = centre
+    return motion
+
+
+class Scene:
+    """A drawn scene of bodies that turn and deform, and what the calls say of it."""
+
+    def __init__(self, seed: int) -> None:
+        self.drawn, rng = drawn(seed, "arcs"), np.random.default_rng(seed)
+        self.mesh, self.start, self.end = self.drawn.make()
+        self.given = motion_of(self.mesh, rng)
+        self.motion = ccd.RigidMotion(**self.given)
+        self.moves = Moves(self.mesh, self.start, self.end, self.given)
+        self.step = self.mesh, self.start, self.end
+        self.kinds = self.drawn.options.get("pair_kinds") or [kind.name.lower() for kind in ccd.PairKind]
+
+    def times(self, distance: float):
+        """lo and hi of the pairs that are asked for."""
+        found = self.moves.first_times(distance)
+        return {key: row for key, row in found.items() if ccd.PairKind(key[0]).name.lower() in self.kinds}
+
+    def options(self, **more):
+        return {**self.drawn.options, "motion": self.motion, **more}
+
+
+scene_of = cache(Scene)
+
+
+def tois_of(contacts):
+    keys = map(tuple, np.column_stack([contacts.kind, contacts.primitives]).tolist())
+    return dict(zip(keys, contacts.toi.tolist(), strict=True))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_contacts_of_a_step(seed, precision):
+    scene = scene_of(seed)
+    t_max, contacts = scene.drawn.options["t_max"], None
+    result = ccd.mesh_ccd(*scene.step, **scene.options(precision=precision))
+    contacts, found = result.contacts, tois_of(result.contacts)
+    for key, (_, hi) in scene.times(scene.drawn.distance).items():  # what touches in space touches in any norm
+        assert hi > t_max or found.get(key, np.inf) <= hi, key
+    beside = scene.drawn.delta + 256 * UNITS[precision] * scene.moves.size
+    factor = 1.0 if scene.drawn.is_euclidean else np.sqrt(3)
+    early = scene.moves.first_times(scene.drawn.distance + beside, factor, list(found))
+    for key, toi, status in zip(found, contacts.toi.tolist(), contacts.status.tolist(), strict=True):
+        assert toi <= t_max and (toi >= early[key][0] or status in LIMITS), key
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, precision):
+    scene = scene_of(seed)
+    options, t_max = scene.options(precision=precision), scene.drawn.options["t_max"]
+    result = ccd.mesh_ccd(*scene.step, **options)
+    others = {
+        "num_threads": 4 - options["num_threads"],
+        "broad_phase": "hash" if options["broad_phase"] == "tree" else "tree",
+    }
+    assert different(outputs_of(result), outputs_of(ccd.mesh_ccd(*scene.step, **options | others))) == []
+    least, is_held = min(result.toi, t_max), options["start_gap_fraction"] == "hold"
+    step = ccd.collision_free_step(*scene.step, **options)
+    assert step == least or (is_held and step > least)
+    assert ccd.is_step_collision_free(*scene.step, **options) == (result.toi == np.inf)
+    motion = options.pop("motion")
+    pipeline = ccd.CollisionPipeline(scene.mesh, **options)
+    moving = scene.mesh.moving_vertices
+    for shown in (motion, motion.shortened(0.5), motion):
+        expected = pipeline.mesh_ccd(scene.start, scene.end, motion=shown)
+        ours = pipeline.launch(scene.start, scene.end[moving], motion=shown).to_host()
+        for name in ("toi", "vertex_toi", "body_toi"):
+            assert np.array_equal(np.ravel(getattr(expected, name)), np.ravel(getattr(ours, name)))
+        assert different(outputs_of(expected.contacts), outputs_of(ours.contacts)) == []
+    candidates = pipeline.find_candidates(scene.start, scene.end, scene.drawn.distance, motion=motion)
+    pairs = {(kind, *pair) for kind, of_kind in enumerate(vars(candidates).values()) for pair in of_kind.tolist()}
+    assert pairs >= set(tois_of(result.contacts)) and len(pairs) == sum(map(len, vars(candidates).values()))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_what_a_line_search_leaves_is_free_and_a_launch_leaves_as_much(seed, precision):
+    """Pairs that come within their distance later than at the start do not on what is left of the paths."""
+    scene = scene_of(seed)
+    mesh, per, distance = scene.mesh, ("body", "scene", "vertex")[seed % 3], scene.drawn.distance
+    options = {**scene.drawn.without_end(), "precision": precision, "start_gap_fraction": None}
+    pipeline = ccd.CollisionPipeline(mesh, **options)
+    found = pipeline.line_search(scene.start, scene.end, per=per, motion=scene.motion)
+    shares = np.append(found.vertex_fraction, 1.0)[mesh.body_vertex_range[:-1]]
+    for body in np.flatnonzero(mesh.rigid):
+        assert np.ptp(found.vertex_fraction[slice(*mesh.body_vertex_range[body : body + 2])]) == 0
+    left = Moves(mesh, scene.start, found.vertices, scene.given, shares)
+    starts = {key for key, (lo, _) in left.first_times(1.01 * distance + 1e-9 * left.size).items() if lo == 0}
+    for key, (_, hi) in left.first_times(0.99 * distance).items():
+        is_asked = ccd.PairKind(key[0]).name.lower() in scene.kinds
+        assert hi == np.inf or key in starts or key in tois_of(found.struck) or not is_asked, key
+    written = scene.end.copy()
+    launched = pipeline.launch_line_search(scene.start, written, per=per, motion=scene.motion).to_host()
+    if found.num_rounds <= 2:  # further ones differ: those on the device are fixed
+        deforms = ~mesh.rigid[mesh.vertex_body]
+        assert np.array_equal(written[deforms], found.vertices[deforms])
+        assert np.array_equal(launched.motion.poses_t1, found.motion.poses_t1)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_common_motion_of_everything_is_none(seed, precision):
+    """All bodies turn as one: what touches does so at the start, and all else goes all the way."""
+    scene, rng = scene_of(seed), np.random.default_rng(seed)
+    old, options = scene.mesh, {**scene.drawn.options, "precision": precision}
+    bodies = [(old.vertices[slice(*old.body_vertex_range[b : b + 2])], *of_body(old, b)) for b in range(old.num_bodies)]
+    bodies = [body for body in bodies if len(body[0])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=range(len(bodies)), self_collision=False)
+    size = np.ptp(mesh.vertices, axis=0).max()
+    pose = [*size * rng.standard_normal(3), *rng.standard_normal(4)]
+    twist = [*size * rng.standard_normal(3), *rng.choice([0.1, 1.0, 9.0]) * rng.standard_normal(3)]
+    motion = ccd.RigidMotion([pose] * len(bodies), twist=[twist] * len(bodies), path="screw")
+    distance, factor = scene.drawn.distance, 1.0 if scene.drawn.is_euclidean else np.sqrt(3)
+    x, pairs = mesh.vertices, Moves(mesh, mesh.vertices, mesh.vertices)
+    beside = factor * (distance + scene.drawn.delta + size * (1e-3 if precision == "float32" else 1e-9))
+    within, near = (pairs.first_times(d) for d in (distance, beside))
+    found = tois_of(ccd.mesh_ccd(mesh, x, x, motion=motion, **options).contacts)
+    assert all(found.get(key) == 0 for key, (_, hi) in within.items() if hi == 0)
+    assert found.keys() <= {key for key, (lo, _) in near.items() if lo == 0}
+
+
+def of_body(mesh, body):
+    """Faces and edges of a body, by its own vertices."""
+    begin = mesh.body_vertex_range[body]
+    return mesh.faces[mesh.face_body == body] - begin, mesh.edges[mesh.edge_body == body] - begin
+
+
+@pytest.mark.parametrize("primitives", [1 << 19, 100, 1])
+@pytest.mark.parametrize("large", [10**9, 0])
+def test_worlds_of_one_mesh_have_the_bits_of_copies(primitives, large, monkeypatch):
+    """However many are searched at a time, and by parts that may touch."""
+    monkeypatch.setattr(_motion_worlds, "_PRIMITIVES", primitives)
+    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
+    num_hit = 0
+    for seed in (seed for seed in SEEDS if scene_of(seed).mesh.num_worlds == 1):
+        scene = scene_of(seed)
+        options = {
+            **scene.drawn.options,
+            "motion": ccd.RigidMotion(**motion_of(scene.mesh, np.random.default_rng(1), 5)),
+        }
+        result = ccd.mesh_ccd(*scene.step, **options)
+        copies, ends = scene.mesh.replicate(5), [np.tile(x, (5, 1)) for x in scene.step[1:]]
+        expected = ccd.mesh_ccd(copies, *ends, **options)
+        assert np.array_equal(result.vertex_toi, expected.vertex_toi.reshape(5, -1))
+        assert np.array_equal(result.world_toi, expected.world_toi) and result.toi == expected.toi
+        first, other = in_order(result.contacts, scene.mesh), in_order(expected.contacts, copies)
+        names = ("kind", "toi", "parameters", "normal", "status", "gap", "points", "relative_velocity", "world")
+        assert [name for name in names if not np.array_equal(getattr(first, name), getattr(other, name))] == []
+        assert np.array_equal(first.vertices, other.vertices % scene.mesh.num_vertices)
+        step = ccd.collision_free_step(*scene.step, **options)
+        assert step == ccd.collision_free_step(copies, *ends, **options)
+        num_hit += np.isfinite(result.toi)
+    assert num_hit > 5
+
+
+def in_order(contacts, mesh):
+    """By world, kind and primitives, where half-spaces that stand are one of all copies."""
+    keys = np.column_stack([contacts.world, contacts.kind, contacts.vertices % (mesh.num_vertices // mesh.num_worlds)])
+    keys = np.column_stack([keys, np.where(contacts.kind == PLANE, contacts.normal[:, 0], 0.0), contacts.normal[:, 1]])
+    return contacts[np.lexsort(keys.T[::-1])]
+
+
+# --- pairs of hostile families, a world each ---
+
+
+def checked(pairs, truth=None, in_plane=False, **options):
+    """How much too early tois are of pairs of which none is missed or late, how many are false; and the result."""
+    mesh, start, end, motion, of_pairs = step_of(pairs, in_plane)
+    result = ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **of_pairs, **options)
+    lo, hi = answers(pairs if truth is None else truth)
+    toi = result.world_toi
+    assert (toi <= hi).all()
+    touches = np.isfinite(hi)
+    return np.maximum(lo[touches] - toi[touches], 0.0), (np.isinf(lo) & np.isfinite(toi)).sum(), result
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_pairs(kind, precision):
+    errors, ways = [], product(("linear", "screw"), ("turning", "at rest", "deformable"), (False, True))
+    for k, (path, other, by_twist) in enumerate(ways):
+        names = {"path": path, "other": other, "by_twist": by_twist}
+        for distance in (None, 0.05):
+            pairs = random_pairs(kind, np.random.default_rng([k, distance is None]), 4, distance=distance, **names)
+            early, num_false, _ = checked(pairs, precision=precision)
+            errors.append(early)
+            assert num_false == 0
+    errors = np.concatenate(errors)
+    assert len(errors) > 40 and np.median(errors) < MEDIAN_ERROR[precision]
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_hostile_pairs(family):
+    for k, kind in enumerate(KINDS):
+        checked(hostile_pairs(family, kind, 6), precision=list(MEDIAN_ERROR)[k % 2])
+    checked(hostile_pairs(family, "edge-edge", 4, 0.03))
+
+
+def test_a_common_spin_reaches_no_limit():
+    """In the world the chords of both come closer by far more than the gap."""
+    for kind in KINDS:
+        early, _, result = checked(hostile_pairs("common spin", kind, 30), max_iterations=60)
+        assert (result.contacts.status <= 2).all() and (len(early) == 0 or np.median(early) < 1e-4)
+
+
+def test_iterations_that_are_spent_leave_what_was_proved():
+    pairs = random_pairs("edge-edge", np.random.default_rng(8), 60)
+    _, _, result = checked(pairs, max_iterations=1)
+    assert (result.contacts.status == int(ccd.CCDStatus.ITERATION_LIMIT)).any()
+
+
+@pytest.mark.parametrize(
+    ("path", "other", "by_twist"), [*product(("linear", "screw"), ("turning", "deformable"), (False, True))]
+)
+def test_in_the_plane_bodies_meet_when_prisms_on_them_do(path, other, by_twist, precision):
+    """Points are edges across the plane, so the truth in space is that in the plane."""
+    for distance, far in product((0.0, 0.1), (0.0, 1e4)):
+        names = {"path": path, "other": other, "by_twist": by_twist, "distance": distance, "in_plane": True}
+        pairs = random_pairs("point-segment", np.random.default_rng(7), 8, **names)
+        if far and other == "turning":
+            shift = np.array([far, -0.7 * far, 0, 0, 0, 0, 0])
+            pairs = replace(pairs, poses=pairs.poses + shift, ends=None if by_twist else pairs.ends + shift)
+        early, num_false, _ = checked(pairs, prisms(pairs), in_plane=True, precision=precision)
+        assert far or (len(early) > 2 and np.median(early) < MEDIAN_ERROR[precision] and num_false == 0)
+        if distance:
+            checked(
+                random_pairs("point-point", np.random.default_rng(8), 8, **names), in_plane=True, precision=precision
+            )
+
+
+def test_tois_are_continuous_where_a_turn_vanishes():
+    """Down to nothing, where they are those of straight motion but for rounding."""
+    pairs, tois = random_pairs("vertex-face", np.random.default_rng(6), 100, by_twist=True), []
+    shares = (1e-3, 1e-6, 1e-9, 1e-300, 0.0)
+    for share in shares:
+        slow = replace(pairs, twist=pairs.twist * [1, 1, 1, share, share, share])
+        mesh, start, end, motion, options = step_of(slow)
+        tois.append(ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **options).world_toi)
+    ends = [[x for k in range(100) for side in (0, 1) for x in slow.at(k, side, t)] for t in (0.0, 1.0)]
+    tois.append(ccd.mesh_ccd(mesh, *np.array(ends), **options).world_toi)
+    touches = np.isfinite(tois).all(axis=0)
+    assert touches.sum() > 5 and (np.isfinite(tois[-1]) == np.isfinite(tois[-2])).all()
+    for share, toi in zip((*shares, 0.0), tois, strict=True):
+        assert np.quantile(np.abs(toi - tois[-1])[touches], 0.9) < 100 * share + 1e-10

@@ -1,0 +1,200 @@
+"""The exact oracle against published truth, hand-computed times, and slower methods that it does not use itself."""
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from itertools import combinations, pairwise
+
+import numpy as np
+import oracle
+import published
+import pytest
+from algebraic import Root, unit_roots, value_dyadic
+from daily import marked
+from flint import fmpq, fmpq_mat
+from hard_cases import FAMILIES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracle import exact_gap, exact_toi, exact_tois
+
+KINDS = [("vertex-face", 3), ("edge-edge", 3), *((f"point-{of}", d) for of in ("segment", "point") for d in (2, 3))]
+OF_KINDS = [(family, *kind) for family in FAMILIES for kind in KINDS]
+every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
+FACE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+LINE = [[0, 0, 0], [1, 0, 0]]
+NEEDLE = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
+ACROSS = [[-2, 2], [2, -2]]
+
+
+def by_turns(first: int) -> pytest.MarkDecorator:
+    """Every family with every kind, of which each run of the tests has half, by turns from family to family."""
+    daily = [case for k, case in enumerate(OF_KINDS) if (k + k // len(KINDS)) % 2 == first]
+    return pytest.mark.parametrize("family, kind, dimension", marked(OF_KINDS, daily))
+
+
+CORNERS = {"vertex-face": [(0, 1), (0, 2), (0, 3)], "edge-edge": [(0, 2), (0, 3), (1, 2), (1, 3)]}
+CORNERS |= {"point-segment": [(0, 1), (0, 2)], "point-point": [(0, 1)]}
+
+
+def touches(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: fmpq) -> bool:
+    """Whether the pair touches at t: by Caratheodory some three corners or fewer combine to zero, uniquely."""
+    both = (points_t0.tolist(), points_t1.tolist())
+    start, end = (fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in point] for point in points]) for points in both)
+    at = ((1 - t) * start + t * end).tolist()
+    corners = [[x - y for x, y in zip(at[i], at[j], strict=True)] for i, j in CORNERS[kind]]
+    if any(all(x > 0 for x in axis) or all(x < 0 for x in axis) for axis in zip(*corners, strict=True)):
+        return False
+    for chosen in (of for n in (1, 2, 3) for of in combinations(corners, n)):
+        n, axes = len(chosen), [[*axis, fmpq(0)] for axis in zip(*chosen, strict=True)]
+        reduced, rank = fmpq_mat([*axes, [fmpq(1)] * (n + 1)]).rref()
+        if rank == n and all(reduced[k, k] == 1 and reduced[k, n] >= 0 for k in range(n)):
+            return True
+    return False
+
+
+@published.requires_data
+@pytest.mark.parametrize("kind", ["vertex-face", "edge-edge"])
+@pytest.mark.parametrize("load", [published.handcrafted_queries, published.simulation_queries])
+def test_oracle_agrees_with_every_published_truth(load: Callable, kind: str) -> None:
+    scenes = published.handcrafted_scenes() if load is published.handcrafted_queries else published.simulation_scenes()
+    for queries in (load(scene, kind) for scene in scenes):
+        results = exact_tois(kind, queries.points_t0, queries.points_t1)
+        assert len(queries) and [queries.id(i) for i, r in enumerate(results) if r.hit != queries.truth[i]] == []
+
+
+def falls(x: float, y: float, start: float, end: float, *still: list) -> tuple:
+    return "vertex-face", [[x, y, start], *(still or FACE)], [[x, y, end], *(still or FACE)]
+
+
+def edges(first_t0: list, first_t1: list, still: list) -> tuple:
+    return "edge-edge", [*first_t0, *still], [*first_t1, *still]
+
+
+UPRIGHT, FAR = [[0, -1, 0], [0, 1, 0]], [[3, 0, 0], [4, 0, 0]]
+BY_HAND = [
+    (falls(0.25, 0.25, 1, -2), {}, fmpq(1, 3)),
+    *((falls(x, y, 1, -1), {}, fmpq(1, 2)) for x, y in ((0, 0), (0.5, 0.5), (1, 0))),
+    *((falls(x, y, 1, -1), {}, None) for x, y in ((-(2.0**-60), 0), (0.5, 0.5 + 2**-50))),
+    (falls(0.25, 0.25, 1, 0), {}, 1),
+    (falls(0.25, 0.25, 0, 1), {}, 0),
+    (falls(0.25, 0.25, 1, 2.0**-60), {}, None),
+    (falls(0.25, 0.25, 1, -1), {"t_max": 0.5}, fmpq(1, 2)),
+    (falls(0.25, 0.25, 1, -1), {"t_max": np.nextafter(0.5, 0)}, None),
+    (falls(0.25, 0.25, 0, 1), {"t_max": 0.0}, 0),
+    (("vertex-face", [[-1, 0.25, 0], *FACE], [[2, 0.25, 0], *FACE]), {}, fmpq(1, 3)),  # slides
+    (falls(1.5, 0, 1, -1, *NEEDLE), {}, fmpq(1, 2)),
+    (falls(2.5, 0, 1, -1, *NEEDLE), {}, None),
+    (edges([[-1, 0, 2], [1, 0, 2]], [[-1, 0, -1], [1, 0, -1]], UPRIGHT), {}, fmpq(2, 3)),
+    (edges([[0.5, 1, 0], [2, 1, 0]], [[0.5, -3, 0], [2, -3, 0]], LINE), {}, fmpq(1, 4)),  # side by side
+    (edges(FAR, LINE, LINE), {}, fmpq(2, 3)),  # end to end
+    (edges(FAR, [[2, 0, 0], [3, 0, 0]], LINE), {}, None),
+    (edges([[1, 1, 1]] * 2, [[-2, -2, -2]] * 2, [[0, 0, 0]] * 2), {}, fmpq(1, 3)),
+    (("point-point", [[0, 0], [3, 6]], [[3, 6], [0, 0]]), {}, fmpq(1, 2)),
+    (falls(0.25, 0.25, 1, -1), {"separation": 0.1}, (1 - fmpq(*(0.1).as_integer_ratio())) / 2),
+    (falls(-0.125, 0.25, 1, -1), {"separation": 0.125}, fmpq(7, 16)),  # beside the rim
+    (falls(-0.125, 0.25, 1, -1), {"separation": np.nextafter(0.125, 0)}, None),
+    (("point-segment", [[1, 1], *ACROSS], [[0, 0], *ACROSS]), {"separation": 0.25}, fmpq(3, 4)),  # by the largest axis
+]
+
+
+@pytest.mark.parametrize("query, options, toi", BY_HAND)
+def test_times_by_hand(query: tuple, options: dict, toi: fmpq | None) -> None:
+    found = exact_toi(*query, **options)
+    assert found.lo == found.hi == toi and found.hit == (toi is not None)
+    assert found.late(math.inf) == found.hit and (found.hit or not found.late(0.5))
+
+
+def test_float64_beside_a_rational_and_an_irrational_time() -> None:
+    third = exact_toi(*falls(0.25, 0.25, 1, -2))
+    assert third.approx == 1 / 3 and third.early_by(1 / 3) == 2.0**-54 / 3
+    assert not third.late(1 / 3) and third.late(np.nextafter(1 / 3, 1))
+    # p = (t, 1/2) on the segment from the origin to (2, 2 t): 2 t^2 = 1
+    root = exact_toi("point-segment", [[0, 0.5], [0, 0], [2, 0]], [[1, 0.5], [0, 0], [2, 2]])
+    lo, hi = root.refine(200)
+    assert not root.rational and lo * lo < fmpq(1, 2) < hi * hi and hi - lo < fmpq(1, 2**200)
+    for x in (math.sqrt(0.5), np.nextafter(math.sqrt(0.5), 0), np.nextafter(math.sqrt(0.5), 1)):
+        assert root.late(x) == (2 * Fraction(float(x)) ** 2 > 1)
+
+
+def product(factors: list[tuple[int, ...]]) -> tuple[int, ...]:
+    poly = np.array([1], dtype=object)
+    for factor in factors:
+        poly = np.convolve(poly, np.array(factor, dtype=object))
+    return tuple(int(x) for x in poly)
+
+
+rationals = st.fractions(-1, 2, max_denominator=10**6) | st.sampled_from([0, 1, Fraction(1, 3), 1 - Fraction(1, 2**70)])
+
+
+@given(st.lists(rationals.map(Fraction), min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
+def test_all_rational_roots_are_found_in_order(values: list[Fraction], scale: int) -> None:
+    roots = unit_roots(product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
+    assert [Fraction(r.numerator, r.denominator) for r in roots] == sorted({x for x in values if 0 <= x <= 1})
+
+
+def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart() -> None:
+    first, second = unit_roots((-1, 0, 2))[0], unit_roots(product([(-1, 0, 2), (-3, 1000)]))[1]
+    near = unit_roots((-(2**200) - 1, 0, 2**201))[0]
+    assert first.compare(second) == second.compare(first) == 0 and first.compare(near) == -1 == -near.compare(first)
+    assert first.sign_of((-3, 2, 2)) == -1 and near.sign_of((-1, 0, 2)) == 1 and near.sign_of((0, 0, 0)) == 0
+    roots = unit_roots(product([(-(2**300), 3 * 2**300), (-(2**300) - 1, 3 * 2**300)]))
+    assert [Fraction(r.numerator, r.denominator) for r in roots] == [Fraction(1, 3), Fraction(2**300 + 1, 3 * 2**300)]
+
+
+@settings(max_examples=50)
+@given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=4), st.integers(0, 500))
+def test_refinement_keeps_the_root(poly: list[int], bits: int) -> None:
+    roots = unit_roots(tuple(poly)) if any(poly) else []
+    assert all(x.compare(y) < 0 for x, y in pairwise(roots))
+    for root in (root for root in roots if not root.denominator):
+        root.refine(bits)
+        ends = [value_dyadic(root.poly, root.a + i, root.k) for i in (0, 1)]
+        assert root.k >= bits and ends[0] * ends[1] < 0 and root.sign_of(tuple(poly)) == 0
+        assert Root.isolated(root.poly, root.a, root.k).compare(root) == 0
+
+
+@by_turns(0)
+def test_no_contact_before_the_exact_toi_and_contact_at_it(family: str, kind: str, dimension: int) -> None:
+    points = FAMILIES[family](kind, 8, np.random.default_rng(1), dimension)
+    times = [fmpq(k, 16) for k in range(17)] + [fmpq(k, 12) for k in (1, 2, 4, 5, 7, 8, 10, 11)]
+    for a, b, toi in zip(*points, exact_tois(kind, *points), strict=True):
+        end = toi.hi if toi.hit else fmpq(2)
+        assert not any(touches(kind, a, b, t) for t in times if t < end)
+        if toi.hit and toi.rational:
+            assert touches(kind, a, b, end)
+        elif toi.hit:  # its interval is 2**-80 wide, and so far from contact may its end be
+            assert exact_gap(kind, a, b, toi.hi) <= 2.0**-79 * 2 * np.abs(b - a).max()
+
+
+@by_turns(1)
+def test_gap_equals_the_separation_when_it_is_reached(family: str, kind: str, dimension: int) -> None:
+    for a, b in zip(*FAMILIES[family](kind, 4, np.random.default_rng(3), dimension), strict=True):
+        start, size = exact_gap(kind, a, b, 0.0), max(np.abs(a).max(), np.abs(b).max())
+        found = []
+        for separation in (0.0, start / 1024, start / 2, 2.0 * start + size * 2.0**-20):
+            found.append(toi := exact_toi(kind, a, b, separation))
+            until = toi.lo if toi.hit else 2
+            assert all(exact_gap(kind, a, b, fmpq(k, 8)) >= separation for k in range(9) if fmpq(k, 8) < until)
+            if toi.hit and toi.lo > 0:
+                assert exact_gap(kind, a, b, toi.hi) == pytest.approx(separation, rel=1e-15, abs=2.0**-78 * size)
+        assert all(not x.hit or (y.hit and y.root.compare(x.root) <= 0) for x, y in pairwise(found))
+        assert found[-1].lo == 0
+
+
+@every_kind
+def test_cull_scale_and_shorter_steps_change_nothing(
+    kind: str, dimension: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for family in ("random_colliding", "cloth_like", "lattice", "one_plane", "slivers", "mixed_axis_scales"):
+        points = FAMILIES[family](kind, 20, np.random.default_rng(4), dimension)
+        for separation in (0.0, 0.01):
+            plain = exact_tois(kind, *points, separation)
+            answers = [(r.hit, r.approx) for r in plain]
+            scaled = (exact_tois(kind, *(2.0**e * p for p in points), 2.0**e * separation) for e in (-400, 400))
+            assert all([(r.hit, r.approx) for r in results] == answers for results in scaled)
+            with monkeypatch.context() as patch:
+                patch.setattr(oracle, "certainly_apart", lambda kind, p0, *_: np.zeros(len(p0), dtype=bool))
+                assert [(r.hit, r.approx) for r in exact_tois(kind, *points, separation)] == answers
+            for cut, full in zip(exact_tois(kind, *points, separation, t_max=0.5), plain, strict=True):
+                assert cut.hit == (full.hit and full.compare(0.5) >= 0)
+                assert not cut.hit or (cut.lo <= full.hi and full.lo <= cut.hi and cut.rational == full.rational)
