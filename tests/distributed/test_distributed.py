@@ -17,7 +17,6 @@ from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._plan import Bounds, destinations, is_within, scene_box, united
 
 FOLDER = Path(__file__).resolve().parent
-EXAMPLES = FOLDER.parents[1] / "examples"
 
 
 def mpiexec():
@@ -54,8 +53,8 @@ def test_every_cut_over_ranks_gives_the_bits_of_one_process(num_ranks):
 
 
 @needs_ranks
-def test_block_of_the_page_by_task_prints_on_ranks_what_the_page_says(tmp_path):
-    page = (EXAMPLES.parent / "docs" / "tasks" / "many_machines.md").read_text(encoding="utf-8")
+def test_the_block_of_the_page_prints_on_ranks_what_the_page_says(tmp_path):
+    page = (FOLDER.parents[1] / "docs" / "distributed.md").read_text(encoding="utf-8")
     (code,), (output,) = (re.findall(rf"^```{fence}\n(.*?)^```$", page, re.S | re.M) for fence in ("python", "text"))
     script = tmp_path / "block.py"
     script.write_text(code, encoding="utf-8")

@@ -290,11 +290,3 @@ def wrong_after_interrupts(scenario: Scenario, seed: int, num_samples: int) -> l
         n = 1 + int((k + rng.random()) * count / num_samples)
         wrong += inject(scenario, Interrupt(n, int(10 ** rng.uniform(0.5, 3.0)) if k % 3 == 2 else 0), truth)
     return wrong
-
-
-arrays_of = outputs_of
-
-
-def difference(ours: dict[str, np.ndarray], truth: dict[str, np.ndarray]) -> str:
-    """What differs in a bit, in words, or nothing."""
-    return "\n".join(different(ours, truth))

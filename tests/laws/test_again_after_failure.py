@@ -62,14 +62,14 @@ def two_at_once(o, x, y):
 
     def ask():
         try:
-            others.append(outputs_of(ccd.collision_free_step(o.mesh, x, y, **o.options)))
+            others.append(ccd.collision_free_step(o.mesh, x, y, **o.options))
         except BaseException as error:
             others.append(error)
 
     other = threading.Thread(target=ask)
     try:
         other.start()
-        own = outputs_of(o.pipeline.mesh_ccd(x, y))
+        own = o.pipeline.mesh_ccd(x, y)
     finally:
         if other.ident:
             other.join()

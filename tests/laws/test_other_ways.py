@@ -62,13 +62,13 @@ def in_worlds():
 
 def apart(num_together=1):
     """Bodies without self-collision of which few come near another, or so many are in one place and may meet."""
-    rng, number = np.random.default_rng(25), np.arange(24) // num_together
-    places = rng.uniform(-1.5, 1.5, (24, 3)) if num_together == 1 else np.zeros((24, 3))
+    rng, number = np.random.default_rng(25), np.arange(40) // num_together
+    places = rng.uniform(-1.5, 1.5, (40, 3)) if num_together == 1 else np.zeros((40, 3))
     size = 0.2 if num_together == 1 else 1.0
     bodies = [(size * rng.random((9, 3)) + place, np.arange(9).reshape(-1, 3)) for place in places]
     pairs = None if num_together == 1 else number[:, None] == number
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, body_pairs=pairs)
-    return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (24, 3))[mesh.vertex_body]
+    return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (40, 3))[mesh.vertex_body]
 
 
 def slender():
@@ -193,7 +193,7 @@ def test_a_graph_changes_no_bit(scene):
     assert different(found, truth) == []
 
 
-@pytest.mark.parametrize("scene", [*range(24), *ON_DEVICE])
+@pytest.mark.parametrize("scene", [*range(24), *(scene for scene in ON_DEVICE if scene != "slender")])
 def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
     """Of positions of both types, and as displacements, which are added in float64."""
     case = case_of(scene)
@@ -226,6 +226,8 @@ def assert_shared_bits(launched, host, *names):
     launched, host = outputs_of(launched), outputs_of(host)
     shared = launched.keys() & host.keys()
     assert shared >= {*names} and len(shared) > 4
+    for result in (launched, host):  # zeros of a normal have either sign
+        result |= {name: array + 0.0 for name, array in result.items() if name.endswith(".normal")}
     assert different(*({name: each[name] for name in shared} for each in (launched, host))) == []
 
 
@@ -344,7 +346,8 @@ CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unit
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
-_LIKE_OTHERS += ("body_frames",)  # of bodies with so many edges that the scene of them is marked long
+# Of bodies with so many edges that their scene is marked long, and of joints, which the table of calls leaves out.
+_LIKE_OTHERS += ("body_frames", "near_parts")
 
 
 @pytest.mark.emulated
