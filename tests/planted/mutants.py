@@ -1,7 +1,7 @@
 """Mechanical mutants: `python tests/planted/mutants.py [COUNT [TEST …]]` says which of them the tests do not find.
 
-One operator, constant, bound or condition of the kernels, the engine or the calls is changed in a copy. Not every mutant
-that survives is a fault: a bound may be wider than it need be, and a search may take longer.
+One operator, constant, bound or condition of the kernels, the engine or the calls is changed in a copy. A mutant that
+survives need not be a fault: a bound may be wider than it need be, and a search may take longer.
 """
 
 import ast
