@@ -12,7 +12,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import ply, zipped
+from mesh_files import ply
 
 import ccd_warp as ccd
 from ccd_warp._cli import command
@@ -45,10 +45,8 @@ def folder(tmp_path_factory):
         ("start", start, BALL.faces),
         ("end", start - [0, 0, 5.0], BALL.faces),
         ("floor", BOX.vertices - [0, 0, 0.5], BOX.faces),
-        ("far", TRIANGLE + 50.0, three[:1]),
         ("in_mm", 1000.0 * start, BALL.faces),
-        ("renumbered", start[::-1], BALL.faces),
-        *((f"turned_{k}", _turned(angle), BALL.faces) for k, angle in enumerate((0.0, np.pi / 4, np.pi))),
+        *((f"turned_{k}", _turned(angle), BALL.faces) for k, angle in enumerate((0.0, np.pi))),
         ("stray_1", np.vstack([start, STRAYS]), BALL.faces),
         ("stray_2", np.vstack([start - [0, 0, 5.0], STRAYS * [1, 1, -1]]), BALL.faces),
         ("crossing", CROSSING, three[:2]),
@@ -62,32 +60,20 @@ def folder(tmp_path_factory):
         ("sheet_2", SQUARE - [0, 0, 2.0], [[0, 1, 2], [0, 2, 3]]),
         ("wall", 18.0 * SQUARE[:, [2, 0, 1]] - [0, 9, 9], [[0, 1, 2], [0, 2, 3]]),
         ("ground", 18.0 * SQUARE - [9, 9, 1], [[0, 1, 2], [0, 2, 3]]),
-        ("swap_1", np.vstack([TRIANGLE, TRIANGLE + [0, 0, 1]]), three[:2]),
-        ("swap_2", np.vstack([TRIANGLE + [0, 0, 2], TRIANGLE]), three[:2]),
         (HOSTILE.removesuffix(".ply"), BOX.vertices - [0, 0, 0.5], BOX.faces),
     ]:
         (folder / f"{name}.ply").write_bytes(ply(vertices, faces))
     trimesh.Trimesh(start, BALL.faces, process=False).export(folder / "soup.stl")
-    (folder / "floor.zip").write_bytes(zipped({"floor.ply": ply(BOX.vertices, BOX.faces)}))
     everything = np.array([(a, b) for a in range(4) for b in range(4, 12)])
     np.savez(folder / "pairs.npz", vertices=everything, bodies=[[0, 1]])
-    np.save(folder / "pairs.npy", everything)
     for name, content in {
         "pairs.txt": b'# what touches by design\nbodies, sheet_1.ply, wall.ply\n\nbodies,0,"ground.ply"\n',
-        "short.txt": b"bodies,sheet_1.ply",
         "nobody.txt": b"bodies,sheet_1.ply,nobody",
         "many.txt": b"vertices,1,99",
-        "bytes.txt": b"vertices,1,\xff",
-        "damaged.npz": b"PK",
         "step.csv": b"0,floor.ply,0,0,0,0,0,0,1\n1,floor.ply,0,0,0,0,0,1,0\n",
-        "three.csv": b"".join(b"%d,floor.ply,0,0,0,0,0,0,1\n" % k for k in range(3)),
-        "bad.csv": b"0,0,0,0,0,0,0,0,1\n1,0,0,two,0,0,0,0,1\n",
         "escape.obj": b"v 0 0 \x1b[31m\n",
-        "escape.zip": zipped({"\x1b[2J.vtk": b""}),
     }.items():
         (folder / name).write_bytes(content)
-    (folder / "empty").mkdir()
-    (folder / "folder.html").mkdir()
     (folder / "folder.png").mkdir()
     return folder
 
@@ -123,9 +109,7 @@ SHEET = "run sheet_1.ply sheet_2.ply --static wall.ply --static ground.ply"
 CERTAIN = "scene toi none (certain for the pairs looked at: vertex-face and edge-edge, in [0, {}])"
 REPORTS = [  # a command, and words of its report; those behind - are not in it
     (RUN, CERTAIN.format(1), "-candidates", "-no part"),
-    (f"{ON} --t-max 0.25", CERTAIN.format(0.25)),
-    (f"{ON} --kinematic start.ply", "start.ply kinematic", "pairs of static and kinematic bodies", "scene toi none"),
-    (f"run --static far.ply --static floor.ply {ON[4:]} --static far.ply", "far.ply (2) static 3 1"),
+    (f"{ON} --kinematic start.ply --t-max 0.25", "start.ply kinematic", "static and kinematic", CERTAIN.format(0.25)),
     (f"{ON} --pair-kinds edge-edge --verbose", "edge-edge candidates", "-vertex-face candidates"),
     (f"{ON} --pair-kinds edge-edge", "left out vertex-face pairs (--pair-kinds); pairs of static bodies; pairs"),
     # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
@@ -133,7 +117,6 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
     (f"{ON} --tolerance 1e-3 --length-scale 2", "largest displacement 5", "length scale 2", "tolerance 0.002"),
     (ON, "at the start no edge passes through a face"),
     (f"{ON} --radius 0.0125 --radius floor.ply=0.025", "0.0125 to 0.025"),
-    ("run swap_1.ply swap_2.ply --no-self-collision", "toi none", "pairs within a body (--no-self-collision)"),
     ("run soup.stl soup.stl", "(798 vertices of soup.stl merged by position)"),
     ("run stray_1.ply stray_2.ply --static floor.ply", "(3 vertices of stray_1.ply in no face take no part)"),
     # The third face of an obstacle that comes after other bodies is the third of this body.
@@ -149,15 +132,10 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
         "at the start 2 edges pass through a face, so surfaces cross: 2 within crossing.ply",
         "not seen what surfaces that cross at the start already do after it",
     ),
-    (
-        "run crossing.ply crossing.ply --ignore-start-contacts",
-        "edges that pass through a face in the first frame (--ignore-start-contacts)",
-        "-so surfaces",
-    ),
+    ("run crossing.ply crossing.ply --ignore-start-contacts", "edges that pass through a face in", "-so surfaces"),
     (f"{SHEET} --ignore-start-contacts", "pairs that touch in the first frame (--ignore-start-contacts)", "toi 0.4999"),
     (f"{SHEET} --exclude pairs.txt --no-self-collision", "scene toi none", "2 pairs of bodies (--exclude)"),
     (f"{SHEET} --exclude pairs.npz --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
-    (f"{SHEET} --exclude pairs.npy --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
     (f"{SHEET} --exclusion-rings 3", "pairs that fewer than 3 edges connect (--exclusion-rings)"),
     ("run floor.ply --poses step.csv", "floor.ply: t = 0.0 -> t = 1.0", "pairs within a rigid body", "scene toi none"),
 ]
@@ -185,42 +163,31 @@ def test_report_names_toi_counts_and_stages(run):
         assert any(line.startswith(f"{name} ") for line in lines), name
 
 
-@pytest.mark.parametrize(
-    "line, status",
-    [(ON, 1), (RUN, 0), (f"{ON} --kinematic start.ply", 0), ("run crossing.ply crossing.ply", 1)]
-    + [("run crossing.ply crossing.ply --ignore-start-contacts", 0)],
-)
-def test_exit_status_tells_a_script_of_a_contact(run, line, status):
-    run(f"{line} --fail-on-contact", status=status)
+def test_exit_status_tells_a_script_of_a_contact(run):
+    for line, status in ((ON, 1), (RUN, 0), ("run crossing.ply crossing.ply", 1)):
+        run(f"{line} --fail-on-contact", status=status)
 
 
 WARNED = [
     ("start.ply in_mm.ply", "the bodies that move are 1 long at the start and 1000 at the end of the"),
-    ("start.ply renumbered.ply", "the vertices of start.ply are at the same places at the start and at the end of the"),
-    ("end.ply start.ply", "the step goes from end.ply to start.ply; are the two swapped?"),
     ("crossing.ply parted.ply", "surfaces cross at the start of the step and not at its end; are START"),
-    ("turned_0.ply turned_2.ply", "edges shrink to a tenth or less within the step.*take smaller steps"),
-    ("turned_0.ply turned_1.ply", None),  # an eighth of a turn leaves edges nine tenths of their length
+    ("turned_0.ply turned_1.ply", "edges shrink to a tenth or less within the step.*take smaller steps"),
 ]
 
 
 @pytest.mark.parametrize("paths, words", WARNED)
 def test_what_is_odd_about_two_frames_is_warned_of_unless_quiet(run, paths, words):
     error = run(f"run {paths}").err
-    assert error == "" if words is None else re.search(f"^ccd-warp: warning: .*{words}", error, re.M)
+    assert re.search(f"^ccd-warp: warning: .*{words}", error, re.M)
     assert run(f"run {paths} --quiet").err == ""
 
 
 # ---- Results ---------------------------------------------------------------------------------------------------------
 
 
-def _refuse(constant):
-    raise AssertionError(f"{constant} is no JSON")
-
-
 def _json(path):
     with open(path, encoding="utf-8") as file:
-        return json.load(file, parse_constant=_refuse)
+        return json.load(file, parse_constant=pytest.fail)  # NaN and Infinity are no JSON
 
 
 def _rows(path):
@@ -282,10 +249,9 @@ def test_standard_output_takes_the_json_alone(run):
     shown = run(f"{ON} --output -")
     assert json.loads(shown.out)["toi"] == _expected()[1].toi
     assert shown.err.startswith("ccd-warp ") and "first contact" in shown.err
-    shown = run(f"{RUN} --output - --quiet")
+    shown = run("run crossing.ply crossing.ply --output - --quiet")
     data = json.loads(shown.out)
     assert data["toi"] is None and data["contacts"] == [] and shown.err == ""
-    data = json.loads(run("run crossing.ply crossing.ply --output - --quiet").out)
     assert data["crossing_at_start"] == [{"bodies": ["crossing.ply", "crossing.ply"], "edges_through_faces": 2}]
 
 
@@ -293,8 +259,7 @@ def test_standard_output_takes_the_json_alone(run):
     "options",
     [
         {"minimum_separation": 0.01, "length_scale": 1.0, "tolerance": 1e-9, "num_threads": 1},
-        {"minimum_distance": 0.25, "start_gap_fraction": 0.5},
-        {"precision": "float32", "t_max": 0.5},
+        {"precision": "float32", "t_max": 0.5, "minimum_distance": 0.25, "start_gap_fraction": 0.5},
         {"method": "bisection", "broad_phase": "hash", "max_iterations": 3, "max_work": 100},
         {"pair_kinds": "edge-edge", "memory_limit": 64_000_000},
     ],
@@ -325,8 +290,6 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
         assert arrays["plane_normal"].tolist() == [[0, 0, 2], [1, 0, 0]] and arrays["plane_body"].tolist() == [1, 2]
         assert (arrays["contact_bodies"][:, 1] == 1).all() and arrays["contact_primitives_in_body"][:, 1].max() == 0
     assert {row["kind"] for row in _rows("ground.csv")} == {"vertex_plane"}
-    (row,) = csv.DictReader(run(f"sequence start.ply end.ply {planes} --output - --quiet").out.splitlines())
-    assert int(row["vertex_plane"]) == int(row["contacts"]) == data["counts"]["num_contacts"]["vertex_plane"]
 
 
 def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
@@ -344,52 +307,31 @@ def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
 
 # ---- Refusals --------------------------------------------------------------------------------------------------------
 
-REFUSED = [  # of a command, what its one line says; what the library refuses is one example each
-    ("", "--help"),
+REFUSED = [  # of a command, what its one line says; what the library refuses, its own table holds
     ("run start.ply", "END is missing"),
     (f"{RUN} --static a.ply b.ply", "--help"),  # the second would be taken for a frame
-    (f"{RUN} --tolerance small", "--tolerance"),
     (f"{RUN} --tolerance 0", "tolerance is 0.0; expected a finite number above 0"),
-    (f"{RUN} --minimum-distance 1 --minimum-separation 1", "minimum_distance"),
-    (f"{RUN} --pair-kinds face-face", "pair_kinds"),
     (f"{RUN} --pair-kinds point-point", "--pair-kinds holds point-point, which these bodies cannot form"),
-    (f"{ON} --memory-limit 9", "memory_limit is 9 bytes; expected at least"),
     (f"{RUN} --radius thin", "--radius thin: expected a number"),
     (f"{RUN} --radius ghost=1", "--radius ghost=1: no body has this name; expected one of start.ply"),
-    (f"{ON} --kinematic ghost", "--kinematic ghost: no body that moves has this name; expected one of start.ply"),
     (f"{ON} --kinematic floor.ply", "--kinematic floor.ply: no body that moves has this name"),
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
-    (f"{RUN} --half-space g=0,0,0,0,0,0", "normal of body 1 (g) is [0.0, 0.0, 0.0]; expected a direction"),
     (f"{RUN} --output result.txt", ".npz, .json, .csv"),
     (f"{RUN} --output none/result.npz", "does not exist"),
     ("run none.ply end.ply", "none.ply: no such file"),
-    (f"{RUN} --static gone.obj", "gone.obj: no such file"),
     ("run start.ply floor.ply", "start.ply has 162 vertices and 320 faces, floor.ply has 8 vertices and 12 faces"),
-    (f"{RUN} --static floor.zip --max-bytes 100", "raise it with --max-bytes"),
-    (f"{SHEET} --exclude short.txt", "short.txt: line 1 is 'bodies,sheet_1.ply'; expected rows KEY,A,B"),
+    (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
     (f"{SHEET} --exclude nobody.txt", "bodies are sheet_1.ply, wall.ply, ground.ply"),
     (f"{SHEET} --exclude many.txt", "exclude_pairs['vertices'] holds vertex 99"),
-    (f"{SHEET} --exclude bytes.txt", "codec can't decode"),
-    (f"{SHEET} --exclude damaged.npz", "damaged.npz"),
     ("run floor.ply floor.ply --poses step.csv", "END is given with --poses"),
-    ("run floor.ply --poses three.csv", "holds poses at 3 times; expected 2"),
     (f"{RUN} --path screw", "--path screw is given without --poses"),
-    ("run floor.ply --poses bad.csv", "bad.csv: line 2, column py is 'two'; expected a finite number"),
-    ("sequence floor.ply far.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    ("sequence floor.ply --poses step.csv --displacement u", "--displacement is given with --poses"),
-    ("sequence gone.ply floor.ply", "gone.ply: no such file or folder"),
+    ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
     ("sequence floor.ply", "has 1 frame; expected two or more"),
-    ("sequence start.ply floor.ply", "topology differs: "),
     ("sequence start.ply end.ply --picture a.webm", ".gif, .mp4, .png"),
-    (f"{RUN} --picture step.jpg", "--picture step.jpg: the name must end in .png"),
     ("run not_even_looked_for.ply end.ply --picture none/step.png", "does not exist"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     ("explore --output page.txt", "--output page.txt: the name must end in .html, .htm"),
-    ("explore --output none/page.html", "the folder none does not exist; create it first"),
-    ("explore --output folder.html", "cannot write folder.html (Is a directory)"),
     (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),
-    (f"{RUN} --static escape.zip", r"\x1b[2J.vtk"),
-    (f"{RUN} --static f.\x1b[2J", r"f.\x1b[2J"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),
 ]
 
@@ -400,7 +342,7 @@ def test_bad_command_lines_and_files_are_refused_in_one_line(run, folder, line, 
     shown = run(line, status=2)
     assert shown.out == "" and shown.err.startswith("ccd-warp: error: ") and shown.err.endswith("\n")
     assert shown.err[:-1].isprintable() and words in shown.err and len(shown.err) < 800
-    assert [path for path in sorted(folder.rglob("*")) if path not in before] == []
+    assert sorted(folder.rglob("*")) == before
 
 
 def test_names_of_files_reach_the_terminal_without_their_escape_codes(run, folder):
@@ -426,12 +368,11 @@ def test_help_is_that_of_the_library_and_is_spelled_where_a_terminal_knows_ascii
     for name in ("start", "end"):
         shutil.copy(folder / f"{name}.ply", folder / f"{name} é.ply")
     frames = [str(folder / f"{name} é.ply") for name in ("start", "end")]
-    obstacles = 40 * ["--static", str(folder / "floor.ply")]
-    assert main(["run", *frames, *obstacles, "--output", str(folder / "default.json")]) == 0
+    assert main(["run", *frames, "--output", str(folder / "default.json")]) == 0
     assert sys.stdout.errors == "strict"
     out = written.getvalue().decode("ascii")
     assert out.startswith(f"ccd-warp {ccd.__version__}\n")
-    assert "  ... 11 more bodies" in out and "start \\xe9.ply" in out
+    assert "start \\xe9.ply" in out
     # Each option is in one line, or in two where its name is long.
     text = re.sub(r"\n {20,}", " ", out)
     lines = {line.split()[0]: line for line in text.splitlines() if line.strip().startswith("--")}
@@ -450,12 +391,11 @@ SEQUENCE = "sequence start.ply end.ply --static floor.ply"
 
 @pytest.mark.parametrize("line", [ON, f"{ON} --output -", f"{SEQUENCE} --output -"])
 def test_a_pipe_without_a_reader_keeps_the_status(run, line, monkeypatch):
-    for asked, status in (("", 0), (" --fail-on-contact", 1)):
-        reader, writer = os.pipe()
-        os.close(reader)
-        with os.fdopen(writer, "w") as stream, monkeypatch.context() as patch:
-            patch.setattr(sys, "stdout", stream)
-            run(line + asked, status=status)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as stream, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        run(f"{line} --fail-on-contact", status=1)
 
 
 @pytest.mark.parametrize("line", [ON, SEQUENCE])
@@ -468,12 +408,9 @@ def test_a_full_or_a_closed_standard_output_is_an_error_where_the_result_goes_th
         patch.setattr(sys, "stdout", None)
         assert "--output -: there is no standard output" in run(f"{line} --output -", status=2).err
         run(f"{line} --output closed{'.json' * (line == ON)}")
-    with monkeypatch.context() as patch:
-        patch.setattr(sys, "stderr", None)
-        assert run(f"{line} --output -").out.startswith(("{\n", "step,"))
 
 
-@pytest.mark.parametrize("name", ["full.json", "full.npz", "full.csv", "full"])
+@pytest.mark.parametrize("name", ["full.json", "full.npz", "full"])
 def test_an_earlier_result_survives_a_full_disk(run, folder, name):
     line = f"{ON if '.' in name else SEQUENCE} --quiet --output {name}"
     run(line)
