@@ -53,11 +53,9 @@ def test_natural_order_is_that_of_a_reader(tmp_path):
 
 
 def test_frames_without_numbers_keep_the_order_in_which_they_are_given(tmp_path):
-    write_frames(tmp_path, "{}")
-    for name, k in (("b.ply", 8), ("a.ply", 9)):
-        (tmp_path / f"{k}.ply").rename(tmp_path / name)
-    paths = [tmp_path / name for name in ("b.ply", "a.ply", "b.ply")]
-    check(paths, names=("b.ply",), positions=POSITIONS[[0, 1, 0]])
+    for name, frame in (("b.ply", POSITIONS[0]), ("a.ply", POSITIONS[1])):
+        (tmp_path / name).write_bytes(ply(frame, FACES))
+    check([tmp_path / name for name in ("b.ply", "a.ply", "b.ply")], names=("b.ply",), positions=POSITIONS[[0, 1, 0]])
 
 
 @pytest.mark.parametrize(
@@ -65,16 +63,13 @@ def test_frames_without_numbers_keep_the_order_in_which_they_are_given(tmp_path)
     [
         (["cloth_1", "cloth_2", "ball_0", "ball_1"], r"ball_0\.ply and cloth_1\.ply would be of one time; number the"),
         (["a_1", "a_2", "b"], r"the frames are 2 files a_#\.ply and 1 b\.ply; each body needs one file for each frame"),
-        (["a"], "has 1 frame; expected two or more"),
         ([], "holds no frames"),
-        (None, "no such file or folder"),
     ],
 )
 def test_files_that_are_no_frames_of_bodies_are_refused(tmp_path, names, message):
-    for name in names or ():
+    for name in names:
         (tmp_path / f"{name}.ply").write_bytes(ply())
-    given = [tmp_path / f"{name}.ply" for name in names or ()] or tmp_path
-    refused(tmp_path / "none.ply" if names is None else given, message)
+    refused([tmp_path / f"{name}.ply" for name in names] or tmp_path, message)
 
 
 def test_caches_of_positions(tmp_path):
@@ -91,13 +86,9 @@ def test_caches_of_positions(tmp_path):
 @pytest.mark.parametrize(
     "arrays, message",
     [
-        ({"faces": FACES}, "holds 'faces'; expected 'positions'"),
         ({"positions": POSITIONS}, "holds no 'faces'; add them, or give a mesh that has them with --faces"),
         ({"positions": POSITIONS[0], "faces": FACES}, r"'positions' is float64 of shape \(4, 3\)"),
-        ({"positions": POSITIONS, "faces": FACES + 0.5}, "'faces' is float64"),
         ({"positions": POSITIONS, "faces": FACES + 2}, r"\[0\]: face 0 is \[2, 3, 4\], but the file has 4 vertices"),
-        ({"positions": np.full((2, 4, 3), np.nan), "faces": FACES}, "are not finite"),
-        ({"positions": POSITIONS[:1], "faces": FACES}, "has 1 frame; expected two or more"),
         ({"positions": np.array([None, {}]), "faces": FACES}, "cannot be read as a NumPy archive"),
     ],
 )
@@ -106,12 +97,11 @@ def test_caches_that_hold_something_else_are_refused(tmp_path, arrays, message):
     refused(tmp_path / "a.npz", message)
 
 
-@pytest.mark.parametrize("suffix", [".vtu", ".vtk"])
-def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_each_part(tmp_path, suffix):
-    write_frames(tmp_path, "a_{}", "b_{}", suffix=suffix)
+def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_each_part(tmp_path):
+    write_frames(tmp_path, "a_{}", "b_{}", suffix=".vtu")
     check(tmp_path, names=("a", "b"))
     entries = "".join(
-        f'<DataSet timestep="{0.5 * k}" part="{part}" file="{name}_{8 + k}{suffix}"/>'
+        f'<DataSet timestep="{0.5 * k}" part="{part}" file="{name}_{8 + k}.vtu"/>'
         for k in (2, 0, 1)
         for part, name in enumerate("ab")
     )
@@ -121,24 +111,6 @@ def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_eac
     for damaged in (text[:-5], text.replace("Collection", "Other"), text.replace("file=", "name=")):
         path.write_text(damaged)
         refused(path, r"all\.pvd: ")
-
-
-def _item(kind, values) -> str:
-    shape, text = " ".join(map(str, np.shape(values))), " ".join(map(repr, np.ravel(values).tolist()))
-    return f'<DataItem DataType="{kind}" Precision="8" Dimensions="{shape}" Format="XML">{text}</DataItem>'
-
-
-def _grid(frame, inside="") -> str:
-    topology = f'<Topology TopologyType="Triangle">{_item("Int", FACES)}</Topology>'
-    return f'<Grid>{topology}<Geometry GeometryType="XYZ">{_item("Float", frame)}</Geometry>{inside}</Grid>'
-
-
-def _xdmf(*grids) -> str:
-    return f'<Xdmf Version="3.0"><Domain>{"".join(grids)}</Domain></Xdmf>'
-
-
-def _collection(grids) -> str:
-    return f'<Grid GridType="Collection" CollectionType="Temporal">{"".join(grids)}</Grid>'
 
 
 @pytest.mark.parametrize("data_format", ["XML", "HDF"])
@@ -158,9 +130,23 @@ def test_series_of_xdmf_moves_by_its_displacements(tmp_path, data_format, monkey
     refused(tmp_path / "a.xdmf", "has no field 'v' at its points; expected one of them: 'u', 'p'", displacement="v")
 
 
+def _item(kind, values) -> str:
+    shape, text = " ".join(map(str, np.shape(values))), " ".join(map(repr, np.ravel(values).tolist()))
+    return f'<DataItem DataType="{kind}" Precision="8" Dimensions="{shape}" Format="XML">{text}</DataItem>'
+
+
+def _grid(frame, inside="") -> str:
+    topology = f'<Topology TopologyType="Triangle">{_item("Int", FACES)}</Topology>'
+    return f'<Grid>{topology}<Geometry GeometryType="XYZ">{_item("Float", frame)}</Geometry>{inside}</Grid>'
+
+
+def _collection(grids) -> str:
+    return f'<Grid GridType="Collection" CollectionType="Temporal">{"".join(grids)}</Grid>'
+
+
 def test_series_of_xdmf_with_a_geometry_for_each_time_or_a_collection_for_each_field(tmp_path):
-    path = tmp_path / "a.xmf"
-    path.write_text(_xdmf(_collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS))))
+    path, xdmf = tmp_path / "a.xmf", '<Xdmf Version="3.0"><Domain>{}</Domain></Xdmf>'
+    path.write_text(xdmf.format(_collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS))))
     check(path, names=("a.xmf",))
     fields = [
         _collection(
@@ -169,9 +155,7 @@ def test_series_of_xdmf_with_a_geometry_for_each_time_or_a_collection_for_each_f
         )
         for name, values in (("u", EIGHTHS - EIGHTHS[0]), ("p", np.zeros((3, 4))))
     ]
-    text = _xdmf(_grid(EIGHTHS[0]), *fields)
-    path.write_text(text)
+    path.write_text(text := xdmf.format(_grid(EIGHTHS[0]) + "".join(fields)))
     check(path, names=("a.xmf",), positions=EIGHTHS, displacement="u")
-    for old, new in (('Value="2"', 'Value="3"'), ("<Grid>", '<Grid GridType="Tree">')):  # of the mesh beside them, too
-        path.write_text(text.replace(old, new, 1))
-        refused(path, "temporal collections of the same times", displacement="u")
+    path.write_text(text.replace('Value="2"', 'Value="3"', 1))
+    refused(path, "temporal collections of the same times", displacement="u")

@@ -72,13 +72,6 @@ def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
     return tree, buffer
 
 
-def gltf_tree() -> dict:
-    """A glTF that holds its buffer."""
-    tree, buffer = gltf_files()
-    tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
-    return tree
-
-
 def exported(kind, vertices=VERTICES, faces=FACES) -> bytes:
     data = trimesh.Trimesh(vertices, faces, process=False).export(file_type=kind)
     return data.encode() if isinstance(data, str) else data
@@ -95,6 +88,13 @@ def of_meshio(name, mesh=None, **options) -> bytes:
         else:
             mesh.write(path, **options)
         return path.read_bytes()
+
+
+def _gltf() -> bytes:
+    """A glTF that holds its buffer."""
+    tree, buffer = gltf_files()
+    tree["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
+    return json.dumps(tree).encode()
 
 
 def _npz() -> bytes:
@@ -118,7 +118,7 @@ WHOLE = {
     "binary.stl": lambda: exported("stl"),
     "ascii.stl": lambda: exported("stl_ascii"),
     "scene.glb": lambda: exported("glb"),
-    "scene.gltf": lambda: json.dumps(gltf_tree()).encode(),
+    "scene.gltf": _gltf,
     "archive.zip": lambda: zipped({"folder/mesh.ply": PLY, "read me.txt": b"a mesh"}),
     "archive.tar.gz": lambda: tarred({"mesh.ply": PLY.encode()}),
     "archive.tar.bz2": lambda: tarred({"mesh.ply": PLY.encode()}, "bz2"),
@@ -141,10 +141,7 @@ def whole(name) -> bytes:
 
 
 def content(path) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and faces of any file of a mesh or of a sequence, or poses and times of a table of poses."""
-    if path.name.startswith("poses"):
-        sequence = ccd.read_poses(path.with_name("box.obj"), path)
-        return sequence.poses, sequence.times
+    """Positions and faces of any file of a mesh or of a sequence."""
     if path.suffix in (".npz", ".pvd"):
         sequence = ccd.read_sequence(path)
         return np.array([*sequence]), sequence.mesh.faces
