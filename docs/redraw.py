@@ -9,7 +9,7 @@ Nothing is measured: benchmarks are drawn from the raw figures in benchmarks/res
 figure of an example takes the example's whole run, so ``--check`` does not draw it: it is stale where the program has
 changed, but for its comments, since its figure was drawn, or where the figure is another than the one then drawn.
 ``--record NAME ...`` notes that an example's own command has just drawn its figure. It needs
-``pip install -e '.[bench,docs,viz]'``, and a Chromium for the pictures of ``ccd-warp explore``.
+``pip install -e '.[bench,docs,viz]'``.
 """
 
 import argparse
@@ -80,7 +80,6 @@ MAKERS = [
     Maker("method", "docs/make_figures.py {root}/docs/figures", ("simple", "grazing", "in_plane")),
     Maker("rigid", "docs/make_rigid_figure.py {root}/docs/figures", ("arcs",)),
     Maker("readme", "docs/make_pictures.py {root}/docs/figures", ("demo_cloth", "readme_bullet")),
-    Maker("explore", "docs/make_explore_pictures.py {root}/docs/figures", ("explore_bullet", "explore_pair")),
     Maker(
         "regions",
         "-m ccd_warp.benchmarks.distributed_regions {root}/docs/figures/distributed_regions.png",
