@@ -27,8 +27,8 @@ def sheet_over_floor():
 
 
 def of_pairs(kind, **options):
-    frames = (x[:, : PAIRS[kind]].copy() for x in (START, END))
-    return lambda frames=tuple(frames): getattr(ccd, f"{kind}_ccd")(*frames, minimum_separation=0.02, **options).toi
+    start, end = (x[:, : PAIRS[kind]].copy() for x in (START, END))
+    return lambda: getattr(ccd, f"{kind}_ccd")(start, end, minimum_separation=0.02, **options).toi
 
 
 def of_mesh(name, field=None, **options):
@@ -39,14 +39,11 @@ def of_mesh(name, field=None, **options):
     return call
 
 
-def launch(dtype=wp.vec3d, method="launch", **options):
-    def call():
-        mesh, *frames = sheet_over_floor()
-        pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", num_threads=2, **options)
-        result = getattr(pipeline, method)(*(wp.array(x, dtype=dtype, device="cpu") for x in frames))
-        return result.vertex_toi.numpy().copy()
-
-    return call
+def launch(method="launch"):
+    mesh, *frames = sheet_over_floor()
+    pipeline = ccd.CollisionPipeline(mesh, length_scale=1.0, device="cpu", num_threads=2)
+    result = getattr(pipeline, method)(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in frames))
+    return result.vertex_toi.numpy().copy()
 
 
 CALLS = [
@@ -55,9 +52,8 @@ CALLS = [
     of_mesh("mesh_ccd", "vertex_toi"),
     of_mesh("collision_free_step", precision="float32"),
     of_mesh("find_candidates", "edge_edge"),
-    launch(),
-    launch(wp.vec3f, precision="float32"),
-    launch(method="launch_line_search"),
+    launch,
+    lambda: launch("launch_line_search"),
 ]
 
 

@@ -17,10 +17,6 @@ points_t1 = points_t0 - [[[0, 0, 2], [0, 0, 0], [0, 0, 0], [0, 0, 0]]]
 print(ccd.vertex_face_ccd(points_t0, points_t1).toi[0].round(3))
 """
 OWN = """
-mesh = ccd.CollisionMesh.from_arrays([(points_t0[0, 1:], [[0, 1, 2]])] * 2)
-start = mesh.vertices + np.outer(mesh.vertex_body, [0, 0, 3.0])
-ccd.CollisionPipeline(mesh).launch(start, start)
-print(ccd.collision_free_step(mesh, start, start))
 import warp as wp
 @wp.kernel
 def fill(a: wp.array[float]):
@@ -43,7 +39,7 @@ warp.set_logger(Logger())
 @pytest.mark.parametrize(
     "code, shown",
     [
-        (SOLVE + OWN, r"0\.5\n1\.0\nModule __main__[^\n]*\n\[1\. 1\.\]\n"),
+        (SOLVE + OWN, r"0\.5\nModule __main__[^\n]*\n\[1\. 1\.\]\n"),
         ("import ccd_warp, warp\nwarp.init()\n" + SOLVE, r"Warp (?!.*ccd_warp\.).*\n0\.5\n"),
         ("import warp\nwarp.config.log_level = warp.LOG_DEBUG\n" + SOLVE, r"Warp .*Module ccd_warp\..*"),
         (LOGGER + SOLVE, r"mine: Warp\nmine: Module\n.*0\.5\n"),
