@@ -1,12 +1,7 @@
 """Threads that compile take one precompiled header, and wait for the thread that makes it."""
 
-import os
 import shutil
-import signal
-import subprocess
-import sys
 import threading
-import time
 import types
 from pathlib import Path
 
@@ -62,27 +57,3 @@ def test_threads_that_compile_share_a_folder_once_its_header_has_its_name_or_mak
     assert folder_here() == str(folder)  # whose header the others take from now on
     shutil.rmtree(folder)  # one that is gone is not given
     assert Path(folder_here()).is_dir()
-
-
-def test_ctrl_c_while_the_header_is_made_leaves_no_file(tmp_path):
-    for name, z in (("start", 1), ("end", -1)):
-        rows = [f"v {x} {y} {z * (k // 3)}" for k, (x, y) in enumerate(2 * [(0, 0), (1, 0), (0, 1)])]
-        (tmp_path / f"{name}.obj").write_text("\n".join([*rows, "f 1 2 3", "f 4 5 6", ""]))
-    program = (
-        "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell may have had it ignored
-        "from ccd_warp._cli.command import run_program; run_program()"
-    )
-    (temporary := tmp_path / "temporary").mkdir()
-    process = subprocess.Popen(
-        [sys.executable, "-P", "-c", program, "run", "start.obj", "end.obj", "--device", "cpu"],
-        cwd=tmp_path,
-        env=os.environ | {"TMPDIR": str(temporary), "WARP_CACHE_PATH": str(tmp_path / "cache")},
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    while process.poll() is None and not any(temporary.glob("*/*.tmp")):
-        time.sleep(0.01)
-    process.send_signal(signal.SIGINT)
-    assert (process.communicate(timeout=600.0)[1], process.returncode) == ("", 130)
-    assert not any(temporary.iterdir())
