@@ -142,24 +142,18 @@ MALFORMED = [  # of a format: what stands in place of what, and what the message
     ("ply", "element face 6", "element face 7", "holds 6 rows of the element 'face', and its h.* 7"),
     ("ply", "3 6 7 8", "4 6 7 8", "line 26 says 4 corners and holds 3 numbers behind that"),
     ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds '7\.5'; expected an integer"),
-    ("ply", "3 6 7 8", "3 6 7 12", r"face 3 is \[6, 7, 12\], but the file has 12 vertices"),
     ("ply", ROWS[4], "1_0 2 3", "line 15 holds '1_0'; expected a number"),
     ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
-    ("off", "12 6 0", "12 7 0", "holds 12 vertices and 6 faces, and says that it has 12 and 7"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
     ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of vertex -4, but the file has 3 vertices"),
     ("obj", "f 1", "v 1 2\nf 1", "line 4 is a vertex of 2 numbers"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    ("obj", "f 1 2 3\n", "", "holds no triangles"),
     ("stl", "vertex 1 0 0\n", "", "line 6 begins with 'endloop'; expected vertex"),
-    ("stl", "endsolid\n", "endsolid\nfacet", "line 10 begins with 'facet'; expected solid"),
     # Three numbers less are a vertex less, and an input less makes other faces.
     ("dae", "?", '<float_array id="a" count="9">0 0 0 1 0 0</float_array>', "'a' holds 6 values; it says 9"),
-    ("dae", "?", '<polylist count="2"><vcount>4</vcount><p>0 1 2 3</p></polylist>', "holds 1 polygons; it says 2"),
     # Integers taken for reals are nearly zero, and would be the corners 0, 0, 0 of every face.
     ("xdmf", 'DataType="Int"', 'DataType="Float"', "are Float of shape .*; expected integers"),
     ("xdmf", 'Precision="8" Dimensions="3 3"', 'Precision="4" Dimensions="3 3"', "18 numbers of float32; expected 9"),
-    ("xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
 ]
 
 
@@ -189,13 +183,8 @@ def gltf(change):
         # A row of three corners that says one, and one that takes a number of the next row.
         ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "is a triangle of 1 corners"),
         ("text.vtu", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "cell 1 is a triangle of 2 corners"),
-        # Of a damaged header_type, a default of half the size would be taken; foreign characters would shift the rest.
+        # Of a damaged header_type, a default of half the size would be taken.
         ("text.vtu", lambda data: data.replace(b"<VTKFile", b'<VTKFile headez_type="U"'), "no VTKFile .* header_type"),
-        (
-            "binary.vtu",
-            lambda data: re.sub(rb"(DataArray[^>]*>\s*\S{20})\S{8}", rb"\1!!!!!!!!", data),
-            "cannot be read",
-        ),
         ("scene.gltf", gltf(lambda tree: tree.update(extensionsRequired=["KHR_d"])), "requires the extension 'KHR_d"),
         ("scene.gltf", gltf(lambda tree: tree["accessors"][0].update(sparse={})), "mesh 0 is compressed or sparse"),
         ("scene.gltf", gltf(lambda tree: tree["bufferViews"][1].update(byteLength=999)), "buffer view 1 goes be"),
@@ -219,19 +208,13 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     data = path.read_bytes()
     assert content(path)[1].tolist() == FACES[:3].tolist()
     with h5py.File(tmp_path / "a.h5", "a") as file:
-        file["data9"] = h5py.ExternalLink("other.h5", "data0")
+        file["link"] = h5py.ExternalLink("other.h5", "data0")
         bomb = file.create_dataset("bomb", (7, 3), "f8", chunks=(7, 3), compression="gzip")
         bomb.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 22)))
-        file.create_dataset("huge", (1 << 27, 3), "f8", chunks=(1 << 10, 3))  # 3 GiB of which nothing is stored
-    name, many = re.search(rb"a\.h5:/(\w+)", data)[1], b'Dimensions="%d 3"' % (1 << 27)
-    for old, new, message in (
-        (b'Dimensions="7 3"', b'Dimensions="3 7"', "no dataset of shape"),
-        (b"/" + name, b"/data9", "as a link alone"),
-        (b"/" + name, b"/bomb", "a chunk that unpacks to more than its 168 bytes"),
-    ):
-        refused(path, data.replace(old, new), message)
-    huge = data.replace(b"/" + name, b"/huge").replace(b'Dimensions="7 3"', many)
-    refused(path, huge, "has 3,221,225,472 bytes, and the limit is")
+    name = re.search(rb"a\.h5:/(\w+)", data)[1]
+    refused(path, data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"'), "no dataset of shape")
+    refused(path, data.replace(b"/" + name, b"/link"), "as a link alone")
+    refused(path, data.replace(b"/" + name, b"/bomb"), "a chunk that unpacks to more than its 168 bytes")
     monkeypatch.setitem(sys.modules, "h5py", None)
     refused(path, data, r"lie in an HDF5 file; install with: pip install 'ccd-warp\[formats\]'")
 
@@ -247,18 +230,11 @@ def test_meshes_of_an_archive_are_read_and_what_systems_leave_beside_them_is_pas
     assert same(read(tmp_path / "a.zip", zipped({"a.stl": soup})), read(tmp_path / "a.stl", soup))
 
 
-@pytest.mark.parametrize(
-    "name, pack",
-    [
-        ("bomb.zip", lambda data: zipped({"a.ply": data})),
-        ("bomb.tar.gz", lambda data: tarred({"a.ply": data})),
-        ("bomb.ply.bz2", bz2.compress),
-    ],
-)
-def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name, pack):
-    path = tmp_path / name
-    path.write_bytes(pack(PLY.encode() + bytes(3_000_000)))
-    assert path.stat().st_size < 10_000
+@pytest.mark.parametrize("name", ["bomb.zip", "bomb.tar.gz", "bomb.ply.bz2"])
+def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name):
+    data, path = PLY.encode() + bytes(3_000_000), tmp_path / name
+    packed = {"zip": zipped({"a.ply": data}), "gz": tarred({"a.ply": data}), "bz2": bz2.compress(data)}
+    path.write_bytes(packed[name.rpartition(".")[2]])
     with pytest.raises(ValueError, match=r"the limit is 1,000,000 bytes; raise it with --max-bytes \(max_bytes= in"):
         ccd.read_frames(path, path, max_bytes=1_000_000)
     with pytest.raises(ValueError, match=f"{name}(?!.*limit)"):
@@ -294,5 +270,3 @@ def test_archive_whose_end_loses_a_member_is_refused(tmp_path, name):
     without_last = data[:last] + data[end : end + 12] + struct.pack("<II", last - first, first) + data[end + 20 :]
     for damaged in (data[: end + 12] + fewer + data[end + 20 :], without_last):
         refused(tmp_path / name, damaged, "that its directory does not list")
-    if name == "a.zip":  # a mesh that would be taken for a folder
-        refused(tmp_path / name, data[:last] + data[last:].replace(b"two.off", b"two.of/"), "cannot be unpacked")

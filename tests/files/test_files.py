@@ -57,13 +57,6 @@ def test_every_bit_and_every_vertex_comes_as_the_file_has_it(tmp_path, name):
     assert np.array_equal(frames.mesh.faces, BALL_FACES) and not frames.num_merged.any()
 
 
-def test_vertices_of_an_indexed_format_stay_what_they_are(tmp_path):
-    """Those that touch are two, and those in no face keep their numbers."""
-    text = _obj(np.zeros((7, 3)), np.array([[1, 2, 3], [4, 5, 6]]))
-    frames = _frames(tmp_path, "a.obj", text)
-    assert len(frames.vertices_t0) == 7 and frames.mesh.faces.tolist() == [[1, 2, 3], [4, 5, 6]]
-
-
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
 def test_stl_corners_are_merged_by_the_map_of_the_start(tmp_path, kind):
     moved = BALL * [1.0, 2.0, 3.0]

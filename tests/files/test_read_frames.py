@@ -77,13 +77,3 @@ def test_frames_in_the_other_order_are_warned_of(tmp_path, names):
     (swapped,) = said(tmp_path, START, START, names)
     assert swapped.startswith(f"the step goes from {names[0]} to {names[1]}; are the two swapped?")
     assert said(tmp_path, START, START, names[::-1]) == []
-
-
-def test_steps_of_a_sequence_are_warned_of_once_each(tmp_path, recwarn):
-    for k, size in enumerate((1.0, 1.0, 1e-3, 1.0)):
-        (tmp_path / f"b_{k}.ply").write_bytes(ply(size * START, BALL.faces))
-    sequence = ccd.read_sequence([tmp_path / f"b_{k}.ply" for k in range(4)])
-    for _ in range(2):
-        assert len([*sequence]) == 4 and len([*sequence.steps()]) == 3
-    warned = [str(each.message).partition(" at the start")[0] for each in recwarn]
-    assert warned == ["the bodies that move are 2 long", "the bodies that move are 0.002 long"]
