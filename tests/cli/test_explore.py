@@ -48,32 +48,28 @@ def _cases() -> np.ndarray:
     """Pairs [n, 2, 3, 2]: of random places, of few places, that slide along each other, turn, or meet at an end."""
     random = np.random.default_rng(14)
     cases = random.uniform(size=(len(TOLERANCES), 2, 3, 2))
+    cases[1::5] = np.round(4.0 * cases[1::5]) / 4.0
     for i, (start, end) in enumerate(cases):
         match i % 5:
-            case 1:
-                cases[i] = np.round(4.0 * cases[i]) / 4.0
             case 2:  # p flies beside a stationary segment
                 end[1:] = start[1:]
-                side = start[2] - start[1]
-                start[0] = start[1] + 0.1 * side + random.uniform(-0.01, 0.01, 2)
-                end[0] = start[2] - 0.1 * side + random.uniform(-0.01, 0.01, 2)
+                start[0], end[0] = ([[0.9, 0.1], [0.1, 0.9]] @ start[1:]) + random.uniform(-0.01, 0.01, (2, 2))
             case 3:  # the segment turns about its middle
                 angle, middle = random.uniform(1.5, 3.0), start[1:].mean(axis=0)
-                turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-                end[1:] = (start[1:] - middle) @ turn.T + middle
+                c, s = np.cos(angle), np.sin(angle)
+                end[1:] = (start[1:] - middle) @ [[c, s], [-s, c]] + middle
             case 4:  # p flies through an end of the segment
-                end[0] = 2.0 * (0.5 * (start[1] + end[1])) - start[0]
+                end[0] = start[2] + end[2] - start[0]
     return cases
 
 
 def _solved(cases, method, **options):
     """The library's toi, status and iterations of every case."""
     results = []
-    for mine, (tolerance, *_) in zip(np.split(cases, 4), np.split(TOLERANCES, 4), strict=True):
-        ends = mine[:, 0].copy(), mine[:, 1].copy()
-        result = ccd.point_segment_ccd(*ends, tolerance=float(tolerance), method=method, device="cpu", **options)
-        results.append([np.asarray(result.toi), np.asarray(result.status), np.asarray(result.iterations)])
-    return [np.concatenate(column) for column in zip(*results, strict=True)]
+    for (start, end), tolerance in zip(cases, TOLERANCES, strict=True):
+        result = ccd.point_segment_ccd(start[None], end[None], tolerance=tolerance, method=method, **options)
+        results.append([result.toi[0], result.status[0], result.iterations[0]])
+    return [np.array(column) for column in zip(*results, strict=True)]
 
 
 def test_the_page_shows_the_toi_the_status_and_every_bound_of_the_library(page):
