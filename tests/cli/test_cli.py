@@ -28,7 +28,6 @@ TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 CROSSING = np.vstack([3.0 * TRIANGLE, [[0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]]])
 DROP = np.array([[0.2, 0.2, 0.0], [0.25, 0.2, 2.0], [0.2, 0.25, 2.0]])
-STRAYS = np.array([[0.0, 0, 9], [1e9, 0, 0], [np.nan] * 3])
 HOSTILE, SHOWN = "bad\x1b]0;title\x07\x1b[31m\x9b2J\u202e é.ply", r"bad\x1b]0;title\x07\x1b[31m\x9b2J\u202e é.ply"
 
 
@@ -47,14 +46,10 @@ def folder(tmp_path_factory):
         ("floor", BOX.vertices - [0, 0, 0.5], BOX.faces),
         ("in_mm", 1000.0 * start, BALL.faces),
         *((f"turned_{k}", _turned(angle), BALL.faces) for k, angle in enumerate((0.0, np.pi))),
-        ("stray_1", np.vstack([start, STRAYS]), BALL.faces),
-        ("stray_2", np.vstack([start - [0, 0, 5.0], STRAYS * [1, 1, -1]]), BALL.faces),
         ("crossing", CROSSING, three[:2]),
         ("parted", CROSSING + np.outer(np.arange(6) > 2, [0, 0, 2.0]), three[:2]),
         ("drop_1", DROP + [0, 0, 1.0], three[:1]),
         ("drop_2", DROP - [0, 0, 0.5], three[:1]),
-        ("touching_1", DROP, three[:1]),
-        ("touching_2", DROP - [0, 0, 0.1], three[:1]),
         ("tiles", np.vstack([TRIANGLE - [9.0, 0, 0], TRIANGLE - [6.0, 0, 0], TRIANGLE]), three),
         ("sheet_1", SQUARE, [[0, 1, 2], [0, 2, 3]]),  # whose corner touches a wall, and which falls on a floor
         ("sheet_2", SQUARE - [0, 0, 2.0], [[0, 1, 2], [0, 2, 3]]),
@@ -69,7 +64,6 @@ def folder(tmp_path_factory):
     for name, content in {
         "pairs.txt": b'# what touches by design\nbodies, sheet_1.ply, wall.ply\n\nbodies,0,"ground.ply"\n',
         "nobody.txt": b"bodies,sheet_1.ply,nobody",
-        "many.txt": b"vertices,1,99",
         "step.csv": b"0,floor.ply,0,0,0,0,0,0,1\n1,floor.ply,0,0,0,0,0,1,0\n",
         "escape.obj": b"v 0 0 \x1b[31m\n",
     }.items():
@@ -118,13 +112,8 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
     (ON, "at the start no edge passes through a face"),
     (f"{ON} --radius 0.0125 --radius floor.ply=0.025", "0.0125 to 0.025"),
     ("run soup.stl soup.stl", "(798 vertices of soup.stl merged by position)"),
-    ("run stray_1.ply stray_2.ply --static floor.ply", "(3 vertices of stray_1.ply in no face take no part)"),
     # The third face of an obstacle that comes after other bodies is the third of this body.
     ("run drop_1.ply drop_2.ply --static tiles.ply", "vertex 0 of drop_1.ply and face 2 of tiles.ply at (0.2"),
-    (
-        "run touching_1.ply touching_2.ply --static tiles.ply --pair-kinds vertex-face",
-        "at the start 1 pair is in contact at the start already, with toi 0: 1 of touching_1.ply and tiles.ply",
-    ),
     # An edge through the inside of a face, and both at rest: no contact in CCD, and a start that is not sound.
     (
         "run crossing.ply crossing.ply",
@@ -136,7 +125,6 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
     (f"{SHEET} --ignore-start-contacts", "pairs that touch in the first frame (--ignore-start-contacts)", "toi 0.4999"),
     (f"{SHEET} --exclude pairs.txt --no-self-collision", "scene toi none", "2 pairs of bodies (--exclude)"),
     (f"{SHEET} --exclude pairs.npz --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
-    (f"{SHEET} --exclusion-rings 3", "pairs that fewer than 3 edges connect (--exclusion-rings)"),
     ("run floor.ply --poses step.csv", "floor.ply: t = 0.0 -> t = 1.0", "pairs within a rigid body", "scene toi none"),
 ]
 
@@ -220,10 +208,7 @@ def test_every_format_holds_the_result_bit_for_bit(run):
     options = json.loads(str(arrays["options"]))
     assert data["version"] == str(arrays["version"]) == ccd.__version__ and data["options"] == options
     assert options.keys() == ccd.MeshOptions.__optional_keys__ and options["length_scale"] == 4.0
-    assert data["units"]["length"] == json.loads(str(arrays["units"]))["length"] == "that of the files"
-    counts = data["counts"]
-    assert counts.keys() == vars(result.counts).keys() and counts["num_faces"] == result.counts.num_faces
-    assert counts["num_after_cull"]["edge_edge"] == result.counts.num_after_cull[ccd.PairKind.EDGE_EDGE]
+    assert data["counts"]["num_after_cull"]["edge_edge"] == result.counts.num_after_cull[ccd.PairKind.EDGE_EDGE]
     assert data["crossing_at_start"] == [] and arrays["crossing_at_start"].shape == (0, 2)
 
 
@@ -294,20 +279,14 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{ON} --kinematic floor.ply", "--kinematic floor.ply: no body that moves has this name"),
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{RUN} --output result.txt", ".npz, .json, .csv"),
-    (f"{RUN} --output none/result.npz", "does not exist"),
-    ("run none.ply end.ply", "none.ply: no such file"),
     ("run start.ply floor.ply", "start.ply has 162 vertices and 320 faces, floor.ply has 8 vertices and 12 faces"),
     (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
     (f"{SHEET} --exclude nobody.txt", "bodies are sheet_1.ply, wall.ply, ground.ply"),
-    (f"{SHEET} --exclude many.txt", "exclude_pairs['vertices'] holds vertex 99"),
     ("run floor.ply floor.ply --poses step.csv", "END is given with --poses"),
-    (f"{RUN} --path screw", "--path screw is given without --poses"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
     ("sequence floor.ply", "has 1 frame; expected two or more"),
     ("sequence start.ply end.ply --picture a.webm", ".gif, .mp4, .png"),
-    ("run not_even_looked_for.ply end.ply --picture none/step.png", "does not exist"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
-    ("explore --output page.txt", "--output page.txt: the name must end in .html, .htm"),
     (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),
 ]
@@ -370,15 +349,11 @@ def test_a_pipe_without_a_reader_keeps_the_status(run, line, monkeypatch):
 
 
 @pytest.mark.parametrize("line", [ON, SEQUENCE])
-def test_a_full_or_a_closed_standard_output_is_an_error_where_the_result_goes_there(run, line, monkeypatch):
+def test_a_full_standard_output_is_an_error_where_the_result_goes_there(run, line, monkeypatch):
     with open("/dev/full", "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         shown = run(f"{line} --output - --quiet --fail-on-contact", status=2)
     assert shown.err == "ccd-warp: error: cannot write to standard output (No space left on device)\n"
-    with monkeypatch.context() as patch:
-        patch.setattr(sys, "stdout", None)
-        assert "--output -: there is no standard output" in run(f"{line} --output -", status=2).err
-        run(f"{line} --output closed{'.json' * (line == ON)}")
 
 
 @pytest.mark.parametrize("name", ["full.json", "full.npz", "full"])

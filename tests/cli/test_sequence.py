@@ -79,11 +79,10 @@ def test_sequence_that_is_interrupted_goes_on_where_it_was(folder, solved, capfd
     steps = [*ccd.read_sequence([folder / name for name in BALLS], static=["floor.ply"]).steps()]
     how = {"length_scale": 1.0, "minimum_separation": 0.01}
     expected = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **how) for step in steps]
-    for row, result in zip(rows("out"), expected, strict=True):
-        assert float(row["toi"]) == result.toi and int(row["contacts"]) == len(result.contacts)
-        if result.hit:
-            assert [float(row[axis]) for axis in "xyz"] == result.first.point.tolist()
-            assert {row["body_0"], row["body_1"]} == {"ball", "floor.ply"}
+    found = [(float(row["toi"]), int(row["contacts"])) for row in rows("out")]
+    assert found == [(result.toi, len(result.contacts)) for result in expected]
+    (k, *_) = np.flatnonzero([result.hit for result in expected])
+    assert [float(rows("out")[k][axis]) for axis in "xyz"] == expected[k].first.point.tolist()
 
 
 def test_other_options_or_frames_or_files_beside_them_begin_anew(folder, solved):
@@ -180,16 +179,10 @@ def test_steps_at_whose_start_surfaces_cross_are_marked_in_the_animation(folder)
     assert marked == [False, False, False, True, False]  # the third is at the toi, the last begins no step
 
 
-@pytest.mark.parametrize("name", ["fall.png", pytest.param("fall.mp4", marks=pytest.mark.long)])
-def test_picture_of_the_first_step_with_a_contact_and_film(folder, monkeypatch, capfd, name):
-    animation = pytest.importorskip("ccd_warp.viz._animation")
+def test_picture_of_the_first_step_with_a_contact(folder, monkeypatch, capfd):
     pytest.importorskip("pyvista", reason="the extra viz is not installed")
-    if name.endswith("mp4") and animation.encoder() is None:
-        pytest.skip("no ffmpeg found")
-    run(*BALLS[-5:], *ON, "--output", "-", "--picture", name, "--quiet")
-    content = (folder / name).read_bytes()
-    assert content.startswith(b"\x89PNG") if name.endswith("png") else content[4:8] == b"ftyp"
-    monkeypatch.setattr(animation, "encoder", lambda: None)
-    capfd.readouterr()
+    run(*BALLS[-5:], *ON, "--output", "-", "--picture", "fall.png", "--quiet")
+    assert (folder / "fall.png").read_bytes().startswith(b"\x89PNG")
+    monkeypatch.setattr("ccd_warp.viz._animation.encoder", lambda: None)
     run(*BALLS, "--picture", "a.mp4", status=2)
     assert "MP4 needs an encoder; install ffmpeg" in capfd.readouterr().err

@@ -196,9 +196,6 @@ def test_malformed_line_is_named(tmp_path, blocks, row, message, at):
     _refused(_write(tmp_path, rows), at, message)
 
 
-KNOWN, UNKNOWN = [f"{ROW},1"], [f"{ROW},0"]
-
-
 @pytest.mark.parametrize(
     "rows, line, message",
     [
@@ -206,8 +203,8 @@ KNOWN, UNKNOWN = [f"{ROW},1"], [f"{ROW},0"]
         ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, "has 5 columns; expected 6 as on line 1"),
         (["xn,xd,yn,yd,zn,zd,truth", *QUERY], 1, "'xn' is not an integer"),
         ([ROW] * 7, 7, "the file ends after 7 rows; expected a multiple of 8, 8 a query"),
-        ([*KNOWN * 10, f"{ROW},01", *KNOWN * 5], 11, "truth is '01'; expected 0 or 1"),
-        ([*KNOWN * 8, *UNKNOWN * 5, *KNOWN * 3], 14, "truth is 1 and 0 on line 9; expected one truth on the 8 rows"),
+        ([f"{ROW},1"] * 10 + [f"{ROW},01"] * 6, 11, "truth is '01'; expected 0 or 1"),
+        ([f"{ROW},{int(k != 13)}" for k in range(16)], 14, "truth is 0 and 1 on line 9; expected one truth on the 8"),
     ],
 )
 def test_rows_that_are_no_queries_are_refused(tmp_path, blocks, rows, line, message):
@@ -243,24 +240,19 @@ def test_steps_come_back(tmp_path):
         assert sorted(os.listdir(tmp_path)) == ["7.ply", "8.ply"]
 
 
-def _set(label, n, kind="edge-edge", truth=True):
-    known = np.arange(n) % 2 == 0 if truth else None
-    return datasets.Queries(label, kind, _points(n), _points(n, seed=1), known, ((label, n),))
-
-
 def test_joined_sets_keep_their_order_and_ids():
-    parts = [_set("a", 2), _set("b", 0, truth=False), _set("c", 3)]
-    whole = datasets.Queries.joined("all", parts)
-    assert (whole.name, whole.kind, len(whole)) == ("all", "edge-edge", 5)
-    assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"]
-    assert _same_bits(whole.points_t1, np.concatenate([part.points_t1 for part in parts]))
+    def part(label, n, kind="edge-edge", truth=True):
+        known = np.arange(n) % 2 == 0 if truth else None
+        return datasets.Queries(label, kind, _points(n), _points(n, seed=1), known, ((label, n),))
+
+    whole = datasets.Queries.joined("all", [part("a", 2), part("b", 0, truth=False), part("c", 3)])
+    assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"] and whole.kind == "edge-edge"
+    assert _same_bits(whole.points_t1, np.concatenate([_points(2, seed=1), _points(3, seed=1)]))
     assert whole.truth.tolist() == [True, False, True, False, True]
-    for other, message in (
-        (_set("b", 1, "vertex-face"), r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"),
-        (_set("b", 1, truth=False), "parts of x: the truth of b is not known, that of others is"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            datasets.Queries.joined("x", [_set("a", 1), other])
+    with pytest.raises(ValueError, match=r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"):
+        datasets.Queries.joined("x", [part("a", 1), part("b", 1, "vertex-face")])
+    with pytest.raises(ValueError, match="parts of x: the truth of b is not known, that of others is"):
+        datasets.Queries.joined("x", [part("a", 1), part("b", 1, truth=False)])
 
 
 ZERO = np.zeros((3, 4, 3))

@@ -115,30 +115,6 @@ def test_first_calls_of_a_process_come_from_many_threads_or_from_a_child_of_a_bu
     assert done.returncode == 0, done.stderr[-3000:]
 
 
-def test_thread_that_is_held_up_holds_up_no_thread_on_another_mesh(monkeypatch):
-    """Nor a child that is forked meanwhile, where the other thread is gone and holds a lock for ever."""
-    real = ccd._engine.boxes.step_boxes.choose_quantization
-    is_in, go_on = threading.Event(), threading.Event()
-
-    def held_up(*arguments):
-        if threading.current_thread().name == "held up":
-            is_in.set()
-            go_on.wait(600.0)
-        return real(*arguments)
-
-    monkeypatch.setattr(ccd._engine.boxes.step_boxes, "choose_quantization", held_up)
-    slow, other = (threading.Thread(target=of_mesh("mesh_ccd"), name=name) for name in ("held up", "other"))
-    slow.start()
-    assert is_in.wait(60.0)
-    other.start()
-    other.join(120.0)
-    has_ended = not other.is_alive()
-    go_on.set()
-    slow.join()
-    other.join()
-    assert has_ended
-
-
 if __name__ == "__main__":
     wp.config.log_level = wp.LOG_ERROR
     sys.exit("\n".join(IN_PROCESSES[sys.argv[1]]()) or 0)
