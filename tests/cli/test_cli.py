@@ -272,19 +272,16 @@ def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
 REFUSED = [  # of a command, what its one line says; what the library refuses, its own table holds
     ("run start.ply", "END is missing"),
     (f"{RUN} --static a.ply b.ply", "--help"),  # the second would be taken for a frame
-    (f"{RUN} --tolerance 0", "tolerance is 0.0; expected a finite number above 0"),
     (f"{RUN} --pair-kinds point-point", "--pair-kinds holds point-point, which these bodies cannot form"),
     (f"{RUN} --radius thin", "--radius thin: expected a number"),
     (f"{RUN} --radius ghost=1", "--radius ghost=1: no body has this name; expected one of start.ply"),
     (f"{ON} --kinematic floor.ply", "--kinematic floor.ply: no body that moves has this name"),
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{RUN} --output result.txt", ".npz, .json, .csv"),
-    ("run start.ply floor.ply", "start.ply has 162 vertices and 320 faces, floor.ply has 8 vertices and 12 faces"),
     (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
     (f"{SHEET} --exclude nobody.txt", "bodies are sheet_1.ply, wall.ply, ground.ply"),
     ("run floor.ply floor.ply --poses step.csv", "END is given with --poses"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    ("sequence floor.ply", "has 1 frame; expected two or more"),
     ("sequence start.ply end.ply --picture a.webm", ".gif, .mp4, .png"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),
@@ -374,10 +371,7 @@ def test_an_earlier_result_survives_a_full_disk(run, folder, name):
 
 
 def test_a_fault_of_the_command_itself_does_not_look_like_a_contact(monkeypatch, capfd):
-    def fail(argv=None):
-        raise RuntimeError("a fault")
-
-    monkeypatch.setattr(command, "main", fail)
+    monkeypatch.setattr(command, "main", lambda: 1 / 0)
     with pytest.raises(SystemExit) as end:
         command.run_program()
-    assert end.value.code == 3 and "RuntimeError: a fault" in capfd.readouterr().err
+    assert end.value.code == 3 and "ZeroDivisionError" in capfd.readouterr().err

@@ -8,10 +8,12 @@ import subprocess
 import sys
 import time
 from contextlib import nullcontext
+from pathlib import Path
 
 import numpy as np
 import pytest
 import warp as wp
+from mesh_files import ply
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
@@ -21,12 +23,10 @@ from ccd_warp._runtime.progress_line import line_of
 PATIENCE = 600.0  # a guard against hanging, not a demand: the answer to Ctrl-C is due within half a second
 # The command, whose lines are shown at once; a shell may have had Ctrl-C ignored.
 PROGRAM = """
-import signal
+import signal, ccd_warp._cli.command, ccd_warp._runtime.progress_line
 signal.signal(signal.SIGINT, signal.default_int_handler)
-import ccd_warp._runtime.progress_line
 ccd_warp._runtime.progress_line.PATIENCE = 0.0
-from ccd_warp._cli.command import run_program
-run_program()
+ccd_warp._cli.command.run_program()
 """
 
 
@@ -36,19 +36,12 @@ def plane(count):
     return np.pad(x, ((0, 0), (0, 1))), np.arange(3 * count).reshape(-1, 3)
 
 
-@pytest.fixture
-def frames(tmp_path, monkeypatch):
-    """Writes two frames of such triangles; their names."""
-    monkeypatch.chdir(tmp_path)
-
-    def write(count):
-        x, faces = plane(count)
-        corners = "".join(f"f {a} {b} {c}\n" for a, b, c in (faces + 1).tolist())
-        for name, positions in (("start.obj", x), ("end.obj", x + [0.1, 0.0, 0.0])):
-            (tmp_path / name).write_text("".join(f"v {a!r} {b!r} {c!r}\n" for a, b, c in positions.tolist()) + corners)
-        return "start.obj end.obj"
-
-    return write
+def frames(count):
+    """Writes two frames of such triangles into the current folder; their names."""
+    x, faces = plane(count)
+    for k in (0, 1):
+        Path(f"{k}.ply").write_bytes(ply(x + [0.1 * k, 0.0, 0.0], faces))
+    return ["0.ply", "1.ply"]
 
 
 def screen_of(shown) -> list[str]:
@@ -63,11 +56,12 @@ def screen_of(shown) -> list[str]:
     return [line.rstrip() for line in lines if line.strip() and "compiling kernels" not in line]
 
 
-def test_ctrl_c_at_a_terminal_ends_a_long_run_and_leaves_the_terminal_as_it_was(frames):
+def test_ctrl_c_at_a_terminal_ends_a_long_run_and_leaves_the_terminal_as_it_was(tmp_path, monkeypatch):
     """All pairs of 4,000 triangles would take minutes."""
     pty = pytest.importorskip("pty", reason="terminals of POSIX")
+    monkeypatch.chdir(tmp_path)
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-P", "-c", PROGRAM, "run", *frames(4000).split(), "--device", "cpu"]
+    command = [sys.executable, "-P", "-c", PROGRAM, "run", *frames(4000), "--device", "cpu"]
     process = subprocess.Popen(command, stderr=theirs, stdout=subprocess.PIPE, text=True, start_new_session=True)
     os.close(theirs)
     shown, is_pressed, end = b"", False, time.monotonic() + PATIENCE
@@ -117,11 +111,12 @@ def terminal(monkeypatch):
         ("run {} --quiet", None),
     ],
 )
-def test_progress_is_shown_and_the_terminal_is_left_as_it_was(frames, terminal, line, words):
+def test_progress_is_shown_and_the_terminal_is_left_as_it_was(tmp_path, terminal, monkeypatch, line, words):
     if "picture" in line:
         pytest.importorskip("pyvista", reason="the extra viz is not installed")
     terminal.open()
-    main(line.replace("{}", frames(40)).split())
+    monkeypatch.chdir(tmp_path)
+    main(line.replace("{}", " ".join(frames(40))).split())
     shown = terminal.getvalue()
     assert shown == "" if words is None else [each for each in words if each not in shown] == []
     assert "narrow phase" not in shown and screen_of(shown) == []
