@@ -168,12 +168,8 @@ def run_on_files() -> str:
     assert json.loads(Path("result.json").read_text(encoding="utf-8"))["toi"] == result.toi
     # the tip at x = 0.1 - 1 meets the wall at x = -0.01 after 0.89 of a way of 2; STL holds single precision
     assert abs(result.toi - 0.445) < 1e-6 and np.allclose(result.first.point, [-0.01, 0, 0], atol=1e-6)
-    for wrong, says in (
-        (["run", "ball_t0.stl", "wall.obj"], "same format"),
-        (["run", "--tolerence", "1"], "--tolerence"),
-    ):
-        done = run_command(*wrong)
-        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done
+    done = run_command("run", "ball_t0.stl", "wall.obj")
+    assert done.returncode == 2 and "same format" in done.stderr and "Traceback" not in done.stderr, done
     assert run_command("--version").stdout == f"ccd-warp {ccd.__version__}\n"
     done = run_command("demo", "--output-dir", "demo")
     assert done.returncode == 0 and len(list(Path("demo").iterdir())) > 4, done

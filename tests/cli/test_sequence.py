@@ -158,27 +158,6 @@ def test_a_sequence_of_poses_has_what_python_gives_and_is_resumed_unless_its_pat
 # ---- Pictures --------------------------------------------------------------------------------------------------------
 
 
-def test_steps_at_whose_start_surfaces_cross_are_marked_in_the_animation(folder):
-    """A triangle comes down through another, and stays there without a contact."""
-    pytest.importorskip("pyvista", reason="the extra viz is not installed")
-    from PIL import Image
-
-    vertices = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]])
-    frames = [f"a_{k}.ply" for k in range(4)]
-    for name, height in zip(frames, (4.0, 3.0, 0.0, 0.0), strict=True):
-        moved = vertices + height * np.outer(np.arange(6) > 2, [0, 0, 1])
-        (folder / name).write_bytes(ply(moved, [[0, 1, 2], [3, 4, 5]]))
-    run(*frames, "--quiet", "--output", "out", "--picture", "out.gif")
-    assert [(row["toi"] == "inf", int(row["crossing_at_start"])) for row in rows("out")] == [(1, 0), (0, 0), (1, 2)]
-    marked = []
-    with Image.open("out.gif") as image:
-        for k in range(image.n_frames):
-            image.seek(k)
-            is_marked = np.abs(np.asarray(image.convert("RGB")).astype(int) - [214, 0, 143]).max(axis=2) < 24
-            marked.append(bool(is_marked.sum() > 100))
-    assert marked == [False, False, False, True, False]  # the third is at the toi, the last begins no step
-
-
 def test_picture_of_the_first_step_with_a_contact(folder, monkeypatch, capfd):
     pytest.importorskip("pyvista", reason="the extra viz is not installed")
     run(*BALLS[-5:], *ON, "--output", "-", "--picture", "fall.png", "--quiet")

@@ -2,7 +2,6 @@
 
 import os
 import re
-import sys
 from dataclasses import replace
 from fractions import Fraction
 
@@ -209,17 +208,6 @@ def test_malformed_line_is_named(tmp_path, blocks, row, message, at):
 )
 def test_rows_that_are_no_queries_are_refused(tmp_path, blocks, rows, line, message):
     _refused(_write(tmp_path, rows), line, message)
-
-
-def test_progress_is_one_bar_on_stderr(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("tqdm")
-    _write(tmp_path, QUERY * 20)
-    datasets.find_queries(tmp_path, progress=True)
-    shown = capsys.readouterr()
-    assert shown.out == "" and "100%" in shown.err and shown.err.count("\n") == 1
-    monkeypatch.setitem(sys.modules, "tqdm", None)
-    with pytest.raises(ImportError, match=r"^[^\n]*pip install 'ccd-warp\[bench\]'[^\n]*$"):
-        datasets.find_queries(tmp_path, progress=True)
 
 
 # ---- Sets, truth, boxes, steps ---------------------------------------------------------------------------------------

@@ -119,16 +119,3 @@ def test_a_soup_and_a_group_are_split_by_what_shares_a_vertex(tmp_path):
     assert frames.mesh.names == ("a.stl#0", "a.stl#1", "a.stl#2") and frames.num_merged.tolist() == [28, 28, 28]
     text = _obj(("o two", TRIANGLE), ("", TRIANGLE + 3.0), ("o one", TRIANGLE + 6.0))
     assert _read(tmp_path / "a.obj", text, split=True).mesh.names == ("two#0", "two#1", "one")
-
-
-def test_parts_of_a_cache_that_share_a_vertex_are_one_body_called_by_both(tmp_path):
-    """The first frame tells the parts, by a number or a text for each face."""
-    part, names = ["shirt", "ball", "sleeve", "shirt"], ("ball", "shirt + sleeve")
-    positions = np.random.default_rng(0).uniform(size=(12, 3)) + np.arange(3.0)[:, None, None]
-    faces = np.array([[0, 1, 2], [3, 4, 5], [2, 6, 7], [8, 9, 10]])
-    np.savez(path := tmp_path / "a.npz", positions=positions, faces=faces, part=part, few=part[:3])
-    sequence = ccd.read_sequence(path, split="part")
-    assert sequence.mesh.names == names and all(step.mesh is sequence.mesh for step in sequence.steps())
-    assert np.array_equal(sequence[2], positions[2][sequence.step(0).source_index])
-    with pytest.raises(ValueError, match=r"of shape \(3,\)"):
-        ccd.read_sequence(path, split="few")

@@ -66,14 +66,3 @@ def test_a_damaged_table_is_refused_with_line_and_column(read, rows, message):
     with pytest.raises(ValueError, match=name) as refused:
         read(text, name)
     assert message in str(refused.value) and "\n" not in str(refused.value)
-
-
-def test_a_soup_of_parts_moves_by_the_poses_of_each(tmp_path):
-    boxes = [trimesh.creation.box().apply_translation([2.0 * k, 0, 0]) for k in range(3)]
-    trimesh.util.concatenate(boxes).export(tmp_path / "three.stl")
-    (tmp_path / "poses.csv").write_text("0,three.stl#0,0,0,0,0,0,0,1\n1,three.stl#0,1.5,0,0,0,0,0,1\n")
-    sequence = ccd.read_poses(tmp_path / "three.stl", tmp_path / "poses.csv", split=True)
-    mesh = sequence.mesh
-    assert mesh.names == ("three.stl#0", "three.stl#1", "three.stl#2") and mesh.static.tolist() == [False, True, True]
-    result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=sequence.step(0))
-    assert result.toi == pytest.approx(2 / 3) and {*result.first.body_names} == {*mesh.names[:2]}

@@ -1,12 +1,10 @@
 """Damaged files in Warp's kernel cache: the folder is named, and the module compiled again."""
 
-import sys
 import warnings
 
 import pytest
 import warp as wp
 
-from ccd_warp._runtime import kernel_cache
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.launch import start_warp
 
@@ -64,16 +62,3 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
         _load_anew()
-
-
-@pytest.mark.parametrize("log_level, num_lines", [(wp.LOG_WARNING, 1), (wp.LOG_ERROR, 0)])
-def test_a_terminal_is_told_that_kernels_are_compiled_unless_warp_is_silent(
-    log_level, num_lines, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr(wp.config, "log_level", log_level)
-    monkeypatch.setattr(kernel_cache, "_is_said", False)
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    _load_anew()
-    line = f"ccd_warp: compiling kernels, about 10 s on two free cores; they are kept in {tmp_path}\n"
-    assert capsys.readouterr().err.replace("\r", "") == line * num_lines

@@ -112,11 +112,6 @@ def grey(panel) -> np.ndarray:
     return drawn(panel) & (np.ptp(panel, axis=2) < 12)
 
 
-def fills(panel) -> bool:
-    rows, columns = (np.flatnonzero(drawn(panel).any(axis=axis)) for axis in (1, 0))
-    return np.ptp(rows) > 0.6 * panel.shape[0] or np.ptp(columns) > 0.9 * panel.shape[1]
-
-
 PICTURES = {  # a scene, its arguments, options, and what is to be seen in the panels of the start, the toi and the end
     "three times": (balls, (), {}, lambda p: not (alike(p[0], p[1]) or alike(p[0], p[2]) or alike(p[1], p[2]))),
     "contacts at the toi alone": (balls, (), {}, lambda p: red(p[1]) > 20 and red(p[0]) == red(p[2]) == 0),
@@ -130,13 +125,6 @@ PICTURES = {  # a scene, its arguments, options, and what is to be seen in the p
         lambda p: min(map(bluish, p)) > 50 < np.sum(p[0][..., 0] - p[0][..., 2] > 30),
     ),
     "half-space": (over, (), {}, lambda p: grey(p[0]).mean() > 0.02),
-    **{
-        f"fills the frame, {scale} at {offset}": (
-            *(balls, (scale, offset), {}),
-            lambda p: all(fills(a) and alike(a, b) for a, b in zip(p[:2], panels_of(balls)[:2], strict=True)),
-        )
-        for scale, offset in ((1.0, 1e6), (1e-6, 1.0))
-    },
 }
 
 
