@@ -106,7 +106,6 @@ def test_what_hangs_together_by_its_cells_is_a_body_and_so_are_cells_of_one_valu
     for name, message in (
         ("colour", "has no field 'colour' of its cells; expected one of them: 'material', 'vector'"),
         ("vector", r"the field 'vector' is .* of shape \(78, 3\); expected a finite number for each of the 78 cells"),
-        (3, "split is 3; expected True, False or the name of a field of cells"),
     ):
         with pytest.raises(ValueError, match=message):
             ccd.read_frames(*paths, surface=True, split=name)

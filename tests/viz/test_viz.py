@@ -113,7 +113,6 @@ def grey(panel) -> np.ndarray:
 
 
 PICTURES = {  # a scene, its arguments, options, and what is to be seen in the panels of the start, the toi and the end
-    "three times": (balls, (), {}, lambda p: not (alike(p[0], p[1]) or alike(p[0], p[2]) or alike(p[1], p[2]))),
     "contacts at the toi alone": (balls, (), {}, lambda p: red(p[1]) > 20 and red(p[0]) == red(p[2]) == 0),
     "no contact": (balls, (1.0, 0.0, 2.0), {}, lambda p: alike(p[1], p[2]) and not alike(p[0], p[2])),
     "the end of what was looked at": (balls, (), {"t_max": 0.25}, lambda p: not red(p[1]) and not alike(p[1], p[2])),
