@@ -80,10 +80,9 @@ def test_every_link_of_the_readme_works_on_a_package_index(about):
     targets = re.findall(r"\]\(([^)]*)\)", about.get_payload())
     assert targets and [target for target in targets if not target.startswith(("https://", "#"))] == []
     rewrite = runpy.run_path(str(ROOT / "setup.py"))["readme_for_an_index"]
-    text = "![A ball](docs/a.png) [solver](docs/solver.md#many) [Warp](https://warp.dev) [above](#top)"
+    text = "![A ball](docs/a.png) [solver](docs/solver.md#many) [Warp](https://warp.dev)"
     shown = rewrite(text, "https://forge.example/ccd/")
     assert "/raw/main/docs/a.png) [solver](https://forge.example/ccd/blob/main/docs/solver.md#many) [Warp]" in shown
-    assert rewrite(text, None).startswith("*Picture: A ball (`docs/a.png` in the source distribution).* solver (`docs/")
 
 
 def test_package_imports_beside_a_checkout_of_its_name_and_without_its_parts(tmp_path):

@@ -56,11 +56,8 @@ def folder(tmp_path_factory):
     ]:
         (folder / f"{name}.ply").write_bytes(ply(vertices, faces))
     trimesh.Trimesh(start, BALL.faces, process=False).export(folder / "soup.stl")
-    everything = np.array([(a, b) for a in range(4) for b in range(4, 12)])
-    np.savez(folder / "pairs.npz", vertices=everything, bodies=[[0, 1]])
     for name, content in {
         "pairs.txt": b'# what touches by design\nbodies, sheet_1.ply, wall.ply\n\nbodies,0,"ground.ply"\n',
-        "nobody.txt": b"bodies,sheet_1.ply,nobody",
         "step.csv": b"0,floor.ply,0,0,0,0,0,0,1\n1,floor.ply,0,0,0,0,0,1,0\n",
         "escape.obj": b"v 0 0 \x1b[31m\n",
     }.items():
@@ -106,7 +103,6 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
     (f"{ON} --minimum-separation 0.01", "extents at the start 4 x 4 x 3.5", "minimum separation 0.04"),
     (f"{ON} --tolerance 1e-3 --length-scale 2", "largest displacement 5", "length scale 2", "tolerance 0.002"),
     (ON, "at the start no edge passes through a face"),
-    (f"{ON} --radius 0.0125 --radius floor.ply=0.025", "0.0125 to 0.025"),
     ("run soup.stl soup.stl", "(798 vertices of soup.stl merged by position)"),
     # The third face of an obstacle that comes after other bodies is the third of this body.
     ("run drop_1.ply drop_2.ply --static tiles.ply", "vertex 0 of drop_1.ply and face 2 of tiles.ply at (0.2"),
@@ -118,9 +114,7 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
         "not seen what surfaces that cross at the start already do after it",
     ),
     ("run crossing.ply crossing.ply --ignore-start-contacts", "edges that pass through a face in", "-so surfaces"),
-    (f"{SHEET} --ignore-start-contacts", "pairs that touch in the first frame (--ignore-start-contacts)", "toi 0.4999"),
     (f"{SHEET} --exclude pairs.txt --no-self-collision", "scene toi none", "2 pairs of bodies (--exclude)"),
-    (f"{SHEET} --exclude pairs.npz --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
     ("run floor.ply --poses step.csv", "floor.ply: t = 0.0 -> t = 1.0", "pairs within a rigid body", "scene toi none"),
 ]
 
@@ -267,13 +261,9 @@ def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
 REFUSED = [  # of a command, what its one line says; what the library refuses, its own table holds
     (f"{RUN} --static a.ply b.ply", "--help"),  # the second would be taken for a frame
     (f"{RUN} --pair-kinds point-point", "--pair-kinds holds point-point, which these bodies cannot form"),
-    (f"{RUN} --radius ghost=1", "--radius ghost=1: no body has this name; expected one of start.ply"),
     (f"{ON} --kinematic floor.ply", "--kinematic floor.ply: no body that moves has this name"),
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
-    (f"{RUN} --output result.txt", ".npz, .json, .csv"),
     (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
-    (f"{SHEET} --exclude nobody.txt", "bodies are sheet_1.ply, wall.ply, ground.ply"),
-    ("run floor.ply floor.ply --poses step.csv", "END is given with --poses"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),

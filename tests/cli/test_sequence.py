@@ -1,4 +1,4 @@
-"""The command `ccd-warp sequence`: every step of a sequence of frames, interrupted and resumed, and its pictures."""
+"""The command `ccd-warp sequence`: every step of a sequence of frames, interrupted and resumed."""
 
 import csv
 import json
@@ -144,15 +144,3 @@ def test_a_sequence_of_poses_is_resumed_unless_its_path_is_another(folder, solve
     assert "computed before" not in capfd.readouterr().out
     run(*given, "--path", path)
     assert "1 of 2 steps were computed before" in capfd.readouterr().out
-
-
-# ---- Pictures --------------------------------------------------------------------------------------------------------
-
-
-def test_picture_of_the_first_step_with_a_contact(folder, monkeypatch, capfd):
-    pytest.importorskip("pyvista", reason="the extra viz is not installed")
-    run(*BALLS[-5:], *ON, "--output", "-", "--picture", "fall.png", "--quiet")
-    assert (folder / "fall.png").read_bytes().startswith(b"\x89PNG")
-    monkeypatch.setattr("ccd_warp.viz._animation.encoder", lambda: None)
-    run(*BALLS, "--picture", "a.mp4", status=2)
-    assert "MP4 needs an encoder; install ffmpeg" in capfd.readouterr().err

@@ -11,7 +11,7 @@ import zlib
 
 import numpy as np
 import pytest
-from mesh_files import FACES, OFF, PLY, ROWS, WHOLE, content, gltf_files, read, same, tarred, whole, zipped
+from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, tarred, whole, zipped
 
 import ccd_warp as ccd
 
@@ -141,13 +141,10 @@ MALFORMED = [  # of a format: what stands in place of what, and what the message
     ("ply", "element face 6", "element face 7", "holds 6 rows of the element 'face', and its h.* 7"),
     ("ply", "3 6 7 8", "4 6 7 8", "line 26 says 4 corners and holds 3 numbers behind that"),
     ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds '7\.5'; expected an integer"),
-    ("ply", ROWS[4], "1_0 2 3", "line 15 holds '1_0'; expected a number"),
     ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
     ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of vertex -4, but the file has 3 vertices"),
-    ("obj", "f 1", "v 1 2\nf 1", "line 4 is a vertex of 2 numbers"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    ("stl", "vertex 1 0 0\n", "", "line 6 begins with 'endloop'; expected vertex"),
     # Three numbers less are a vertex less, and an input less makes other faces.
     ("dae", "?", '<float_array id="a" count="9">0 0 0 1 0 0</float_array>', "'a' holds 6 values; it says 9"),
     # Integers taken for reals are nearly zero, and would be the corners 0, 0, 0 of every face.
@@ -178,7 +175,6 @@ def gltf(change):
     [
         ("binary.stl", lambda data: data[:-50], "has 334 bytes, but its header says 6 faces, which take 384"),
         ("binary.ply", lambda data: data + b"\n", "holds 1 bytes more than its header says"),
-        ("scene.glb", lambda data: data + b"\0", r"has \d+ bytes, but its header says \d+"),
         # A row of three corners that says one, and one that takes a number of the next row.
         ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "is a triangle of 1 corners"),
         ("text.vtu", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "cell 1 is a triangle of 2 corners"),
@@ -189,7 +185,6 @@ def gltf(change):
         ("scene.gltf", gltf(lambda tree: tree["bufferViews"][1].update(byteLength=999)), "buffer view 1 goes be"),
         ("scene.gltf", gltf(lambda tree: tree["buffers"][0].update(byteLength=9999)), r"has \d+ bytes, expected 9999"),
         ("archive.zip", lambda data: zipped({"whole.ply": PLY, "cut.ply": PLY[:-20]}), r"archive\.zip, cut\.ply: "),
-        ("archive.zip", lambda data: zipped({"LICENSE": b"?"}), "holds no mesh file"),
     ],
 )
 def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, message):

@@ -45,9 +45,6 @@ def test_natural_order_is_that_of_a_reader(tmp_path):
     write_frames(tmp_path, "v2_ball_{}", "v2_cloth_{}")
     (tmp_path / "drop.png").write_bytes(b"")
     assert check(tmp_path, names=("v2_ball", "v2_cloth")).labels == [f"v2_ball_{k}.ply" for k in (8, 9, 10)]
-    (tmp_path / "drop").mkdir()
-    write_frames(tmp_path / "drop", "{}")
-    check(tmp_path / "drop", names=("drop",))
 
 
 def test_frames_without_numbers_keep_the_order_in_which_they_are_given(tmp_path):

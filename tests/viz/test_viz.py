@@ -152,13 +152,6 @@ def test_a_picture_is_shown_by_a_notebook_and_stands_for_its_file(tmp_path):
 # ---- What is drawn ---------------------------------------------------------------------------------------------------
 
 
-def test_contact_points_are_those_of_the_result():
-    for scene in (balls, strings, over):
-        mesh, start, end, result = result_of(*scene())
-        points = viz.contact_points(mesh, start, end, result.contacts)
-        assert np.array_equal(points, result.contacts.points) and len(points) == len(result.contacts)
-
-
 def test_scene_has_no_place_and_no_unit_and_its_titles_round_no_toi_up():
     reference = make_scene(*result_of(*balls()))
     for scale, offset in ((1.0, 1e6), (1e-6, 0.0), (1e300, 0.0)):
