@@ -9,7 +9,7 @@ Nothing is measured: benchmarks are drawn from the raw figures in benchmarks/res
 figure of an example takes the example's whole run, so ``--check`` does not draw it: it is stale where the program has
 changed, but for its comments, since its figure was drawn, or where the figure is another than the one then drawn.
 ``--record NAME ...`` notes that an example's own command has just drawn its figure. It needs
-``pip install -e '.[benchmarks,docs,viz]'``, and a Chromium for the pictures of ``ccd-warp explore``.
+``pip install -e '.[benchmarks,docs,viz]'``.
 """
 
 import argparse
@@ -71,7 +71,6 @@ MAKERS = [
     Maker("method", "docs/make_figures.py {root}/docs/figures", ("simple", "grazing", "in_plane")),
     Maker("rigid", "docs/make_rigid_figure.py {root}/docs/figures", ("arcs",)),
     Maker("readme", "docs/make_pictures.py {root}/docs/figures", ("demo_cloth", "readme_bullet")),
-    Maker("explore", "docs/make_explore_pictures.py {root}/docs/figures", ("explore_bullet", "explore_pair")),
     Maker(
         "benchmark",
         "benchmarks/report.py --docs {root}",

@@ -1,21 +1,19 @@
 """Three users of an installed package, each with a program of their own; run by `.ci/run` and `nox`, not by pytest.
 
-One replaces ipc-toolkit's CCD in the line search of a cloth code, one has a loop on the device with a graph and arrays
-of Warp and NumPy, one has STL and OBJ files and a command line. The environment holds the package and
-what it depends on, nothing else, and the current folder is empty: `python -P …/tests/as_users.py [OBJECTS]`. OBJECTS is
-a folder in which Pythons that are checked one after another leave what they have compiled.
+One replaces ipc-toolkit's CCD in a line search, one has a loop on the device with a graph and arrays of Warp and NumPy,
+one has STL and OBJ files and a command line. The environment holds the package and what it depends on, nothing else,
+and the current folder is empty: `python -P …/tests/as_users.py [OBJECTS]`. OBJECTS is a folder in which Pythons that
+are checked one after another leave what they have compiled.
 """
 
 import hashlib
 import json
 import os
 import pickle
-import re
 import shutil
 import subprocess
 import sys
 import sysconfig
-import time
 from importlib import metadata
 from pathlib import Path
 
@@ -27,7 +25,6 @@ from warp._src import build
 import ccd_warp as ccd
 
 BARE = {"ccd-warp", "numpy", "trimesh", "warp-lang", "pip", "setuptools"}
-_STIFFNESS, _STEPS = 0.2, 60
 COMMAND = Path(sysconfig.get_path("scripts"), "ccd-warp")
 
 
@@ -66,61 +63,38 @@ class SharedObjects:
         self.compiled += 1
 
 
-def sheet(cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """A square of two triangles a cell: vertices and faces."""
-    x, y = np.meshgrid(*[np.linspace(-0.5, 0.5, cells + 1)] * 2, indexing="ij")
-    low = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).reshape(-1, 1)
-    faces = np.concatenate([low + [0, cells + 1, 1], low + [1, cells + 1, cells + 2]])
-    return np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1), faces
-
-
-def run_cloth_code() -> str:
-    """A cloth of springs falls on a ball and comes to rest there; CCD and the step are those of this package."""
-    vertices, faces = sheet(12)
+def cloth_over_ball(height: float) -> tuple[ccd.CollisionMesh, int]:
+    """A cloth over a static ball, and the number of its vertices."""
+    x, y = np.meshgrid(*[np.linspace(-0.5, 0.5, 13)] * 2, indexing="ij")
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
+    low = (np.arange(12)[:, None] * 13 + np.arange(12)).reshape(-1, 1)
+    faces = np.concatenate([low + [0, 13, 1], low + [1, 13, 14]])
     ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
-    bodies = [(vertices + [0, 0, 0.32], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"])
+    bodies = [(vertices + [0.01, 0.02, height], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
+    return ccd.CollisionMesh.from_arrays(bodies, static=["ball"], names=["cloth", "ball"]), len(vertices)
+
+
+def run_line_search() -> str:
+    """A cloth falls on a ball by steps that CCD bounds, until it has come close."""
+    mesh, _ = cloth_over_ball(0.32)
     options: ccd.MeshOptions = {"minimum_separation": 1e-4, "start_gap_fraction": 0.2, "length_scale": 1.0}
     pipeline = ccd.CollisionPipeline(mesh, **options)
-    i, j = mesh.edges[mesh.edges.max(axis=1) < len(vertices)].T
-    rest = np.linalg.norm(vertices[i] - vertices[j], axis=1)
-    moves = ~mesh.static[mesh.vertex_body, None]
-    x, velocity, bounded = mesh.vertices.copy(), -0.05 * moves * [0, 0, 1], 0
-    for _ in range(_STEPS):
-        side = x[i] - x[j]
-        length = np.linalg.norm(side, axis=1)
-        pull = (_STIFFNESS * (length - rest) / length)[:, None] * side
-        np.add.at(velocity, i, -pull)
-        np.add.at(velocity, j, pull)
-        velocity = 0.9 * (velocity - [0, 0, 2e-4]) * moves
-        away = x / (radius := np.linalg.norm(x, axis=1, keepdims=True))  # the code's own response, a soft shell
-        inward = np.minimum(np.sum(velocity * away, axis=1, keepdims=True), 0)
-        velocity += (0.1 * (0.315 - radius) - inward) * away * moves * (radius < 0.315)
-        step = pipeline.collision_free_step(x, x + velocity)
-        bounded += step < 1
-        assert step > 0, "the step is stuck"
-        velocity *= step
-        assert ccd.is_step_collision_free(mesh, x, x + velocity)
-        x = x + velocity
-    lowest = np.linalg.norm(x[: len(vertices)], axis=1).min()
-    assert bounded and 0.29 < lowest < 0.32, (bounded, lowest)
-    assert ccd.mesh_ccd(mesh, x, x).first is None
-    down = x - [0, 0, 0.5] * moves
-    result = ccd.mesh_ccd(mesh, x, down)
+    x, down = mesh.vertices.copy(), -0.5 * np.outer(~mesh.static[mesh.vertex_body], [0, 0, 1])
+    steps = []
+    for _ in range(8):
+        steps.append(pipeline.collision_free_step(x, x + down))
+        assert 0 < steps[-1] < 1 and ccd.is_step_collision_free(mesh, x, x + steps[-1] * down)
+        x = x + steps[-1] * down
+    assert 0.019 < 0.5 * sum(steps) < 0.02 and ccd.mesh_ccd(mesh, x, x).first is None, steps
+    result = ccd.mesh_ccd(mesh, x, x + down)
     first = result.first
     assert first is not None and first.toi > 0 and set(first.body_names) == {"cloth", "ball"}
-    assert 0.2 < np.linalg.norm(first.point) < 0.31
-    found = ccd.line_search(mesh, x, down, per="vertex")
+    assert 0.29 < np.linalg.norm(first.point) < 0.31
+    found = ccd.line_search(mesh, x, x + down, per="vertex")
     assert ccd.is_step_collision_free(mesh, x, found.vertices)
     again = pickle.loads(pickle.dumps(mesh))  # for the workers of a pool
-    assert ccd.mesh_ccd(again, x, down).toi == result.toi
-    try:
-        ccd.mesh_ccd(mesh, x, down, minimum_seperation=1e-4)
-    except TypeError as error:
-        assert "minimum_separation" in str(error) and "\n" not in str(error)
-    else:
-        raise AssertionError("a misspelled option was accepted")
-    return f"{bounded} of {_STEPS} steps were bounded, the cloth lies at {lowest:.4f}; then {first!r}"
+    assert ccd.mesh_ccd(again, x, x + down).toi == result.toi
+    return f"the cloth is {0.5 * sum(steps):.6f} lower after {len(steps)} steps; then {first!r}"
 
 
 @wp.kernel
@@ -139,10 +113,7 @@ def respond(wished: wp.array[wp.vec3f], dt: float, x: wp.array[wp.vec3f], veloci
 
 def run_loop_on_the_device() -> str:
     """A cloth falls on a ball in a graph, with a line search, and the contacts of the free fall where they are."""
-    vertices, faces = sheet(12)
-    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.3)
-    bodies = [(vertices + [0.01, 0.02, 0.5], faces), (np.asarray(ball.vertices), np.asarray(ball.faces))]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1])
+    mesh, count = cloth_over_ball(0.5)
     start = mesh.vertices.astype(np.float32)
     pipeline, probe = (ccd.CollisionPipeline(mesh, length_scale=1.0) for _ in range(2))
     x, wished = wp.array(start, dtype=wp.vec3f), wp.array(start, dtype=wp.vec3f)
@@ -150,17 +121,17 @@ def run_loop_on_the_device() -> str:
     order = contacts.order_by_toi()
 
     def step(dt: float = 0.03) -> None:
-        wp.launch(fall, dim=len(vertices), inputs=[x, velocity, dt], outputs=[wished])
+        wp.launch(fall, dim=count, inputs=[x, velocity, dt], outputs=[wished])
         probe.launch(x, wished)
         pipeline.launch_line_search(x, wished, per="body", safety=0.99)
-        wp.launch(respond, dim=len(vertices), inputs=[wished, dt], outputs=[x, velocity])
+        wp.launch(respond, dim=count, inputs=[wished, dt], outputs=[x, velocity])
 
     step()
     with wp.ScopedCapture() as capture:
         step()
     for _ in range(30):
         wp.capture_launch(capture.graph)
-    height = float(x.numpy()[: len(vertices), 2].min())
+    height = float(x.numpy()[:count, 2].min())
     contacts.order_by_toi()
     first = int(order.numpy()[0])
     point, pair = contacts.points.numpy()[first], contacts.bodies.numpy()[first]
@@ -168,7 +139,7 @@ def run_loop_on_the_device() -> str:
     assert abs(np.linalg.norm(point) - 0.3) < 1e-2 and set(pair.tolist()) == {0, 1}
 
     end = start.copy()
-    end[: len(vertices), 2] -= 1.0
+    end[:count, 2] -= 1.0
     result = probe.launch(wp.array(start, dtype=wp.vec3f), end)
     assert ccd.LaunchFlag(int(result.flags.numpy()[0])) == ccd.LaunchFlag(0)
     host, expected = result.to_host(), ccd.mesh_ccd(mesh, start, end, length_scale=1.0)
@@ -192,28 +163,16 @@ def run_on_files() -> str:
     wall.export("wall.obj")
     done = run_command("run", "ball_t0.stl", "ball_t1.stl", "--static", "wall.obj", "--output", "result.json")
     assert (done.returncode, done.stderr) == (0, ""), done
-    assert "wall" in done.stdout
     frames = ccd.read_frames("ball_t0.stl", "ball_t1.stl", static=["wall.obj"])
     result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
     assert json.loads(Path("result.json").read_text(encoding="utf-8"))["toi"] == result.toi
     # the tip at x = 0.1 - 1 meets the wall at x = -0.01 after 0.89 of a way of 2; STL holds single precision
     assert abs(result.toi - 0.445) < 1e-6 and np.allclose(result.first.point, [-0.01, 0, 0], atol=1e-6)
-    assert frames.mesh.num_vertices == len(ball.vertices) + len(wall.vertices)
-
-    for wrong, says in (
-        (["run", "ball_t0.stl", "missing.stl"], "missing.stl"),
-        (["run", "ball_t0.stl", "wall.obj"], "save both frames in the same format"),
-        (["run", "ball_t0.stl", "ball_t1.stl", "--tolerence", "1"], "--tolerence"),
-        (["run", "ball_t0.stl", "ball_t1.stl", "--picture", "step.png"], "viz"),
-    ):
-        done = run_command(*wrong)
-        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, done
-    done = run_command("--version")
-    assert done.stdout == f"ccd-warp {ccd.__version__}\n"
+    done = run_command("run", "ball_t0.stl", "wall.obj")
+    assert done.returncode == 2 and "same format" in done.stderr and "Traceback" not in done.stderr, done
+    assert run_command("--version").stdout == f"ccd-warp {ccd.__version__}\n"
     done = run_command("demo", "--output-dir", "demo")
     assert done.returncode == 0 and len(list(Path("demo").iterdir())) > 4, done
-    toi = re.search(r"toi\D+([\d.]+)", done.stdout)
-    assert toi is not None
     done = run_command("explore", "--output", "page.html", "--quiet")
     assert done.returncode == 0 and Path("page.html").stat().st_size > 50_000, done
     return f"the ball meets {result.first.body_names[1]} at t = {result.toi:.6f}"
@@ -222,10 +181,8 @@ def run_on_files() -> str:
 def main() -> None:
     check_surroundings()
     shared = SharedObjects(Path(sys.argv[1])) if len(sys.argv) > 1 else None
-    for user in (run_cloth_code, run_loop_on_the_device, run_on_files):
-        begin = time.perf_counter()
-        said = user()
-        print(f"{user.__name__}: {said} ({time.perf_counter() - begin:.1f} s)", flush=True)
+    for user in (run_line_search, run_loop_on_the_device, run_on_files):
+        print(f"{user.__name__}: {user()}", flush=True)
     if shared:
         print(f"{shared.compiled} modules compiled, {shared.taken} written in the same C++ as by an earlier Python")
 

@@ -35,8 +35,7 @@ def imported_names(module: str, source: str, is_package: bool) -> set[str]:
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             above = module.split(".")[: len(module.split(".")) - node.level + is_package] if node.level else []
-            base = ".".join([*above, *([node.module] if node.module else [])])
-            names |= {f"{base}.{alias.name}" for alias in node.names}
+            names |= {".".join([*above, *filter(None, [node.module]), alias.name]) for alias in node.names}
     return names
 
 

@@ -4,7 +4,6 @@ A block of the form found in the published files, numerators below 2**53 over po
 only; every other coordinate is compared with its rational in Python integers.
 """
 
-import os
 import re
 import sys
 from collections.abc import Callable, Iterator
@@ -73,9 +72,8 @@ def write_csv(path: Path, points_t0: np.ndarray, points_t1: np.ndarray, truth: n
 
 def _blocks(path: Path, advance: Callable[[int], object]) -> Iterator[tuple[int, bytes]]:
     """Whole lines of a file, LF between them and none at the end, and the number of the first of them."""
-    line = 1
+    line, num_empty = 1, 0
     with path.open("rb") as file:
-        size = os.fstat(file.fileno()).st_size
         while block := file.read(_BLOCK) + file.readline():
             advance(len(block))
             if line == 1:
@@ -84,13 +82,15 @@ def _blocks(path: Path, advance: Callable[[int], object]) -> Iterator[tuple[int,
                 block = block.replace(b"\r\n", b"\n")
             if b" " in block:  # some published files have spaces after their commas
                 block = re.sub(rb", +(?=[-0-9])", b",", block)
-            block = block.removesuffix(b"\n")
-            if file.tell() >= size:
-                block = block.rstrip(b"\n")
-                if not block:
-                    return
-            yield line, block
-            line += block.count(b"\n") + 1
+            rows = block.rstrip(b"\n")
+            num_ends = len(block) - len(rows)
+            if not rows:  # empty lines are refused where a row comes after them; at the end of the file they are not
+                num_empty += num_ends
+                continue
+            rows = b"\n" * num_empty + rows
+            yield line, rows
+            line += rows.count(b"\n") + 1
+            num_empty = max(num_ends - 1, 0)
 
 
 def _columns(path: Path, block: bytes) -> int:

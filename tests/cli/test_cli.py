@@ -12,7 +12,7 @@ import sys
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import ply, zipped
+from mesh_files import ply
 
 import ccd_warp as ccd
 from ccd_warp._cli import command
@@ -28,12 +28,7 @@ TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 CROSSING = np.vstack([3.0 * TRIANGLE, [[0.5, 0.5, -1], [0.6, 0.5, 1], [0.5, 0.6, 2]]])
 DROP = np.array([[0.2, 0.2, 0.0], [0.25, 0.2, 2.0], [0.2, 0.25, 2.0]])
-STRAYS = np.array([[0.0, 0, 9], [1e9, 0, 0], [np.nan] * 3])
 HOSTILE, SHOWN = "bad\x1b]0;title\x07\x1b[31m\x9b2J\u202e é.ply", r"bad\x1b]0;title\x07\x1b[31m\x9b2J\u202e é.ply"
-
-
-def _turned(angle):
-    return BALL.vertices @ trimesh.transformations.rotation_matrix(angle, [0.3, 0.2, 1.0])[:3, :3].T
 
 
 @pytest.fixture(scope="module")
@@ -45,49 +40,28 @@ def folder(tmp_path_factory):
         ("start", start, BALL.faces),
         ("end", start - [0, 0, 5.0], BALL.faces),
         ("floor", BOX.vertices - [0, 0, 0.5], BOX.faces),
-        ("far", TRIANGLE + 50.0, three[:1]),
-        ("in_mm", 1000.0 * start, BALL.faces),
-        ("renumbered", start[::-1], BALL.faces),
-        *((f"turned_{k}", _turned(angle), BALL.faces) for k, angle in enumerate((0.0, np.pi / 4, np.pi))),
-        ("stray_1", np.vstack([start, STRAYS]), BALL.faces),
-        ("stray_2", np.vstack([start - [0, 0, 5.0], STRAYS * [1, 1, -1]]), BALL.faces),
-        ("crossing", CROSSING, three[:2]),
+        ("turned_0", BALL.vertices, BALL.faces),
+        ("turned_1", BALL.vertices * [-1.0, -1, 1], BALL.faces),  # by half a turn
         ("parted", CROSSING + np.outer(np.arange(6) > 2, [0, 0, 2.0]), three[:2]),
+        ("in_mm", 1000.0 * start, BALL.faces),
+        ("crossing", CROSSING, three[:2]),
         ("drop_1", DROP + [0, 0, 1.0], three[:1]),
         ("drop_2", DROP - [0, 0, 0.5], three[:1]),
-        ("touching_1", DROP, three[:1]),
-        ("touching_2", DROP - [0, 0, 0.1], three[:1]),
         ("tiles", np.vstack([TRIANGLE - [9.0, 0, 0], TRIANGLE - [6.0, 0, 0], TRIANGLE]), three),
         ("sheet_1", SQUARE, [[0, 1, 2], [0, 2, 3]]),  # whose corner touches a wall, and which falls on a floor
         ("sheet_2", SQUARE - [0, 0, 2.0], [[0, 1, 2], [0, 2, 3]]),
         ("wall", 18.0 * SQUARE[:, [2, 0, 1]] - [0, 9, 9], [[0, 1, 2], [0, 2, 3]]),
         ("ground", 18.0 * SQUARE - [9, 9, 1], [[0, 1, 2], [0, 2, 3]]),
-        ("swap_1", np.vstack([TRIANGLE, TRIANGLE + [0, 0, 1]]), three[:2]),
-        ("swap_2", np.vstack([TRIANGLE + [0, 0, 2], TRIANGLE]), three[:2]),
         (HOSTILE.removesuffix(".ply"), BOX.vertices - [0, 0, 0.5], BOX.faces),
     ]:
         (folder / f"{name}.ply").write_bytes(ply(vertices, faces))
     trimesh.Trimesh(start, BALL.faces, process=False).export(folder / "soup.stl")
-    (folder / "floor.zip").write_bytes(zipped({"floor.ply": ply(BOX.vertices, BOX.faces)}))
-    everything = np.array([(a, b) for a in range(4) for b in range(4, 12)])
-    np.savez(folder / "pairs.npz", vertices=everything, bodies=[[0, 1]])
-    np.save(folder / "pairs.npy", everything)
     for name, content in {
         "pairs.txt": b'# what touches by design\nbodies, sheet_1.ply, wall.ply\n\nbodies,0,"ground.ply"\n',
-        "short.txt": b"bodies,sheet_1.ply",
-        "nobody.txt": b"bodies,sheet_1.ply,nobody",
-        "many.txt": b"vertices,1,99",
-        "bytes.txt": b"vertices,1,\xff",
-        "damaged.npz": b"PK",
         "step.csv": b"0,floor.ply,0,0,0,0,0,0,1\n1,floor.ply,0,0,0,0,0,1,0\n",
-        "three.csv": b"".join(b"%d,floor.ply,0,0,0,0,0,0,1\n" % k for k in range(3)),
-        "bad.csv": b"0,0,0,0,0,0,0,0,1\n1,0,0,two,0,0,0,0,1\n",
         "escape.obj": b"v 0 0 \x1b[31m\n",
-        "escape.zip": zipped({"\x1b[2J.vtk": b""}),
     }.items():
         (folder / name).write_bytes(content)
-    (folder / "empty").mkdir()
-    (folder / "folder.html").mkdir()
     (folder / "folder.png").mkdir()
     return folder
 
@@ -123,25 +97,15 @@ SHEET = "run sheet_1.ply sheet_2.ply --static wall.ply --static ground.ply"
 CERTAIN = "scene toi none (certain for the pairs looked at: vertex-face and edge-edge, in [0, {}])"
 REPORTS = [  # a command, and words of its report; those behind - are not in it
     (RUN, CERTAIN.format(1), "-candidates", "-no part"),
-    (f"{ON} --t-max 0.25", CERTAIN.format(0.25)),
-    (f"{ON} --kinematic start.ply", "start.ply kinematic", "pairs of static and kinematic bodies", "scene toi none"),
-    (f"run --static far.ply --static floor.ply {ON[4:]} --static far.ply", "far.ply (2) static 3 1"),
+    (f"{ON} --kinematic start.ply --t-max 0.25", "start.ply kinematic", "static and kinematic", CERTAIN.format(0.25)),
     (f"{ON} --pair-kinds edge-edge --verbose", "edge-edge candidates", "-vertex-face candidates"),
-    (f"{ON} --pair-kinds edge-edge", "left out vertex-face pairs (--pair-kinds); pairs of static bodies; pairs"),
     # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
     (f"{ON} --minimum-separation 0.01", "extents at the start 4 x 4 x 3.5", "minimum separation 0.04"),
     (f"{ON} --tolerance 1e-3 --length-scale 2", "largest displacement 5", "length scale 2", "tolerance 0.002"),
     (ON, "at the start no edge passes through a face"),
-    (f"{ON} --radius 0.0125 --radius floor.ply=0.025", "0.0125 to 0.025"),
-    ("run swap_1.ply swap_2.ply --no-self-collision", "toi none", "pairs within a body (--no-self-collision)"),
     ("run soup.stl soup.stl", "(798 vertices of soup.stl merged by position)"),
-    ("run stray_1.ply stray_2.ply --static floor.ply", "(3 vertices of stray_1.ply in no face take no part)"),
     # The third face of an obstacle that comes after other bodies is the third of this body.
     ("run drop_1.ply drop_2.ply --static tiles.ply", "vertex 0 of drop_1.ply and face 2 of tiles.ply at (0.2"),
-    (
-        "run touching_1.ply touching_2.ply --static tiles.ply --pair-kinds vertex-face",
-        "at the start 1 pair is in contact at the start already, with toi 0: 1 of touching_1.ply and tiles.ply",
-    ),
     # An edge through the inside of a face, and both at rest: no contact in CCD, and a start that is not sound.
     (
         "run crossing.ply crossing.ply",
@@ -149,16 +113,8 @@ REPORTS = [  # a command, and words of its report; those behind - are not in it
         "at the start 2 edges pass through a face, so surfaces cross: 2 within crossing.ply",
         "not seen what surfaces that cross at the start already do after it",
     ),
-    (
-        "run crossing.ply crossing.ply --ignore-start-contacts",
-        "edges that pass through a face in the first frame (--ignore-start-contacts)",
-        "-so surfaces",
-    ),
-    (f"{SHEET} --ignore-start-contacts", "pairs that touch in the first frame (--ignore-start-contacts)", "toi 0.4999"),
+    ("run crossing.ply crossing.ply --ignore-start-contacts", "edges that pass through a face in", "-so surfaces"),
     (f"{SHEET} --exclude pairs.txt --no-self-collision", "scene toi none", "2 pairs of bodies (--exclude)"),
-    (f"{SHEET} --exclude pairs.npz --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
-    (f"{SHEET} --exclude pairs.npy --no-self-collision", "scene toi none", "32 pairs of vertices (--exclude)"),
-    (f"{SHEET} --exclusion-rings 3", "pairs that fewer than 3 edges connect (--exclusion-rings)"),
     ("run floor.ply --poses step.csv", "floor.ply: t = 0.0 -> t = 1.0", "pairs within a rigid body", "scene toi none"),
 ]
 
@@ -172,55 +128,40 @@ def test_report_says(run, line, words):
 
 
 def test_report_names_toi_counts_and_stages(run):
-    shown = run(f"{ON} --verbose")
+    lines = _lines(run(f"{ON} --verbose").out)
     _, result = _expected()
-    lines = _lines(shown.out)
     assert f"scene toi {float(result.toi)!r} (of the step; no pair looked at touches before it)" in lines
     # The tolerance, 1e-6 of a motion six units long, over the speed of five.
     assert EXACT_TOI - 1e-5 <= result.toi <= EXACT_TOI
-    assert "active bodies 2" in lines and f"vertices {result.counts.num_vertices:,}" in lines
     assert f"edge-edge candidates {result.counts.num_candidates[ccd.PairKind.EDGE_EDGE]:,}" in lines
-    assert f"vertex-face contacts {result.counts.num_contacts[ccd.PairKind.VERTEX_FACE]:,}" in lines
     for name in ("read files", "load kernels", "total", *(each.replace("_", " ") for each in result.timings)):
         assert any(line.startswith(f"{name} ") for line in lines), name
 
 
+def test_exit_status_tells_a_script_of_a_contact(run):
+    for line, status in ((ON, 1), (RUN, 0), ("run crossing.ply crossing.ply", 1)):
+        run(f"{line} --fail-on-contact", status=status)
+
+
 @pytest.mark.parametrize(
-    "line, status",
-    [(ON, 1), (RUN, 0), (f"{ON} --kinematic start.ply", 0), ("run crossing.ply crossing.ply", 1)]
-    + [("run crossing.ply crossing.ply --ignore-start-contacts", 0)],
+    "paths, words",
+    [
+        ("start.ply in_mm.ply", "the bodies that move are 1 long at the start and 1000 at the end of the"),
+        ("crossing.ply parted.ply", "surfaces cross at the start of the step and not at its end; are START"),
+        ("turned_0.ply turned_1.ply", "edges shrink to a tenth or less within the step.*take smaller steps"),
+    ],
 )
-def test_exit_status_tells_a_script_of_a_contact(run, line, status):
-    run(f"{line} --fail-on-contact", status=status)
-
-
-WARNED = [
-    ("start.ply in_mm.ply", "the bodies that move are 1 long at the start and 1000 at the end of the"),
-    ("start.ply renumbered.ply", "the vertices of start.ply are at the same places at the start and at the end of the"),
-    ("end.ply start.ply", "the step goes from end.ply to start.ply; are the two swapped?"),
-    ("crossing.ply parted.ply", "surfaces cross at the start of the step and not at its end; are START"),
-    ("turned_0.ply turned_2.ply", "edges shrink to a tenth or less within the step.*take smaller steps"),
-    ("turned_0.ply turned_1.ply", None),  # an eighth of a turn leaves edges nine tenths of their length
-]
-
-
-@pytest.mark.parametrize("paths, words", WARNED)
 def test_what_is_odd_about_two_frames_is_warned_of_unless_quiet(run, paths, words):
-    error = run(f"run {paths}").err
-    assert error == "" if words is None else re.search(f"^ccd-warp: warning: .*{words}", error, re.M)
+    assert re.search(f"^ccd-warp: warning: .*{words}", run(f"run {paths}").err, re.M)
     assert run(f"run {paths} --quiet").err == ""
 
 
 # ---- Results ---------------------------------------------------------------------------------------------------------
 
 
-def _refuse(constant):
-    raise AssertionError(f"{constant} is no JSON")
-
-
 def _json(path):
     with open(path, encoding="utf-8") as file:
-        return json.load(file, parse_constant=_refuse)
+        return json.load(file, parse_constant=pytest.fail)  # NaN and Infinity are no JSON
 
 
 def _rows(path):
@@ -233,7 +174,7 @@ def test_every_format_holds_the_result_bit_for_bit(run):
     for suffix in ("csv", "json", "npz"):
         assert f"out.{suffix}" in run(f"{ON} --output out.{suffix}").out
     mesh, result = _expected()
-    contacts, first, names = result.contacts, result.first, ["start.ply", "floor.ply"]
+    contacts, first = result.contacts, result.first
     data, rows, vertices = _json("out.json"), _rows("out.csv"), _rows("out_vertices.csv")
     with np.load("out.npz") as file:
         arrays = dict(file)
@@ -243,22 +184,9 @@ def test_every_format_holds_the_result_bit_for_bit(run):
         assert np.array_equal(tois, result.vertex_toi)
     for tois in ([float(row["toi"]) for row in rows], [row["toi"] for row in data["contacts"]], arrays["contact_toi"]):
         assert np.array_equal(tois, np.sort(contacts.toi)) and len(tois) > 0
-    for name in ("kind", "primitives", "vertices", "parameters", "normal", "status", "point"):
-        assert len(arrays[f"contact_{name}"]) == len(contacts.toi)
-    kinds, primitives, corners = (arrays[f"contact_{name}"] for name in ("kind", "primitives", "vertices"))
-    a, b = primitives[kinds == ccd.PairKind.VERTEX_FACE].T
-    assert np.array_equal(corners[kinds == 0], np.column_stack([a, mesh.faces[b]]))
-    a, b = primitives[kinds == ccd.PairKind.EDGE_EDGE].T
-    assert np.array_equal(corners[kinds == 1], np.hstack([mesh.edges[a], mesh.edges[b]]))
-    assert np.array_equal(arrays["faces"], mesh.faces) and np.array_equal(arrays["edges"], mesh.edges)
-    # the first contact, and the bodies
-    point = first.point.tolist()
-    assert [float(rows[0][axis]) for axis in "xyz"] == data["contacts"][0]["point"] == point
-    assert arrays["contact_point"][0].tolist() == point
-    of_first = [names[body] for body in first.bodies]
-    assert [rows[0]["body_0"], rows[0]["body_1"]] == data["contacts"][0]["bodies"] == of_first
-    assert arrays["body_name"][arrays["contact_bodies"][0]].tolist() == of_first
-    assert arrays["body_name"].tolist() == names and arrays["body_first_vertex"].tolist() == [0, 162]
+    for name in ("primitives", "vertices", "parameters", "normal", "status"):
+        assert sorted(arrays[f"contact_{name}"].tolist()) == sorted(getattr(contacts, name).tolist()), name
+    assert [float(rows[0][axis]) for axis in "xyz"] == data["contacts"][0]["point"] == first.point.tolist()
     assert [(body["name"], body["static"]) for body in data["bodies"]] == [("start.ply", False), ("floor.ply", True)]
     for row in data["contacts"]:  # the box has 12 faces, 8 vertices and 18 edges, whatever their numbers in the mesh
         for side, name in enumerate(row["bodies"]):
@@ -266,15 +194,10 @@ def test_every_format_holds_the_result_bit_for_bit(run):
             assert 0 <= row["primitives_in_body"][side] < (size if name == "floor.ply" else 480)
         first_vertex = mesh.body_vertex_range[mesh.vertex_body[row["vertices"]]]
         assert np.array_equal(row["vertices_in_body"] + first_vertex, row["vertices"])
-    # what the numbers mean
     options = json.loads(str(arrays["options"]))
     assert data["version"] == str(arrays["version"]) == ccd.__version__ and data["options"] == options
     assert options.keys() == ccd.MeshOptions.__optional_keys__ and options["length_scale"] == 4.0
-    assert list(data["kinds"]) == arrays["kind_name"].tolist() and data["kinds"]["edge_edge"] == 1
-    assert data["units"]["length"] == json.loads(str(arrays["units"]))["length"] == "that of the files"
-    counts = data["counts"]
-    assert counts.keys() == vars(result.counts).keys() and counts["num_faces"] == result.counts.num_faces
-    assert counts["num_after_cull"]["edge_edge"] == result.counts.num_after_cull[ccd.PairKind.EDGE_EDGE]
+    assert data["counts"]["num_after_cull"]["edge_edge"] == result.counts.num_after_cull[ccd.PairKind.EDGE_EDGE]
     assert data["crossing_at_start"] == [] and arrays["crossing_at_start"].shape == (0, 2)
 
 
@@ -282,10 +205,9 @@ def test_standard_output_takes_the_json_alone(run):
     shown = run(f"{ON} --output -")
     assert json.loads(shown.out)["toi"] == _expected()[1].toi
     assert shown.err.startswith("ccd-warp ") and "first contact" in shown.err
-    shown = run(f"{RUN} --output - --quiet")
+    shown = run("run crossing.ply crossing.ply --output - --quiet")
     data = json.loads(shown.out)
     assert data["toi"] is None and data["contacts"] == [] and shown.err == ""
-    data = json.loads(run("run crossing.ply crossing.ply --output - --quiet").out)
     assert data["crossing_at_start"] == [{"bodies": ["crossing.ply", "crossing.ply"], "edges_through_faces": 2}]
 
 
@@ -293,8 +215,7 @@ def test_standard_output_takes_the_json_alone(run):
     "options",
     [
         {"minimum_separation": 0.01, "length_scale": 1.0, "tolerance": 1e-9, "num_threads": 1},
-        {"minimum_distance": 0.25, "start_gap_fraction": 0.5},
-        {"precision": "float32", "t_max": 0.5},
+        {"precision": "float32", "t_max": 0.5, "minimum_distance": 0.25, "start_gap_fraction": 0.5},
         {"method": "bisection", "broad_phase": "hash", "max_iterations": 3, "max_work": 100},
         {"pair_kinds": "edge-edge", "memory_limit": 64_000_000},
     ],
@@ -311,9 +232,9 @@ def test_options_reach_the_library(run, options):
 
 
 def test_a_ground_is_a_half_space_of_the_command_line(run):
-    """It is named in the report and in every file of results, and no radius for all bodies is one for it."""
+    """It is named in the report and in files of results, and no radius for all bodies is one for it."""
     planes = "--half-space ground=0,0,0,0,0,2 --half-space=-9,0,0,1,0,0 --radius 0.25 --no-self-collision"
-    for suffix in ("json", "npz", "csv"):
+    for suffix in ("json", "csv"):
         out = run(f"{RUN} {planes} --output ground.{suffix}").out
     assert re.search(r"first contact  vertex .* and ground\n", out)
     data = _json("ground.json")
@@ -321,22 +242,15 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
     assert data["bodies"][1]["half_space"] == {"point": [0, 0, 0], "normal": [0, 0, 2]}
     assert data["toi"] == pytest.approx(0.25, rel=1e-13)  # its centre comes down from 2 to 0.75
     assert data["contacts"][0]["kind"] == "vertex_plane" and data["contacts"][0]["bodies"][1] == "ground"
-    with np.load("ground.npz") as arrays:
-        assert arrays["plane_normal"].tolist() == [[0, 0, 2], [1, 0, 0]] and arrays["plane_body"].tolist() == [1, 2]
-        assert (arrays["contact_bodies"][:, 1] == 1).all() and arrays["contact_primitives_in_body"][:, 1].max() == 0
     assert {row["kind"] for row in _rows("ground.csv")} == {"vertex_plane"}
-    (row,) = csv.DictReader(run(f"sequence start.ply end.ply {planes} --output - --quiet").out.splitlines())
-    assert int(row["vertex_plane"]) == int(row["contacts"]) == data["counts"]["num_contacts"]["vertex_plane"]
 
 
 def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
     shown = run("demo --output-dir new/folder")
     assert shown.err == "" and shown.out.count("MISS") == 2 and "HIT" not in shown.out
-    assert "toi = 0.4" in shown.out and "cloth over a sphere" in shown.out
     toi = _json("new/folder/bullet.json")["toi"]
     # The front of the bullet, 0.1 ahead of its centre at 0.5, meets the wall's side at 4.99 at a speed of nine.
     assert (4.99 - 0.6) / 9.0 - 1e-5 <= toi <= (4.99 - 0.6) / 9.0 + 1e-15  # of the rounded coordinates
-    assert 0.0 < _json("new/folder/cloth.json")["toi"] < 1.0
     frames = [f"new/folder/bullet_bullet_t{k}.ply" for k in (0, 1)]
     run("run --static new/folder/bullet_wall_t0.ply --no-self-collision --output again.json --quiet", *frames)
     assert _json("again.json")["toi"] == toi
@@ -344,52 +258,15 @@ def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
 
 # ---- Refusals --------------------------------------------------------------------------------------------------------
 
-REFUSED = [  # of a command, what its one line says; what the library refuses is one example each
-    ("", "--help"),
-    ("run start.ply", "END is missing"),
+REFUSED = [  # of a command, what its one line says; what the library refuses, its own table holds
     (f"{RUN} --static a.ply b.ply", "--help"),  # the second would be taken for a frame
-    (f"{RUN} --tolerance small", "--tolerance"),
-    (f"{RUN} --tolerance 0", "tolerance is 0.0; expected a finite number above 0"),
-    (f"{RUN} --minimum-distance 1 --minimum-separation 1", "minimum_distance"),
-    (f"{RUN} --pair-kinds face-face", "pair_kinds"),
     (f"{RUN} --pair-kinds point-point", "--pair-kinds holds point-point, which these bodies cannot form"),
-    (f"{ON} --memory-limit 9", "memory_limit is 9 bytes; expected at least"),
-    (f"{RUN} --radius thin", "--radius thin: expected a number"),
-    (f"{RUN} --radius ghost=1", "--radius ghost=1: no body has this name; expected one of start.ply"),
-    (f"{ON} --kinematic ghost", "--kinematic ghost: no body that moves has this name; expected one of start.ply"),
     (f"{ON} --kinematic floor.ply", "--kinematic floor.ply: no body that moves has this name"),
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
-    (f"{RUN} --half-space g=0,0,0,0,0,0", "normal of body 1 (g) is [0.0, 0.0, 0.0]; expected a direction"),
-    (f"{RUN} --output result.txt", ".npz, .json, .csv"),
-    (f"{RUN} --output none/result.npz", "does not exist"),
-    ("run none.ply end.ply", "none.ply: no such file"),
-    (f"{RUN} --static gone.obj", "gone.obj: no such file"),
-    ("run start.ply floor.ply", "start.ply has 162 vertices and 320 faces, floor.ply has 8 vertices and 12 faces"),
-    (f"{RUN} --static floor.zip --max-bytes 100", "raise it with --max-bytes"),
-    (f"{SHEET} --exclude short.txt", "short.txt: line 1 is 'bodies,sheet_1.ply'; expected rows KEY,A,B"),
-    (f"{SHEET} --exclude nobody.txt", "bodies are sheet_1.ply, wall.ply, ground.ply"),
-    (f"{SHEET} --exclude many.txt", "exclude_pairs['vertices'] holds vertex 99"),
-    (f"{SHEET} --exclude bytes.txt", "codec can't decode"),
-    (f"{SHEET} --exclude damaged.npz", "damaged.npz"),
-    ("run floor.ply floor.ply --poses step.csv", "END is given with --poses"),
-    ("run floor.ply --poses three.csv", "holds poses at 3 times; expected 2"),
-    (f"{RUN} --path screw", "--path screw is given without --poses"),
-    ("run floor.ply --poses bad.csv", "bad.csv: line 2, column py is 'two'; expected a finite number"),
-    ("sequence floor.ply far.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    ("sequence floor.ply --poses step.csv --displacement u", "--displacement is given with --poses"),
-    ("sequence gone.ply floor.ply", "gone.ply: no such file or folder"),
-    ("sequence floor.ply", "has 1 frame; expected two or more"),
-    ("sequence start.ply floor.ply", "topology differs: "),
-    ("sequence start.ply end.ply --picture a.webm", ".gif, .mp4, .png"),
-    (f"{RUN} --picture step.jpg", "--picture step.jpg: the name must end in .png"),
-    ("run not_even_looked_for.ply end.ply --picture none/step.png", "does not exist"),
+    (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
+    ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
-    ("explore --output page.txt", "--output page.txt: the name must end in .html, .htm"),
-    ("explore --output none/page.html", "the folder none does not exist; create it first"),
-    ("explore --output folder.html", "cannot write folder.html (Is a directory)"),
     (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),
-    (f"{RUN} --static escape.zip", r"\x1b[2J.vtk"),
-    (f"{RUN} --static f.\x1b[2J", r"f.\x1b[2J"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),
 ]
 
@@ -400,47 +277,40 @@ def test_bad_command_lines_and_files_are_refused_in_one_line(run, folder, line, 
     shown = run(line, status=2)
     assert shown.out == "" and shown.err.startswith("ccd-warp: error: ") and shown.err.endswith("\n")
     assert shown.err[:-1].isprintable() and words in shown.err and len(shown.err) < 800
-    assert [path for path in sorted(folder.rglob("*")) if path not in before] == []
+    assert sorted(folder.rglob("*")) == before
 
 
-def test_names_of_files_reach_the_terminal_without_their_escape_codes(run, folder):
+def test_names_of_files_reach_the_terminal_without_their_escape_codes(run):
     shown = run(f"{RUN} --output a\x1b[2J.json --static", HOSTILE)
     assert "\x1b" not in shown.out and "\x07" not in shown.out and "\x9b" not in shown.out
     assert shown.out.count(SHOWN) == 2 and r"a\x1b[2J.json" in shown.out  # in the table and in the first contact
     # A body has one name, which everything that is written calls it by.
     assert [body["name"] for body in _json("a\x1b[2J.json")["bodies"]] == ["start.ply", SHOWN]
-    (folder / f"cut {HOSTILE}").write_bytes(ply()[:-3])
-    for name in (f"cut {HOSTILE}", f"no {HOSTILE}"):
-        assert SHOWN in (error := run(f"{RUN} --static", name, status=2).err) and error[:-1].isprintable()
+    assert SHOWN in (error := run(f"{RUN} --static", f"no {HOSTILE}", status=2).err) and error[:-1].isprintable()
 
 
 def test_help_is_that_of_the_library_and_is_spelled_where_a_terminal_knows_ascii_alone(run, monkeypatch, folder):
     monkeypatch.setenv("COLUMNS", "1000")
+    shutil.copy(folder / "start.ply", folder / "start é.ply")
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
-    helps = [f"{name} --help" for name in ("sequence", "demo", "explore", "bench", "run")]
-    for line in ("--version", "--help", *helps):
+    for line in (
+        "--version",
+        "--help",
+        *(f"{name} --help" for name in ("sequence", "demo", "explore", "bench", "run")),
+    ):
         with pytest.raises(SystemExit) as ended:
             main(line.split())
         assert ended.value.code == 0
-    for name in ("start", "end"):
-        shutil.copy(folder / f"{name}.ply", folder / f"{name} é.ply")
-    frames = [str(folder / f"{name} é.ply") for name in ("start", "end")]
-    obstacles = 40 * ["--static", str(folder / "floor.ply")]
-    assert main(["run", *frames, *obstacles, "--output", str(folder / "default.json")]) == 0
-    assert sys.stdout.errors == "strict"
+    assert main(["run", "start é.ply", "start é.ply", "--output", "default.json"]) == 0
     out = written.getvalue().decode("ascii")
-    assert out.startswith(f"ccd-warp {ccd.__version__}\n")
-    assert "  ... 11 more bodies" in out and "start \\xe9.ply" in out
+    assert out.startswith(f"ccd-warp {ccd.__version__}\n") and "start \\xe9.ply" in out
     # Each option is in one line, or in two where its name is long.
-    text = re.sub(r"\n {20,}", " ", out)
+    text, options = re.sub(r"\n {20,}", " ", out), _json("default.json")["options"]
     lines = {line.split()[0]: line for line in text.splitlines() if line.strip().startswith("--")}
-    assert "cpu, cuda, cuda:1, ... (" in lines["--device"]
-    options = _json(folder / "default.json")["options"]
     for name in ("tolerance", "minimum_separation", "t_max", "max_iterations", "max_work", "precision", "method"):
         shown = f"({options[name]:g})" if isinstance(options[name], float) else f"({options[name]})"
         assert lines[f"--{name.replace('_', '-')}"].endswith(shown)
-    assert "{float64,float32}" in lines["--precision"] and "{clipping,bisection}" in lines["--method"]
 
 
 # ---- Files and streams that fail -------------------------------------------------------------------------------------
@@ -450,30 +320,22 @@ SEQUENCE = "sequence start.ply end.ply --static floor.ply"
 
 @pytest.mark.parametrize("line", [ON, f"{ON} --output -", f"{SEQUENCE} --output -"])
 def test_a_pipe_without_a_reader_keeps_the_status(run, line, monkeypatch):
-    for asked, status in (("", 0), (" --fail-on-contact", 1)):
-        reader, writer = os.pipe()
-        os.close(reader)
-        with os.fdopen(writer, "w") as stream, monkeypatch.context() as patch:
-            patch.setattr(sys, "stdout", stream)
-            run(line + asked, status=status)
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w") as stream, monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", stream)
+        run(f"{line} --fail-on-contact", status=1)
 
 
 @pytest.mark.parametrize("line", [ON, SEQUENCE])
-def test_a_full_or_a_closed_standard_output_is_an_error_where_the_result_goes_there(run, line, monkeypatch):
+def test_a_full_standard_output_is_an_error_where_the_result_goes_there(run, line, monkeypatch):
     with open("/dev/full", "w") as stream, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stream)
         shown = run(f"{line} --output - --quiet --fail-on-contact", status=2)
     assert shown.err == "ccd-warp: error: cannot write to standard output (No space left on device)\n"
-    with monkeypatch.context() as patch:
-        patch.setattr(sys, "stdout", None)
-        assert "--output -: there is no standard output" in run(f"{line} --output -", status=2).err
-        run(f"{line} --output closed{'.json' * (line == ON)}")
-    with monkeypatch.context() as patch:
-        patch.setattr(sys, "stderr", None)
-        assert run(f"{line} --output -").out.startswith(("{\n", "step,"))
 
 
-@pytest.mark.parametrize("name", ["full.json", "full.npz", "full.csv", "full"])
+@pytest.mark.parametrize("name", ["full.json", "full.npz", "full"])
 def test_an_earlier_result_survives_a_full_disk(run, folder, name):
     line = f"{ON if '.' in name else SEQUENCE} --quiet --output {name}"
     run(line)
@@ -491,10 +353,7 @@ def test_an_earlier_result_survives_a_full_disk(run, folder, name):
 
 
 def test_a_fault_of_the_command_itself_does_not_look_like_a_contact(monkeypatch, capfd):
-    def fail(argv=None):
-        raise RuntimeError("a fault")
-
-    monkeypatch.setattr(command, "main", fail)
+    monkeypatch.setattr(command, "main", lambda: 1 / 0)
     with pytest.raises(SystemExit) as end:
         command.run_program()
-    assert end.value.code == 3 and "RuntimeError: a fault" in capfd.readouterr().err
+    assert end.value.code == 3 and "ZeroDivisionError" in capfd.readouterr().err

@@ -2,7 +2,7 @@
 
 import os
 import re
-import sys
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -41,9 +41,9 @@ def _same_bits(a, b):
     return a.shape == b.shape and a.dtype == b.dtype == np.float64 and a.tobytes() == b.tobytes()
 
 
-def _refused(path, line, message, **options):
+def _refused(path, line, message):
     with pytest.raises(ValueError, match=re.escape(f"{path}, line {line}") + f"[ :]+{message}"):
-        datasets.read_queries(path, **options)
+        datasets.read_queries(path)
 
 
 @pytest.fixture(params=["one block", "a line a block"])
@@ -67,11 +67,7 @@ def test_queries_come_back(tmp_path, blocks, truth):
     assert (read.truth is None) == (truth is None) and np.array_equal(read.truth, truth)
     assert (read.name, read.kind, read.sources) == ("227ee", "edge-edge", (("227ee.csv", 5),))
     assert len(read) == 5 and read.id(3) == "227ee.csv:3" and read.id(-1) == "227ee.csv:4"
-    assert all(array.flags["C_CONTIGUOUS"] and array.flags["OWNDATA"] for array in (read.points_t0, read.points_t1))
-    with pytest.raises(IndexError):
-        read.id(5)
-    assert path.read_bytes().count(b"\n") == 40 and b"\r" not in path.read_bytes()
-    assert os.listdir(tmp_path) == ["227ee.csv"]
+    assert path.read_bytes().count(b"\n") == 40 and os.listdir(tmp_path) == ["227ee.csv"]
 
 
 @unhurried
@@ -100,19 +96,10 @@ def test_a_rational_is_exact_or_refused(tmp_path_factory, n, k, factor):
         _refused(path, 1, ".* is not a float64")
 
 
-@pytest.mark.parametrize("limit", [None, 0])
-@pytest.mark.parametrize("rational", ["{0},1", "-1,{0}", "{0},{0}"])
-def test_numbers_of_millions_of_digits_are_refused_at_once(tmp_path, rational, limit):
-    rows = [*QUERY[:3], f"1,2,{rational.format('7' * 10_000_000)},5,8", *QUERY[4:]]
-    before = sys.get_int_max_str_digits()
-    sys.set_int_max_str_digits(before if limit is None else limit)
-    try:
+def test_numbers_of_millions_of_digits_are_refused_at_once(tmp_path):
+    for rational in ("{0},1", "-1,{0}", "{0},{0}"):
+        rows = [*QUERY[:3], f"1,2,{rational.format('7' * 10_000_000)},5,8", *QUERY[4:]]
         _refused(_write(tmp_path, rows), 4, ".* is too long; expected an integer of at most 10,000")
-        # of fewer, more than int() takes by itself, and digits in any form
-        for text, value in ((f"-3{'0' * 9999},1{'0' * 9999}", -3.0), ("-007,04", -1.75), ("-0,8", 0.0)):
-            assert datasets.read_queries(_write(tmp_path, [f"1,2,{text},0,1"] * 8)).points_t1[0, 0, 1] == value
-    finally:
-        sys.set_int_max_str_digits(before)
 
 
 @requires_data
@@ -152,57 +139,46 @@ def test_queries_cut_at_any_byte_are_refused_or_fewer_whole_queries(tmp_path, tr
             assert np.array_equal(queries.points_t1, points[: len(queries)] + 1.0)
 
 
-# ---- Well-formed, in another dress -----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
-@pytest.mark.parametrize("tail", [b"", b"\n"])
+@pytest.mark.parametrize("tail", ["", "\n", "\n\n\n"])  # the last of them in blocks of their own
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("space", ["", " ", "   "])  # after commas, as ccd_query_io writes them
+@pytest.mark.parametrize("space", ["", "   "])  # after commas, as ccd_query_io writes them
 def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, blocks, end, tail, mark, space):
     rows = [f"{i},1,{i},2,{-i},4,1".replace(",", f",{space}") for i in range(16)]
+    tail = tail.replace("\n", end).encode()
     read = datasets.read_queries(_write(tmp_path, mark + end.join(rows).encode() + tail))
     expected = np.outer(range(16), [1.0, 0.5, -0.25]).reshape(2, 2, 4, 3) + 0.0
     assert _same_bits(read.points_t0, expected[:, 0].copy()) and _same_bits(read.points_t1, expected[:, 1].copy())
     assert read.truth.tolist() == [True, True] and len(datasets.read_queries(_write(tmp_path, mark + tail))) == 0
 
 
-def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path, monkeypatch):
+def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path):
     for name, kind in (
-        ("edge-edge/0.csv", "edge-edge"),
         ("vertex-face/ree.csv", "vertex-face"),
-        ("7vf.csv", "vertex-face"),
+        ("edge-edge/0.csv", "edge-edge"),
+        ("7ee.csv", "edge-edge"),
     ):
-        path = _write(tmp_path, QUERY, name)
-        monkeypatch.chdir(path.parent)
-        assert datasets.read_queries(path).kind == datasets.read_queries(path.name).kind == kind
-    for kind in (ccd.PairKind.EDGE_EDGE, "edge_edge", "edge-edge"):
-        assert datasets.read_queries(str(path), kind=kind).kind == "edge-edge"
-        assert [(found.kind, len(found)) for found in datasets.find_queries(tmp_path, kind=kind)] == [("edge-edge", 1)]
+        assert datasets.read_queries(path := _write(tmp_path, QUERY, name)).kind == kind
+    for kind in (ccd.PairKind.VERTEX_FACE, "vertex_face", "vertex-face"):
+        assert datasets.read_queries(str(path), kind=kind).kind == "vertex-face"
     with pytest.raises(ValueError, match=r"data\.csv: neither its folder .* says the kind .* kind= of read_queries"):
         datasets.read_queries(_write(tmp_path, QUERY, "data.csv"))
-    for kind in (ccd.PairKind.POINT_POINT, 1):
-        with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
-            datasets.find_queries(tmp_path, kind=kind)
+    with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
+        datasets.find_queries(tmp_path, kind=ccd.PairKind.POINT_POINT)
 
 
 # ---- Malformed -------------------------------------------------------------------------------------------------------
 
-NO_INTEGERS = ["5.0", "5e0", "nan", "+5", "1_0", " ", "\t5", "- 5", "\r5", "٣", "", "-", "--5", "5-"]
+NO_INTEGERS = ["5.0", "nan", "+5", "1_0", " ", "\t5", "\r5", "٣", "", "-", "--5", "5-", "5 "]
 MALFORMED = [(f"1,2,3,4,{field},8", f"{re.escape(repr(field))} is not an integer") for field in NO_INTEGERS] + [
     ("", "is empty; expected 6 integers"),
     ("1,2,3,4,5,8,1", "has 7 columns; expected 6 as on line 1"),
-    ("1,2,3,4,5,x", "'x' is not an integer; expected decimal digits"),
-    ("1,2,3,4 ,5,6", "'4 ' is not an integer"),
-    ("1,2,3,4,5,8 ", "'8 ' is not an integer"),
     ("1,2,3,4,5,0", "denominator is 0; expected a positive integer"),
     ("1,2,3,4,5,-8", "denominator is -8; expected a positive integer"),
-    ("1,2,3,4,1,3", "1/3 is not a float64; expected a rational that is exactly one"),
     (f"{2**53 + 1},2,3,4,5,8", f"{2**53 + 1}/2 is not a float64"),
     (f"1,2,3,4,1,{2**1075}", r"1/4048045066146212\.\.\.\S+ \(324 characters\) is not"),
     (f"1,2,{2**1024 - 2**970},1,5,8", ".* is not a float64; expected a coordinate of at most 1.8e308"),
     (f"1,2,{2**1024 - 2**970 - 1},1,5,8", ".* is not a float64; expected a rational"),
-    (f"1,2,1,{'9' * 9000},5,8", r"1/9{16}\.\.\.9{8} \(9000 characters\) is not a float64; expected a rational"),
 ]
 
 
@@ -216,9 +192,6 @@ def test_malformed_line_is_named(tmp_path, blocks, row, message, at):
     _refused(_write(tmp_path, rows), at, message)
 
 
-KNOWN, UNKNOWN = [f"{ROW},1"], [f"{ROW},0"]
-
-
 @pytest.mark.parametrize(
     "rows, line, message",
     [
@@ -226,30 +199,12 @@ KNOWN, UNKNOWN = [f"{ROW},1"], [f"{ROW},0"]
         ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, "has 5 columns; expected 6 as on line 1"),
         (["xn,xd,yn,yd,zn,zd,truth", *QUERY], 1, "'xn' is not an integer"),
         ([ROW] * 7, 7, "the file ends after 7 rows; expected a multiple of 8, 8 a query"),
-        ([*KNOWN * 10, f"{ROW},01", *KNOWN * 5], 11, "truth is '01'; expected 0 or 1"),
-        ([*KNOWN * 8, *UNKNOWN * 5, *KNOWN * 3], 14, "truth is 1 and 0 on line 9; expected one truth on the 8 rows"),
-        (bytes(range(256)) * 10, 1, r"has \d+ columns"),
+        ([f"{ROW},1"] * 10 + [f"{ROW},01"] * 6, 11, "truth is '01'; expected 0 or 1"),
+        ([f"{ROW},{int(k != 13)}" for k in range(16)], 14, "truth is 0 and 1 on line 9; expected one truth on the 8"),
     ],
 )
 def test_rows_that_are_no_queries_are_refused(tmp_path, blocks, rows, line, message):
     _refused(_write(tmp_path, rows), line, message)
-
-
-def test_progress_is_one_bar_on_stderr(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("tqdm")
-    path = _write(tmp_path, QUERY * 20, end="\r\n")
-    _write(tmp_path, QUERY, "0ee.csv")
-    for read, place in ((datasets.read_queries, path), (datasets.find_queries, tmp_path)):
-        with monkeypatch.context() as patch:
-            read(place, progress=True)
-            shown = capsys.readouterr()
-            assert shown.out == "" and "100%" in shown.err and shown.err.count("\n") == 1
-            patch.setitem(sys.modules, "tqdm", None)
-            with pytest.raises(ImportError, match=r"^[^\n]*pip install 'ccd-warp\[bench\]'[^\n]*$"):
-                read(place, progress=True)
-    with pytest.raises(FileNotFoundError, match=r"1vf\.csv"):
-        datasets.read_queries(tmp_path / "1vf.csv", progress=True)
-    assert capsys.readouterr().err == ""
 
 
 # ---- Sets, truth, boxes, steps ---------------------------------------------------------------------------------------
@@ -259,81 +214,49 @@ STEP = datasets.SimulationStep(
 )
 
 
-def check_step(folder, step):
-    """A step is read as it was written."""
-    paths = [folder / "7.ply", folder / "8.ply"]
-    datasets.write_step(*paths, step)
-    read = datasets.read_step(*map(str, paths))
-    assert _same_bits(read.vertices_t0, step.vertices_t0) and _same_bits(read.vertices_t1, step.vertices_t1)
-    assert np.array_equal(read.faces, step.faces) and read.faces.dtype == np.int32
-    assert sorted(os.listdir(folder)) == ["7.ply", "8.ply"]
-
-
-def test_step_comes_back_or_is_refused(tmp_path):
-    check_step(tmp_path, STEP)
-    other = datasets.SimulationStep(STEP.vertices_t0, STEP.vertices_t1, STEP.faces[:, ::-1].copy())
-    datasets.write_step(tmp_path / "9.ply", tmp_path / "10.ply", other)
-    (tmp_path / "8.ply").write_bytes((tmp_path / "8.ply").read_bytes()[:-3])
-    for name, message in (
-        ("10.ply", r"topology differs: face 0 is \[0, 1, 2\] in .*7\.ply and \[2, 1, 0\] in"),
-        ("8.ply", r"8\.ply: holds 1 rows of the element 'face', and its header says 2"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            datasets.read_step(tmp_path / "7.ply", tmp_path / name)
-
-
-def _set(label, n, kind="edge-edge", truth=True):
-    known = np.arange(n) % 2 == 0 if truth else None
-    return datasets.Queries(label, kind, _points(n), _points(n, seed=1), known, ((label, n),))
+def test_steps_come_back(tmp_path):
+    paths = [tmp_path / "7.ply", tmp_path / "8.ply"]
+    published = datasets.find_steps(DATA).values() if DATA.is_dir() else ()
+    for step in (STEP, *(datasets.read_step(*frames) for frames in published)):
+        datasets.write_step(*paths, step)
+        read = datasets.read_step(*map(str, paths))
+        assert _same_bits(read.vertices_t0, step.vertices_t0) and _same_bits(read.vertices_t1, step.vertices_t1)
+        assert np.array_equal(read.faces, step.faces) and read.faces.dtype == np.int32
+        assert sorted(os.listdir(tmp_path)) == ["7.ply", "8.ply"]
 
 
 def test_joined_sets_keep_their_order_and_ids():
-    parts = [_set("a", 2), _set("b", 0, truth=False), _set("c", 3)]
-    whole = datasets.Queries.joined("all", parts)
-    assert (whole.name, whole.kind, len(whole)) == ("all", "edge-edge", 5)
-    assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"]
-    assert _same_bits(whole.points_t1, np.concatenate([part.points_t1 for part in parts]))
+    def part(label, n, kind="edge-edge", truth=True):
+        known = np.arange(n) % 2 == 0 if truth else None
+        return datasets.Queries(label, kind, _points(n), _points(n, seed=1), known, ((label, n),))
+
+    whole = datasets.Queries.joined("all", [part("a", 2), part("b", 0, truth=False), part("c", 3)])
+    assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"] and whole.kind == "edge-edge"
+    assert _same_bits(whole.points_t1, np.concatenate([_points(2, seed=1), _points(3, seed=1)]))
     assert whole.truth.tolist() == [True, False, True, False, True]
-    for parts, message in (
-        ([_set("a", 1), _set("b", 1, "vertex-face")], r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"),
-        ([], r"parts of x are of the kinds \[\]; expected one or more parts"),
-        ([_set("a", 1), _set("b", 1, truth=False)], "parts of x: the truth of b is not known, that of others is"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            datasets.Queries.joined("x", parts)
+    with pytest.raises(ValueError, match=r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"):
+        datasets.Queries.joined("x", [part("a", 1), part("b", 1, "vertex-face")])
+    with pytest.raises(ValueError, match="parts of x: the truth of b is not known, that of others is"):
+        datasets.Queries.joined("x", [part("a", 1), part("b", 1, truth=False)])
 
 
-def _bad(value):
-    points = np.zeros((3, 4, 3))
-    points[1, 2, 0] = value
-    return points
-
-
-def _step(**change):
-    return datasets.SimulationStep(**{**vars(STEP), **change})
-
-
-ZERO = _bad(0)
+ZERO = np.zeros((3, 4, 3))
+BAD = np.where(np.arange(36).reshape(3, 4, 3) == 18, np.nan, 0.0)
 
 
 @pytest.mark.parametrize(
     "write, given, message",
     [
-        ("queries", (_bad(np.nan), ZERO), r"points_t0\[1, 2, 0\] is nan; expected finite coordinates"),
-        ("queries", (ZERO[:, :3], ZERO), r"of shape \(3, 3, 3\); expected float64 of shape \(n, 4, 3\)"),
-        ("queries", (ZERO.astype(np.float32), ZERO), "points_t0 is float32"),
+        ("queries", (BAD, ZERO), r"points_t0\[1, 2, 0\] is nan; expected finite coordinates"),
         ("queries", (ZERO, ZERO[1:]), r"points_t1 has shape \(2, 4, 3\); expected \(3, 4, 3\) like points_t0"),
-        ("queries", (ZERO, ZERO, np.ones(2, bool)), r"truth is bool of shape \(2,\); expected bool of shape \(3,\)"),
         ("truth", (np.ones((2, 2), bool),), r"truth is .*; expected bool of shape \(n,\)"),
-        ("boxes", (np.ones((3, 2)),), r"ids is .*; expected integers of shape \(n, 2\)"),
-        ("boxes", (np.array([[0, -1]]),), "ids holds -1; expected integers from 0"),
-        ("step", ("y.ply", _step(vertices_t1=np.zeros((4, 3)))), r"has shape \(4, 3\); expected \(5, 3\)"),
-        ("step", ("y.ply", _step(vertices_t0=np.full((5, 3), np.nan))), r"vertices_t0\[0\] is .*; expected finite"),
-        ("step", ("y.ply", _step(faces=np.zeros((0, 3), np.int32))), r"faces has shape \(0, 3\); expected \(F, 3\)"),
-        ("step", ("y.ply", _step(faces=np.array([[0, 1, 5]]))), "faces holds indices from 0 to 5; expected 0 to 4"),
-        ("step", ("y.ply", _step(faces=np.array([[0, 1, -1]]))), "faces holds indices from -1 to 1; expected 0 to 4"),
+        ("step", ("y.ply", replace(STEP, vertices_t1=np.zeros((4, 3)))), r"has shape \(4, 3\); expected \(5, 3\)"),
+        (
+            "step",
+            ("y.ply", replace(STEP, faces=np.array([[0, 1, 5]]))),
+            "faces holds indices from 0 to 5; expected 0 to 4",
+        ),
         ("step", ("vf.ply", STEP), r"end_path is .*vf\.ply, as start_path is; expected another file"),
-        ("step", ("y.obj", STEP), r"end_path is .*y\.obj; expected a name that ends in \.ply"),
     ],
 )
 def test_what_is_no_data_is_not_written(tmp_path, write, given, message):
@@ -349,17 +272,15 @@ LISTS = {
     "boxes": [np.array(each).reshape(-1, 2) for each in (np.zeros(0, int), [[0, 1]], [[15739, 15746], [3, 2**63 - 1]])],
 }
 OF_BOTH = [
-    (b"", ", line 1: .*; expected a JSON list"),
     (b"[\ntrue,\nfalse", ", line 3: .*; expected a JSON list"),
     (b'{"a": 1}', ' holds {"a": 1}; expected a JSON list'),
-    (b"[nan]", ", line 1: "),
     (b'["\xff"]', r" cannot be read as JSON \(.*\); expected a JSON list"),
     (b"[" * 200_000, " cannot be read as JSON"),
     *((f"[{each}]".encode(), re.escape(f": entry 0 is {each}; expected t")) for each in ("1", "[1, 2, 3]", "null")),
 ]
 OF_BOXES = [
     (f"[[1, 2], {pair}]".encode(), re.escape(f": entry 1 is {pair}; expected two ids, integers from 0"))
-    for pair in ("[-1, 2]", "[1.0, 2]", "[1]", '["1", 2]', str([1, 2**63]), "true", "[true, false]")
+    for pair in ("[-1, 2]", "[1.0, 2]", str([1, 2**63]), "[true, false]")
 ]
 
 
@@ -371,149 +292,66 @@ def test_truth_and_boxes_come_back_whole_or_not_at_all(tmp_path, name):
         write(path, values)
         found, data = read(str(path)), path.read_bytes()
         assert np.array_equal(found, values) and found.dtype == values.dtype and found.shape == values.shape
-        assert os.listdir(tmp_path) == [path.name]
         for damaged, message in [(data[:n], "") for n in range(len(data))] + OF_BOTH + OF_BOXES * (name == "boxes"):
             path.write_bytes(damaged)
             with pytest.raises(ValueError, match=re.escape(str(path)) + message):
                 read(path)
 
 
-def test_truth_beside_the_queries(tmp_path):
-    path, truth = _write(tmp_path, QUERY * 2, "queries/0ee.csv"), tmp_path / "0ee_mma_bool.json"
-    datasets.write_truth(truth, np.array([False, True]))
-    assert datasets.read_queries(path).truth is None
-    assert datasets.read_queries(path, truth=str(truth)).truth.tolist() == [False, True]
-    datasets.write_truth(truth, np.array([False]))
-    with pytest.raises(ValueError, match=r"0ee_mma_bool\.json has 1 truths; expected 2, one a query of .*0ee\.csv"):
-        datasets.read_queries(path, truth=truth)
-    _write(tmp_path, KNOWN * 8, "queries/0ee.csv")
-    with pytest.raises(ValueError, match=r"0ee\.csv has 7 columns, the truth among them; expected 6"):
-        datasets.read_queries(path, truth=truth)
-
-
-def test_edges_are_sorted_by_their_larger_vertex_and_are_those_of_the_mesh():
-    faces = np.array([[3, 1, 0], [0, 1, 2], [4, 2, 1]])
+def test_edges_are_sorted_by_their_larger_vertex():
+    faces = np.array([[3, 1, 0], [0, 1, 2], [4, 2, 1], [0, 0, 1]])  # the last repeats a vertex
     assert datasets.edges_by_max(faces).tolist() == [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [1, 4], [2, 4]]
-    faces = np.array([[0, 0, 1], [2, 2, 2], [1, 3, 2]])  # with repeated vertices
-    edges = datasets.edges_by_max(faces)
-    assert edges.tolist() == [[0, 1], [1, 2], [1, 3], [2, 3]]
-    assert np.array_equal(edges, ccd.CollisionMesh.from_arrays([(np.eye(4, 3), faces)]).edges)
-    for index, dtype in ((2**63 - 2, np.int64), (2**64 - 2, np.uint64), (-2, np.int8), (254, np.uint8)):
-        faces = np.array([[index + 1, 0, index]], dtype=dtype)
-        edges, (a, b, c) = datasets.edges_by_max(faces), sorted(map(int, faces[0]))
-        assert edges.dtype == dtype and edges.tolist() == [[a, b], [a, c], [b, c]]
 
 
 # ---- Folders ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def tree(tmp_path):
-    """A root in both layouts; every query of a file has the file's number as its first coordinate."""
-    root = tmp_path / "data"
+def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
+    """In both layouts; every query of a file has the file's number as its first coordinate."""
     for number, (name, count, truth) in enumerate(
         [
             ("handcrafted/spikes/edge-edge/data_0.csv", 1, ",1"),
             ("handcrafted/spikes/edge-edge/data_1.csv", 2, ",0"),
             ("handcrafted/spikes/vertex-face/data_0.csv", 1, ",0"),
-            ("handcrafted/boxes/vertex-face/data_0.csv", 1, ",1"),
             ("simulation/cloth/queries/7ee.csv", 2, ""),
-            ("simulation/cloth/queries/7vf.csv", 1, ""),
             ("simulation/rod/queries/9vf.csv", 1, ""),
         ]
     ):
-        _write(root, [f"{number},1,0,1,0,1{truth}"] * 8 * count, name)
-    for name, truth in (("7ee", "[true, false]"), ("7vf", "[true]")):
-        _write(root, [truth], f"simulation/cloth/mma_bool/{name}_mma_bool.json")
-        _write(root, ["[]"], f"simulation/cloth/boxes/{name}.json")
-    for name in ("cloth/frames/7.ply", "cloth/frames/8.ply", "rod/frames/10.ply", "rod/frames/9.ply"):
-        _write(root, ["ply"], f"simulation/{name}")
-    _write(root, ["notes"], "README.md")
-    return root
+        _write(tmp_path, [f"{number},1,0,1,0,1{truth}"] * 8 * count, name)
+    _write(tmp_path, ["[true, false]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
+    for name in ("cloth/frames/7", "cloth/frames/8", "rod/frames/10", "rod/frames/9"):
+        _write(tmp_path, ["ply"], f"simulation/{name}.ply")
+    _write(tmp_path, ["notes"], "README.md")
 
+    def rows(folder):
+        given = [(q, q.points_t0[:, 0, 0].tolist()) for q in datasets.find_queries(folder)]
+        return [(q.name, q.kind, of, None if q.truth is None else q.truth.tolist()) for q, of in given]
 
-def _summary(folder, **options):
-    return [
-        (q.name, q.kind, q.points_t0[:, 0, 0].tolist(), None if q.truth is None else q.truth.tolist())
-        for q in datasets.find_queries(folder, **options)
-    ]
-
-
-def test_queries_under_the_root_and_under_each_part_of_it(tree, monkeypatch):
-    found = _summary(tree)
+    found = rows(tmp_path)
     assert found == [
-        ("handcrafted/boxes", "vertex-face", [3], [True]),
         ("handcrafted/spikes", "vertex-face", [2], [False]),
         ("handcrafted/spikes", "edge-edge", [0, 1, 1], [True, False, False]),
-        ("simulation/cloth", "vertex-face", [5], [True]),
-        ("simulation/cloth", "edge-edge", [4, 4], [True, False]),
-        ("simulation/rod", "vertex-face", [6], None),
+        ("simulation/cloth", "edge-edge", [3, 3], [True, False]),
+        ("simulation/rod", "vertex-face", [4], None),
     ]
-    spikes = datasets.find_queries(str(tree))[2]
-    assert spikes.sources == tuple((f"handcrafted/spikes/edge-edge/data_{k}.csv", k + 1) for k in (0, 1))
+    spikes = datasets.find_queries(str(tmp_path))[1]
     assert spikes.id(2) == "handcrafted/spikes/edge-edge/data_1.csv:1"
-    for folder, rows in (
-        ("handcrafted", found[:3]),
-        ("simulation", found[3:]),
-        ("handcrafted/spikes", found[1:3]),
-        ("handcrafted/spikes/edge-edge", found[2:3]),
-        ("simulation/cloth", found[3:5]),
-        ("simulation/cloth/queries", found[3:5]),
-        ("simulation/rod", found[5:]),
-    ):
-        expected = [(name.split("/")[-1], *row) for name, *row in rows]
-        assert _summary(tree / folder) == expected
-        sources = [label for queries in datasets.find_queries(tree / folder) for label, _ in queries.sources]
-        assert all((tree / folder / label).is_file() for label in sources)
-        monkeypatch.chdir(tree / folder)
-        assert _summary(".") == expected
-    for name in ("a/queries/0ee.csv", "z/edge-edge/0.csv", "1vf.csv", "2vf.csv"):  # what is handcrafted comes first
-        _write(tree / "rest", QUERY, name)
-    assert [(name, len(x)) for name, _, x, _ in _summary(tree / "rest")] == [("z", 1), ("a", 1), ("rest", 2)]
-
-
-def test_folders_that_hold_something_else_are_refused(tree, tmp_path):
-    for find in (datasets.find_queries, datasets.find_steps):
-        with pytest.raises(ValueError, match="nowhere is not a folder; expected the public data"):
-            find(tmp_path / "nowhere")
-        with pytest.raises(ValueError, match=r"README\.md is not a folder"):
-            find(tree / "README.md")
-    for folder, name, rows, message in (
-        ("empty", "a.txt", [], r"holds no queries; looked for \*\.csv in it, and SCENE/edge-edge/\*\.csv"),
-        ("data", "simulation/cloth/queries/8vf.csv", QUERY, r"of simulation/cloth: the truth of .*8vf\.csv"),
-        ("data", "simulation/cloth/queries/7vf.csv", [*QUERY, "1,2,3,4,5,0"], r"7vf\.csv, line 9: denominator is 0"),
-    ):
-        _write(tmp_path / folder, rows, name)
-        with pytest.raises(ValueError, match=message):
-            datasets.find_queries(tmp_path / folder)
-
-
-@requires_data
-def test_published_queries_and_steps_are_found_and_come_back(tmp_path):
-    found = datasets.find_queries(DATA)
-    assert {(queries.name, queries.kind) for queries in found} >= {
-        ("handcrafted/unit-tests", "vertex-face"),
-        ("handcrafted/erleben-spikes", "edge-edge"),
-        ("simulation/rod-twist", "edge-edge"),
-    }
-    files = [label for queries in found for label, _ in queries.sources]
-    assert len(files) == len(set(files)) == len(list(DATA.rglob("*.csv")))
-    assert all(queries.truth is not None and len(queries) > 0 for queries in found)
-    for start, end in datasets.find_steps(DATA).values():
-        check_step(tmp_path, datasets.read_step(start, end))
-
-
-def test_steps_are_found_in_the_order_of_their_frames(tree):
-    frames = {name: [path.name for path in paths] for name, paths in datasets.find_steps(tree).items()}
+    for folder, part in (("handcrafted", found[:2]), ("simulation", found[2:]), ("handcrafted/spikes", found[:2])):
+        assert rows(tmp_path / folder) == [(name.split("/")[-1], *row) for name, *row in part]
+    frames = {name: [path.name for path in paths] for name, paths in datasets.find_steps(tmp_path).items()}
     assert frames == {"simulation/cloth": ["7.ply", "8.ply"], "simulation/rod": ["9.ply", "10.ply"]}
-    assert list(datasets.find_steps(tree / "simulation")) == ["cloth", "rod"]
-    assert list(datasets.find_steps(str(tree / "simulation" / "rod"))) == ["rod"]
-    assert datasets.find_steps(tree / "handcrafted") == {}
-    folder = tree / "simulation" / "rod" / "frames"
-    for name in ("11.ply", "end.ply"):
-        (folder / "10.ply").replace(folder / name)
-        (folder / "12.ply" if name == "11.ply" else folder / "9.ply").write_text("ply")
-        with pytest.raises(ValueError, match=r"frames holds .*; expected two frames named by numbers, such as 1\.ply"):
-            datasets.find_steps(tree)
-        (folder / name).replace(folder / "10.ply")
-        (folder / "12.ply").unlink(missing_ok=True)
+    assert list(datasets.find_steps(tmp_path / "simulation" / "rod")) == ["rod"]
+
+    for find in (datasets.find_queries, datasets.find_steps):
+        with pytest.raises(ValueError, match=r"README\.md is not a folder; expected the public data"):
+            find(tmp_path / "README.md")
+    _write(tmp_path, ["[true]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
+    with pytest.raises(ValueError, match=r"7ee_mma_bool\.json has 1 truths; expected 2, one a query of .*7ee\.csv"):
+        datasets.find_queries(tmp_path)
+    _write(tmp_path, ["[true, false]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
+    _write(tmp_path, QUERY, "simulation/cloth/queries/8ee.csv")
+    with pytest.raises(ValueError, match=r"of simulation/cloth: the truth of .*8ee\.csv"):
+        datasets.find_queries(tmp_path)
+    _write(tmp_path, ["ply"], "simulation/rod/frames/11.ply")
+    with pytest.raises(ValueError, match=r"frames holds .*; expected two frames named by numbers, such as 1\.ply"):
+        datasets.find_steps(tmp_path)

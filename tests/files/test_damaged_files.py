@@ -1,7 +1,6 @@
 """A damaged file is refused in one line or read as the whole one is; it is never a smaller obstacle."""
 
 import bz2
-import io
 import json
 import os
 import re
@@ -12,20 +11,7 @@ import zlib
 
 import numpy as np
 import pytest
-from mesh_files import (
-    FACES,
-    OFF,
-    PLY,
-    ROWS,
-    WHOLE,
-    content,
-    gltf_files,
-    read,
-    same,
-    tarred,
-    whole,
-    zipped,
-)
+from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, tarred, whole, zipped
 
 import ccd_warp as ccd
 
@@ -51,8 +37,6 @@ def test_file_cut_at_any_byte_is_refused_or_read_as_the_whole(tmp_path, name):
         if name in LISTED:  # with a line end after it, as an editor leaves it that ends every file with one
             found = read(tmp_path / name, data[:length] + b"\n")
             assert found is None or found[1].shape == expected[1].shape, f"cut to {length} of {len(data)} bytes"
-    if name in ("ascii.ply", "text.off"):  # of 12 vertices a third digit would name none
-        assert same(read(tmp_path / name, data[:-1]), expected) and read(tmp_path / name, data[:-2]) is None
 
 
 @pytest.mark.parametrize("name", WHOLE)
@@ -77,7 +61,7 @@ def test_line_that_is_missing_or_doubled_is_refused(tmp_path, name):
             assert found is None or (is_beside and same(found, expected)), line
 
 
-@pytest.mark.parametrize("name", ["ascii.ply", "coloured.ply", "text.off", "commented.off", "ascii.stl", "text.obj"])
+@pytest.mark.parametrize("name", [*LISTED, "text.obj"])
 def test_neither_line_ends_nor_blocks_of_a_long_file_show(tmp_path, monkeypatch, name):
     data = whole(name).replace(b"f 10 2 11\n", b"v 1 2 3\nf -4 2 11\n")
     expected = read(tmp_path / name, data)
@@ -155,39 +139,17 @@ STL = "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex
 BASE = {"ply": PLY, "off": OFF, "obj": OBJ, "stl": STL, "xdmf": XDMF, "dae": "<COLLADA>?</COLLADA>"}
 MALFORMED = [  # of a format: what stands in place of what, and what the message says
     ("ply", "element face 6", "element face 7", "holds 6 rows of the element 'face', and its h.* 7"),
-    ("ply", "element vertex 12", "element vertex 13", "line 23 holds 4 numbers; expected 3"),
     ("ply", "3 6 7 8", "4 6 7 8", "line 26 says 4 corners and holds 3 numbers behind that"),
     ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds '7\.5'; expected an integer"),
-    ("ply", "3 6 7 8", "3 6 7 12", r"face 3 is \[6, 7, 12\], but the file has 12 vertices"),
-    ("ply", ROWS[4], "1_0 2 3", "line 15 holds '1_0'; expected a number"),
-    ("ply", ROWS[4], "1 inf 3", r"vertex 4 is \[1.0, inf, 3.0\] \(1 of 12 vertices are not finite\)"),
-    ("ply", "element face", "element tristrips", "holds strips of triangles"),
     ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
-    ("ply", "ascii", "binary_middle_endian", "line 2 of the header is 'format binary_middle"),
-    ("off", "12 6 0", "12 7 0", "holds 12 vertices and 6 faces, and says that it has 12 and 7"),
-    ("off", "3 6 7 8", "3 6 7", "line 18 says 3 corners and holds 2 numbers"),
-    ("off", "12 6 0", "12", "lacks the line that counts"),
-    ("obj", "f 1 2 3", "f 1 2", "line 4 is a face of 2 corners; expected 3 or more"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
-    ("obj", "f 1 2 3", "f 1 2 0", "line 4 is a face of vertex 0"),
     ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of vertex -4, but the file has 3 vertices"),
-    ("obj", "f 1", "v 1 2\nf 1", "line 4 is a vertex of 2 numbers"),
-    ("obj", "f 1", "v 1/2 0 0\nf 1", "line 4 holds '1/2'; expected a number"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    ("obj", "f 1 2 3\n", "", "holds no triangles"),
-    ("stl", "vertex 1 0 0\n", "", "line 6 begins with 'endloop'; expected vertex"),
-    ("stl", "vertex 1 0 0", "vertex 1 0", "line 5 is a vertex of 2 numbers"),
-    ("stl", "endsolid\n", "endsolid\nfacet", "line 10 begins with 'facet'; expected solid"),
-    ("msh", "", "$MeshFormat\n", "files that end in '.msh' are not read; save it as PLY"),
     # Three numbers less are a vertex less, and an input less makes other faces.
     ("dae", "?", '<float_array id="a" count="9">0 0 0 1 0 0</float_array>', "'a' holds 6 values; it says 9"),
-    ("dae", "?", '<triangles count="1"><input offset="1"/><p>0 1 2</p></triangles>', "'' holds 3 indices; it says 6"),
-    ("dae", "?", '<polylist count="2"><vcount>4</vcount><p>0 1 2 3</p></polylist>', "holds 1 polygons; it says 2"),
     # Integers taken for reals are nearly zero, and would be the corners 0, 0, 0 of every face.
     ("xdmf", 'DataType="Int"', 'DataType="Float"', "are Float of shape .*; expected integers"),
-    ("xdmf", 'DataType="Int"', 'DataTyqe="Int"', "attributes that are not read: DataTyqe"),
     ("xdmf", 'Precision="8" Dimensions="3 3"', 'Precision="4" Dimensions="3 3"', "18 numbers of float32; expected 9"),
-    ("xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
 ]
 
 
@@ -213,36 +175,16 @@ def gltf(change):
     [
         ("binary.stl", lambda data: data[:-50], "has 334 bytes, but its header says 6 faces, which take 384"),
         ("binary.ply", lambda data: data + b"\n", "holds 1 bytes more than its header says"),
-        ("scene.glb", lambda data: data + b"\0", r"has \d+ bytes, but its header says \d+"),
         # A row of three corners that says one, and one that takes a number of the next row.
         ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "is a triangle of 1 corners"),
-        ("text_42.vtk", lambda data: data.replace(b"\n3\n0\n1\n2\n3\n", b"\n4\n0\n1\n2\n2\n"), "is a triangle of 4"),
         ("text.vtu", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "cell 1 is a triangle of 2 corners"),
-        # Of a damaged header_type, a default of half the size would be taken; foreign characters would shift the rest.
+        # Of a damaged header_type, a default of half the size would be taken.
         ("text.vtu", lambda data: data.replace(b"<VTKFile", b'<VTKFile headez_type="U"'), "no VTKFile .* header_type"),
-        (
-            "binary.vtu",
-            lambda data: re.sub(rb"(DataArray[^>]*>\s*\S{20})\S{8}", rb"\1!!!!!!!!", data),
-            "cannot be read",
-        ),
         ("scene.gltf", gltf(lambda tree: tree.update(extensionsRequired=["KHR_d"])), "requires the extension 'KHR_d"),
-        ("scene.gltf", gltf(lambda tree: tree["meshes"][0]["primitives"][0].update(mode=6)), "mode 6, which is not"),
         ("scene.gltf", gltf(lambda tree: tree["accessors"][0].update(sparse={})), "mesh 0 is compressed or sparse"),
-        ("scene.gltf", gltf(lambda tree: tree["accessors"][1].update(normalized=True)), "mesh 0 has .* normalized int"),
-        ("scene.gltf", gltf(lambda tree: tree["buffers"][0].update(uri="data;" + "A" * 30_000)), "name of 30,005 char"),
-        (
-            "scene.gltf",
-            gltf(lambda tree: tree["bufferViews"][1].update(byteLength=999)),
-            "its buffer view 1 goes be",
-        ),
+        ("scene.gltf", gltf(lambda tree: tree["bufferViews"][1].update(byteLength=999)), "buffer view 1 goes be"),
         ("scene.gltf", gltf(lambda tree: tree["buffers"][0].update(byteLength=9999)), r"has \d+ bytes, expected 9999"),
         ("archive.zip", lambda data: zipped({"whole.ply": PLY, "cut.ply": PLY[:-20]}), r"archive\.zip, cut\.ply: "),
-        (
-            "archive.zip",
-            lambda data: zipped({"whole.ply": PLY, "b.vtk": b"?"}),
-            r"b\.vtk: files that end in .* not",
-        ),
-        ("archive.zip", lambda data: zipped({"LICENSE": b"?"}), "holds no mesh file"),
     ],
 )
 def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, message):
@@ -260,19 +202,13 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     data = path.read_bytes()
     assert content(path)[1].tolist() == FACES[:3].tolist()
     with h5py.File(tmp_path / "a.h5", "a") as file:
-        file["data9"] = h5py.ExternalLink("other.h5", "data0")
+        file["link"] = h5py.ExternalLink("other.h5", "data0")
         bomb = file.create_dataset("bomb", (7, 3), "f8", chunks=(7, 3), compression="gzip")
         bomb.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 22)))
-        file.create_dataset("huge", (1 << 27, 3), "f8", chunks=(1 << 10, 3))  # 3 GiB of which nothing is stored
-    name, many = re.search(rb"a\.h5:/(\w+)", data)[1], b'Dimensions="%d 3"' % (1 << 27)
-    for old, new, message in (
-        (b'Dimensions="7 3"', b'Dimensions="3 7"', "no dataset of shape"),
-        (b"/" + name, b"/data9", "as a link alone"),
-        (b"/" + name, b"/bomb", "a chunk that unpacks to more than its 168 bytes"),
-    ):
-        refused(path, data.replace(old, new), message)
-    huge = data.replace(b"/" + name, b"/huge").replace(b'Dimensions="7 3"', many)
-    refused(path, huge, "has 3,221,225,472 bytes, and the limit is")
+    name = re.search(rb"a\.h5:/(\w+)", data)[1]
+    refused(path, data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"'), "no dataset of shape")
+    refused(path, data.replace(b"/" + name, b"/link"), "as a link alone")
+    refused(path, data.replace(b"/" + name, b"/bomb"), "a chunk that unpacks to more than its 168 bytes")
     monkeypatch.setitem(sys.modules, "h5py", None)
     refused(path, data, r"lie in an HDF5 file; install with: pip install 'ccd-warp\[formats\]'")
 
@@ -288,44 +224,31 @@ def test_meshes_of_an_archive_are_read_and_what_systems_leave_beside_them_is_pas
     assert same(read(tmp_path / "a.zip", zipped({"a.stl": soup})), read(tmp_path / "a.stl", soup))
 
 
-@pytest.mark.parametrize(
-    "name, pack",
-    [
-        ("bomb.zip", lambda data: zipped({"a.ply": data})),
-        ("bomb.3mf", lambda data: zipped({"3D/3dmodel.model": data})),
-        ("bomb.tar.gz", lambda data: tarred({"a.ply": data})),
-        ("bomb.tar.bz2", lambda data: tarred({"a.ply": data}, "bz2")),
-        ("bomb.ply.bz2", bz2.compress),
-    ],
-)
-def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name, pack):
-    path = tmp_path / name
-    path.write_bytes(pack(PLY.encode() + bytes(3_000_000)))
-    assert path.stat().st_size < 10_000
+@pytest.mark.parametrize("name", ["bomb.zip", "bomb.tar.gz", "bomb.ply.bz2"])
+def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name):
+    data, path = PLY.encode() + bytes(3_000_000), tmp_path / name
+    packed = {"zip": zipped({"a.ply": data}), "gz": tarred({"a.ply": data}), "bz2": bz2.compress(data)}
+    path.write_bytes(packed[name.rpartition(".")[2]])
     with pytest.raises(ValueError, match=r"the limit is 1,000,000 bytes; raise it with --max-bytes \(max_bytes= in"):
         ccd.read_frames(path, path, max_bytes=1_000_000)
     with pytest.raises(ValueError, match=f"{name}(?!.*limit)"):
         ccd.read_frames(path, path)
-    (plain := tmp_path / "plain.ply").write_text(PLY)
-    ccd.read_frames(plain, plain, max_bytes=1)  # it is on the disk already
 
 
 def test_archive_that_states_less_than_it_holds_is_refused(tmp_path):
     """Packed by bzip2 or LZMA, Python unpacks all that there is, whatever size is stated: here a thousand bytes."""
     cases = [(zipfile.ZIP_DEFLATED, "a.zip", "a.ply", r"a\.zip: cannot be unpacked")]
-    for method in (zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA):
-        for name, member in (("a.zip", "a.ply"), ("a.3mf", "3D/3dmodel.model"), ("a.npz", "positions.npy")):
-            cases.append((method, name, member, f"{name}: .*{member} is packed in a way that is not read"))
+    for method, name, member in (
+        (zipfile.ZIP_BZIP2, "a.3mf", "3D/3dmodel.model"),
+        (zipfile.ZIP_LZMA, "a.npz", "a.npy"),
+    ):
+        cases.append((method, name, member, f"{name}: .*{member} is packed in a way that is not read"))
     for method, name, member, message in cases:
         packed = bytearray(zipped({member: bytes(3_000_000)}, method))
         for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
             at = packed.index(signature) + offset
             packed[at : at + 4] = (1000).to_bytes(4, "little")
         refused(tmp_path / name, bytes(packed), message)
-    buffer = io.BytesIO()  # an array that is shorter than its header says: NumPy would first take the memory
-    np.lib.format.write_array_header_1_0(buffer, {"descr": "<f8", "fortran_order": False, "shape": (2, 1 << 40, 3)})
-    packed = zipped({"positions.npy": buffer.getvalue() + bytes(80)})
-    refused(tmp_path / "a.npz", packed, r"positions\.npy holds 80 bytes, not float64 of shape")
 
 
 @pytest.mark.parametrize("name", ["a.zip", "a.npz"])
@@ -337,5 +260,3 @@ def test_archive_whose_end_loses_a_member_is_refused(tmp_path, name):
     without_last = data[:last] + data[end : end + 12] + struct.pack("<II", last - first, first) + data[end + 20 :]
     for damaged in (data[: end + 12] + fewer + data[end + 20 :], without_last):
         refused(tmp_path / name, damaged, "that its directory does not list")
-    if name == "a.zip":  # a mesh that would be taken for a folder
-        refused(tmp_path / name, data[:last] + data[last:].replace(b"two.off", b"two.of/"), "cannot be unpacked")

@@ -26,15 +26,14 @@ def folder(tmp_path):
 
 def test_frames_go_to_every_function(folder):
     paths, box = (folder / "start.ply", str(folder / "end.ply")), folder / "box.ply"
-    frames = ccd.read_frames(*paths, static=[box, box])
+    frames = ccd.read_frames(*paths, static=[box, box], kinematic=["start.ply"], self_collision=False)
     assert frames.mesh.names == ("start.ply", "box.ply", "box.ply (2)")
     assert frames.mesh.static.tolist() == [False, True, True]
-    assert np.array_equal(frames.vertices_t0[42:50], frames.vertices_t1[50:]) and not frames.num_merged.any()
+    assert frames.mesh.kinematic.tolist() == [True, False, False] and not frames.mesh.self_collision.any()
+    assert repr(frames).startswith("Frames(CollisionMesh(3 bodies (start.ply, box.ply, box.ply (2)), 58 vertices")
+    frames = ccd.read_frames(*paths, static=[box])
     result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
     assert 0.49 < result.toi < 0.51 and {*result.first.body_names} <= {*frames.mesh.names}
-    assert repr(frames).startswith("Frames(CollisionMesh(3 bodies (start.ply, box.ply, box.ply (2)), 58 vertices")
-    frames = ccd.read_frames(*paths, static=[box], kinematic=["start.ply"], self_collision=False)
-    assert frames.mesh.kinematic.tolist() == [True, False] and not frames.mesh.self_collision.any()
 
 
 def test_vertices_of_a_file_that_are_in_no_face_meet_nothing(tmp_path):
@@ -71,29 +70,9 @@ def test_frames_in_different_units_and_renumbered_vertices_are_warned_of(tmp_pat
         assert re.match(renumbered, sentence)
     for end in (START, START - [0, 0, 3.0], np.nextafter(START[order], 9.0), 30.0 * START):
         assert not any("renumbered" in each or "unit" in each for each in said(tmp_path, START, end))
-    # As where a program writes the objects of the second frame in another order.
-    rows = "".join(f"v {x} {y} {{}}\n" for x, y in ((0, 0), (1, 0), (0, 1)))
-    for name, heights in (("b_1", (0, 5)), ("b_2", (5, 0))):
-        blocks = [f"o {k}\n{rows}f -3 -2 -1\n".replace("{}", str(height)) for k, height in enumerate(heights)]
-        (tmp_path / f"{name}.obj").write_text("".join(blocks))
-    with pytest.warns(RuntimeWarning, match="^the vertices of all bodies that move are at the same places"):
-        ccd.read_frames(tmp_path / "b_1.obj", tmp_path / "b_2.obj")
 
 
-@pytest.mark.parametrize(
-    "names", [("a 10.ply", "a 9.ply"), ("End of a.ply", "start of a.ply"), ("a_new.ply", "a_old.ply")]
-)
-def test_frames_in_the_other_order_are_warned_of(tmp_path, names):
-    (swapped,) = said(tmp_path, START, START, names)
-    assert swapped.startswith(f"the step goes from {names[0]} to {names[1]}; are the two swapped?")
+def test_frames_in_the_other_order_are_warned_of(tmp_path):
+    (swapped,) = said(tmp_path, START, START, names := ("a 10.ply", "a 9.ply"))
+    assert swapped.startswith("the step goes from a 10.ply to a 9.ply; are the two swapped?")
     assert said(tmp_path, START, START, names[::-1]) == []
-
-
-def test_steps_of_a_sequence_are_warned_of_once_each(tmp_path, recwarn):
-    for k, size in enumerate((1.0, 1.0, 1e-3, 1.0)):
-        (tmp_path / f"b_{k}.ply").write_bytes(ply(size * START, BALL.faces))
-    sequence = ccd.read_sequence([tmp_path / f"b_{k}.ply" for k in range(4)])
-    for _ in range(2):
-        assert len([*sequence]) == 4 and len([*sequence.steps()]) == 3
-    warned = [str(each.message).partition(" at the start")[0] for each in recwarn]
-    assert warned == ["the bodies that move are 2 long", "the bodies that move are 0.002 long"]

@@ -1,6 +1,5 @@
 """A headless Chromium that tests drive by the Chrome DevTools Protocol, over a pipe: no port and no further package."""
 
-import base64
 import itertools
 import json
 import os
@@ -32,36 +31,27 @@ def find_browser() -> str | None:
 
 
 class Page:
-    """One page in a browser.
-
-    Attributes:
-        messages: What the page has written to the console, and its uncaught errors.
-        requests: The addresses that it has asked for.
-    """
+    """One page in a browser; what it has written to the console and asked for is in `messages` and `requests`."""
 
     def __init__(self, read_end: int, write_end: int):
         self.messages: list[str] = []
         self.requests: list[str] = []
-        self._read_end = read_end
-        self._write_end = write_end
+        self._ends = read_end, write_end
         self._rest = b""
-        self._events: list[dict[str, Any]] = []
+        self._is_loaded = False
         self._numbers = itertools.count(1)
-        self._session: str | None = None
+        self._session: dict[str, str] = {}
         target = self.send("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        self._session = {"sessionId": self.send("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]}
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.send(f"{domain}.enable")
 
     def send(self, method: str, **parameters: Any) -> dict[str, Any]:
         """Send a command of the protocol and return its result."""
         number = next(self._numbers)
-        message = {"id": number, "method": method, "params": parameters}
-        if self._session is not None:
-            message["sessionId"] = self._session
-        data = json.dumps(message).encode() + b"\0"
+        data = json.dumps({"id": number, "method": method, "params": parameters} | self._session).encode() + b"\0"
         while data:
-            data = data[os.write(self._write_end, data) :]
+            data = data[os.write(self._ends[1], data) :]
         while True:
             answer = self._next_message()
             if answer.get("id") == number:
@@ -72,17 +62,13 @@ class Page:
     def _next_message(self) -> dict[str, Any]:
         deadline = time.monotonic() + _SECONDS
         while b"\0" not in self._rest:
-            ready, _, _ = select.select([self._read_end], [], [], max(0.0, deadline - time.monotonic()))
-            data = os.read(self._read_end, 1 << 16) if ready else b""
+            ready, _, _ = select.select([self._ends[0]], [], [], max(0.0, deadline - time.monotonic()))
+            data = os.read(self._ends[0], 1 << 16) if ready else b""
             if not data:
                 raise RuntimeError("the browser has ended" if ready else f"no answer in {_SECONDS:.0f} s")
             self._rest += data
         text, _, self._rest = self._rest.partition(b"\0")
         message = json.loads(text)
-        self._note(message)
-        return message
-
-    def _note(self, message: dict[str, Any]) -> None:
         parameters = message.get("params", {})
         match message.get("method"):
             case "Runtime.consoleAPICalled":
@@ -94,24 +80,19 @@ class Page:
                 self.messages.append(parameters["entry"]["text"])
             case "Network.requestWillBeSent":
                 self.requests.append(parameters["request"]["url"])
-            case str(name):
-                self._events.append({"method": name})
+            case "Page.loadEventFired":
+                self._is_loaded = True
+        return message
 
-    def resize(self, width: int, height: int = 900, *, scale: float = 1.0) -> None:
+    def resize(self, width: int, height: int = 900) -> None:
         """Show the page in a window of this many CSS pixels."""
-        self.send(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=False
-        )
-
-    def set_theme(self, theme: str) -> None:
-        """Show the page as a reader sees it who prefers "light" or "dark"."""
-        self.send("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        self.send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def open(self, path: Path) -> None:
         """Open a file and wait until it is loaded."""
-        self._events.clear()
+        self._is_loaded = False
         self.send("Page.navigate", url=path.resolve().as_uri())
-        while {"method": "Page.loadEventFired"} not in self._events:
+        while not self._is_loaded:
             self._next_message()
 
     def evaluate(self, expression: str) -> Any:
@@ -120,16 +101,6 @@ class Page:
         if "exceptionDetails" in answer:
             raise RuntimeError(answer["exceptionDetails"]["exception"]["description"])
         return answer["result"].get("value")
-
-    def wait_for_frame(self) -> None:
-        """Wait until the page has drawn what it was told."""
-        self.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done())))")
-
-    def picture(self, path: Path, *, clip: tuple[float, float, float, float]) -> None:
-        """Write a part of the page, given by its left, top, width and height, as a PNG."""
-        part = dict(zip(("x", "y", "width", "height"), clip, strict=True)) | {"scale": 1}
-        data = self.send("Page.captureScreenshot", format="png", clip=part, captureBeyondViewport=True)["data"]
-        path.write_bytes(base64.b64decode(data))
 
 
 @contextmanager

@@ -1,15 +1,11 @@
 """Damaged files in Warp's kernel cache: the folder is named, and the module compiled again."""
 
-import io
-import sys
 import warnings
-from contextlib import nullcontext
 
 import pytest
 import warp as wp
 
-from ccd_warp._runtime import kernel_cache
-from ccd_warp._runtime.kernel_cache import announced_compilation, load_or_repair
+from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.launch import start_warp
 
 
@@ -43,9 +39,7 @@ def _load_anew():
 DAMAGE = {
     "half an object file": (".o", lambda content: content[: len(content) // 2]),
     "an object file of zeros": (".o", lambda content: bytes(len(content))),
-    "an object file of another format": (".o", lambda content: b"\xff" + content[1:]),
     "no metadata": (".meta", lambda content: b""),
-    "half of the metadata": (".meta", lambda content: content[:-3]),
 }
 
 
@@ -68,30 +62,3 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
         _load_anew()
-
-
-@pytest.mark.parametrize(
-    "announced, is_terminal, log_level, num_lines",
-    [
-        (nullcontext, True, wp.LOG_INFO, 1),
-        (nullcontext, True, wp.LOG_WARNING, 1),
-        (nullcontext, True, wp.LOG_ERROR, 0),
-        (nullcontext, False, wp.LOG_INFO, 0),
-        (announced_compilation, True, wp.LOG_ERROR, 1),  # as of the command, which keeps Warp silent
-        (announced_compilation, False, wp.LOG_ERROR, 0),
-    ],
-)
-def test_a_terminal_is_told_once_that_kernels_are_compiled(
-    announced, is_terminal, log_level, num_lines, tmp_path, monkeypatch
-):
-    stderr = io.StringIO()
-    stderr.isatty = lambda: is_terminal
-    monkeypatch.setattr(sys, "stderr", stderr)
-    monkeypatch.setattr(wp.config, "log_level", log_level)
-    monkeypatch.setattr(kernel_cache, "_is_said", False)
-    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
-    with announced():
-        _load_anew()
-        _load_anew()
-    line = f"ccd_warp: compiling kernels, about 10 s on two free cores; they are kept in {tmp_path}\n"
-    assert stderr.getvalue().replace("\r", "") == line * num_lines

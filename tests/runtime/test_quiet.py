@@ -17,10 +17,6 @@ points_t1 = points_t0 - [[[0, 0, 2], [0, 0, 0], [0, 0, 0], [0, 0, 0]]]
 print(ccd.vertex_face_ccd(points_t0, points_t1).toi[0].round(3))
 """
 OWN = """
-mesh = ccd.CollisionMesh.from_arrays([(points_t0[0, 1:], [[0, 1, 2]])] * 2)
-start = mesh.vertices + np.outer(mesh.vertex_body, [0, 0, 3.0])
-ccd.CollisionPipeline(mesh).launch(start, start)
-print(ccd.collision_free_step(mesh, start, start))
 import warp as wp
 @wp.kernel
 def fill(a: wp.array[float]):
@@ -29,26 +25,16 @@ a = wp.zeros(2, device="cpu")
 wp.launch(fill, dim=2, inputs=[a], device="cpu")
 print(a)
 """
-LOGGER = """
-import warp
-class Logger:
-    def debug(self, message): pass
-    def info(self, message): print("mine:", message.split()[0])
-    def warning(self, message, category=None, stacklevel=1): pass
-    def error(self, message): pass
-warp.set_logger(Logger())
-"""
 
 
 @pytest.mark.parametrize(
     "code, shown",
     [
-        (SOLVE + OWN, r"0\.5\n1\.0\nModule __main__[^\n]*\n\[1\. 1\.\]\n"),
+        (SOLVE + OWN, r"0\.5\nModule __main__[^\n]*\n\[1\. 1\.\]\n"),
         ("import ccd_warp, warp\nwarp.init()\n" + SOLVE, r"Warp (?!.*ccd_warp\.).*\n0\.5\n"),
         ("import warp\nwarp.config.log_level = warp.LOG_DEBUG\n" + SOLVE, r"Warp .*Module ccd_warp\..*"),
-        (LOGGER + SOLVE, r"mine: Warp\nmine: Module\n.*0\.5\n"),
     ],
-    ids=["own kernels", "own start", "all", "own logger"],
+    ids=["own kernels", "own start", "all"],
 )
 def test_a_script_prints_what_it_prints_and_what_its_user_has_asked_for(tmp_path, code, shown):
     script = tmp_path / "script.py"  # a file, because Warp reads the source of kernels
