@@ -121,31 +121,6 @@ def test_unique_keeps_each_two_features_once():
     assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
 
 
-def test_weights_and_direction_are_the_derivative_of_the_distance():
-    mesh, x = crowd()
-    found = ccd.find_proximity(mesh, x, 0.1)
-    found = found[found.distance > 0.01]
-    moves = 1e-6 * np.random.default_rng(0).standard_normal(x.shape)
-    slopes = np.einsum("mk,mkd,md->m", found.weights, moves[found.vertices], found.direction)
-    moved = ccd.find_proximity(mesh, x + moves, 0.11)
-    after = dict(zip(rows_of(moved), moved.distance, strict=True))
-    # the second derivative is at most the square of the moves over the least distance
-    np.testing.assert_allclose([after[row] for row in rows_of(found)], found.distance + slopes, rtol=0, atol=1e-8)
-    assert len(found) > 30
-
-
-def test_what_is_in_one_place_in_a_solid_or_thick():
-    mesh, x = stacked(0.0, 0.0)
-    x[5] = x[0]
-    found = ccd.find_proximity(mesh, x, 0.0)
-    at_vertex = found[(found.vertices[:, 0] == 0) & (found.kind == int(KIND.VERTEX_FACE))]
-    assert at_vertex.distance.tolist() == [0] and (at_vertex.direction == 0).all()
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace([0, 0, 1], [0, 0, 5])], radius=[0.25, 0.0])
-    found = ccd.find_proximity(mesh, mesh.vertices + [0, 0, 1.5] * np.arange(3)[:, None], 0.25)
-    assert found.distance.tolist() == [-1.0, 0.5] and found.direction.tolist() == [[0, 0, 1]] * 2
-    assert found.points[:, 1, 2].tolist() == [1.0, 1.0] and found.weights.tolist() == [[1, 0, 0, 0]] * 2
-
-
 def test_a_choice_of_pairs_a_copy_and_the_text():
     mesh, x = stacked(0.0, 0.1)
     found = ccd.find_proximity(mesh, x, 0.2)
