@@ -8,7 +8,7 @@ import warp as wp
 from distance_oracle import exact_distance
 from hard_cases import FAMILIES
 from launches import on_device
-from scenes import FACE, NO_FACES, TRIANGLE, stacked
+from scenes import FACE, NO_FACES, TRIANGLE, pairs_in_worlds, stacked
 
 import ccd_warp as ccd
 
@@ -47,11 +47,7 @@ def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_thei
         for i, j in rng.integers(0, corners, (rng.integers(1, 4), 2)):
             pair[i] = pair[j] + rng.integers(-2, 3, 3) * 2.0 ** -rng.integers(30, 54)
     pairs = np.concatenate([*(x for family in FAMILIES.values() for x in family(name, 4, rng)), points])
-    cut = 2 if kind == KIND.EDGE_EDGE else 1
-    parts = {1: (NO_FACES,), 2: (NO_FACES, [[0, 1]]), 3: (FACE,)}
-    bodies = [(side, *parts[len(side)]) for pair in pairs for side in (pair[:cut], pair[cut:])]
-    world = np.repeat(np.arange(len(pairs)), corners)
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=kind != KIND.EDGE_EDGE, vertex_world=world)
+    mesh = pairs_in_worlds(name, pairs, pairs)[0]
     found = ccd.find_proximity(mesh, mesh.vertices, 1e300, pair_kinds=[kind])
     assert found.world.tolist() == list(range(len(pairs)))  # none is left out
     bounds = ccd.displacement_bounds(mesh, mesh.vertices, 1e300, pair_kinds=[kind]).reshape(-1, corners)
@@ -68,9 +64,8 @@ def test_a_pair_exactly_at_the_distance_is_found_and_one_beyond_it_is_not():
     points = [([[0.0, 0, 0]], NO_FACES), ([[3.0, 4, 12]], NO_FACES)]
     mesh = ccd.CollisionMesh.from_arrays(points, codimensional_points=True)
     for scale in (1.0, 2.0**-520, 2.0**500):
-        near = [
-            ccd.find_proximity(mesh, scale * mesh.vertices, d) for d in (13 * scale, 13 * scale * (1 - 4e-15), 1e308)
-        ]
+        distances = 13 * scale, 13 * scale * (1 - 4e-15), 1e308
+        near = [ccd.find_proximity(mesh, scale * mesh.vertices, distance) for distance in distances]
         assert near[0].distance.tolist() == [13 * scale] and [*map(len, near)] == [1, 0, 1]
 
 
