@@ -9,8 +9,6 @@ from ccd_warp.kernels.template import specialised
 
 KINDS = {"vertex-face": 0, "edge-edge": 1}
 WIDTHS = (1, 4, 8)
-_TESTS = ("volume", "sides", "both")
-_MOST_LANES = 8
 
 
 @cache
@@ -19,9 +17,8 @@ def _make_probe(width, test, flags):
     options = {"enable_backward": False, "fuse_fp": False, **({"cpu_compiler_flags": flags} if flags else {})}
     wp.set_module_options(options, module=module)
     cull = specialised("search.cull", width=width)
-    free_lanes = cull.free_lanes
+    free_lanes, bits_of = cull.free_lanes, cull.bits_of
     by_volume, by_sides = cull.is_free_by_volume, cull.is_free_by_sides
-    bits_of = cull.bits_of
     Corners = specialised("pair.patch", width=width).Corners
     lanes = wp.constant(width)
 
@@ -48,14 +45,12 @@ def _make_probe(width, test, flags):
 
     @wp.kernel(module=module)
     def probe(
-        # in
         kind: int,
         x0: wp.array[wp.vec3d],
         x1: wp.array[wp.vec3d],
         separation: wp.float64,
         is_euclidean: int,
         t_end: wp.float64,
-        # out
         is_free: wp.array[wp.bool],
     ):
         first = wp.tid() * lanes
@@ -82,7 +77,6 @@ def culled(kind, points_t0, points_t1, width, *, separation=0.0, is_euclidean=Fa
     A separation is one in the maximum norm, or with ``is_euclidean`` a distance.
     ``flags`` are those of Warp's compiler, such as another processor.
     """
-    assert test in _TESTS and width <= _MOST_LANES
     count = len(points_t0)
     x = [wp.array(np.reshape(p, (-1, 3)), dtype=wp.vec3d, device="cpu") for p in (points_t0, points_t1)]
     is_free = wp.zeros(count, dtype=wp.bool, device="cpu")

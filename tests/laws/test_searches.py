@@ -42,6 +42,11 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
         exact, radii, size = np.array([near[row] for row in rows]).reshape(-1, 3).T
         # 1e-15 of the size is what is promised; points add the roundings of positions and weights
         assert (np.abs(found.distance - exact) <= 1e-15 * size).all()
+        of_weights = (
+            np.einsum("mk,mkd->md", found.weights, x[found.vertices]) - found.distance[:, None] * found.direction
+        )
+        is_close = np.linalg.norm(of_weights, axis=1) <= 4e-15 * (size + np.abs(x).max())
+        assert is_close[found.kind != int(ccd.PairKind.VERTEX_PLANE)].all()
         between = found.points[:, 0] - found.points[:, 1] - (found.distance - radii)[:, None] * found.direction
         assert (np.linalg.norm(between, axis=1) <= 4e-15 * (size + np.abs(x).max())).all()
         if "pair_kinds" not in scene.options:

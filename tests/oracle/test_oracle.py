@@ -1,8 +1,8 @@
 """The exact oracle against published truth, hand-computed times, and slower methods that it does not use itself."""
 
 import math
-from collections.abc import Callable
 from fractions import Fraction
+from functools import reduce
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -11,32 +11,26 @@ import published
 import pytest
 from algebraic import Root, unit_roots, value_dyadic
 from daily import marked
+from distance_queries import KINDS
 from flint import fmpq, fmpq_mat
 from hard_cases import FAMILIES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle import exact_gap, exact_toi, exact_tois
+from oracle_corners import CORNERS
 
-KINDS = [("vertex-face", 3), ("edge-edge", 3), *((f"point-{of}", d) for of in ("segment", "point") for d in (2, 3))]
 OF_KINDS = [(family, *kind) for family in FAMILIES for kind in KINDS]
-every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
-FACE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
-LINE = [[0, 0, 0], [1, 0, 0]]
-NEEDLE = [[0, 0, 0], [1, 0, 0], [2, 0, 0]]
-ACROSS = [[-2, 2], [2, -2]]
+FACE, LINE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [1, 0, 0]]
+NEEDLE, ACROSS = [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[-2, 2], [2, -2]]
 
 
-def by_turns(first: int) -> pytest.MarkDecorator:
+def by_turns(first):
     """Every family with every kind, of which each run of the tests has half, by turns from family to family."""
     daily = [case for k, case in enumerate(OF_KINDS) if (k + k // len(KINDS)) % 2 == first]
     return pytest.mark.parametrize("family, kind, dimension", marked(OF_KINDS, daily))
 
 
-CORNERS = {"vertex-face": [(0, 1), (0, 2), (0, 3)], "edge-edge": [(0, 2), (0, 3), (1, 2), (1, 3)]}
-CORNERS |= {"point-segment": [(0, 1), (0, 2)], "point-point": [(0, 1)]}
-
-
-def touches(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: fmpq) -> bool:
+def touches(kind, points_t0, points_t1, t):
     """Whether the pair touches at t: by Caratheodory some three corners or fewer combine to zero, uniquely."""
     both = (points_t0.tolist(), points_t1.tolist())
     start, end = (fmpq_mat([[fmpq(*x.as_integer_ratio()) for x in point] for point in points]) for points in both)
@@ -53,20 +47,17 @@ def touches(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: fmpq) ->
 
 
 @published.requires_data
-@pytest.mark.parametrize("kind", ["vertex-face", "edge-edge"])
-@pytest.mark.parametrize("load", [published.handcrafted_queries, published.simulation_queries])
-def test_oracle_agrees_with_every_published_truth(load: Callable, kind: str) -> None:
-    scenes = published.handcrafted_scenes() if load is published.handcrafted_queries else published.simulation_scenes()
-    for queries in (load(scene, kind) for scene in scenes):
-        results = exact_tois(kind, queries.points_t0, queries.points_t1)
+def test_oracle_agrees_with_every_published_truth():
+    for queries in published.all_queries():
+        results = exact_tois(queries.kind, queries.points_t0, queries.points_t1)
         assert len(queries) and [queries.id(i) for i, r in enumerate(results) if r.hit != queries.truth[i]] == []
 
 
-def falls(x: float, y: float, start: float, end: float, *still: list) -> tuple:
+def falls(x, y, start, end, *still):
     return "vertex-face", [[x, y, start], *(still or FACE)], [[x, y, end], *(still or FACE)]
 
 
-def edges(first_t0: list, first_t1: list, still: list) -> tuple:
+def edges(first_t0, first_t1, still):
     return "edge-edge", [*first_t0, *still], [*first_t1, *still]
 
 
@@ -98,13 +89,13 @@ BY_HAND = [
 
 
 @pytest.mark.parametrize("query, options, toi", BY_HAND)
-def test_times_by_hand(query: tuple, options: dict, toi: fmpq | None) -> None:
+def test_times_by_hand(query, options, toi):
     found = exact_toi(*query, **options)
     assert found.lo == found.hi == toi and found.hit == (toi is not None)
     assert found.late(math.inf) == found.hit and (found.hit or not found.late(0.5))
 
 
-def test_float64_beside_a_rational_and_an_irrational_time() -> None:
+def test_float64_beside_a_rational_and_an_irrational_time():
     third = exact_toi(*falls(0.25, 0.25, 1, -2))
     assert third.approx == 1 / 3 and third.early_by(1 / 3) == 2.0**-54 / 3
     assert not third.late(1 / 3) and third.late(np.nextafter(1 / 3, 1))
@@ -116,23 +107,20 @@ def test_float64_beside_a_rational_and_an_irrational_time() -> None:
         assert root.late(x) == (2 * Fraction(float(x)) ** 2 > 1)
 
 
-def product(factors: list[tuple[int, ...]]) -> tuple[int, ...]:
-    poly = np.array([1], dtype=object)
-    for factor in factors:
-        poly = np.convolve(poly, np.array(factor, dtype=object))
-    return tuple(int(x) for x in poly)
+def product(factors):
+    return tuple(map(int, reduce(np.convolve, (np.array(factor, dtype=object) for factor in factors))))
 
 
 rationals = st.fractions(-1, 2, max_denominator=10**6) | st.sampled_from([0, 1, Fraction(1, 3), 1 - Fraction(1, 2**70)])
 
 
 @given(st.lists(rationals.map(Fraction), min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
-def test_all_rational_roots_are_found_in_order(values: list[Fraction], scale: int) -> None:
+def test_all_rational_roots_are_found_in_order(values, scale):
     roots = unit_roots(product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
     assert [Fraction(r.numerator, r.denominator) for r in roots] == sorted({x for x in values if 0 <= x <= 1})
 
 
-def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart() -> None:
+def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
     first, second = unit_roots((-1, 0, 2))[0], unit_roots(product([(-1, 0, 2), (-3, 1000)]))[1]
     near = unit_roots((-(2**200) - 1, 0, 2**201))[0]
     assert first.compare(second) == second.compare(first) == 0 and first.compare(near) == -1 == -near.compare(first)
@@ -143,7 +131,7 @@ def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart() -> None:
 
 @settings(max_examples=50)
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=4), st.integers(0, 500))
-def test_refinement_keeps_the_root(poly: list[int], bits: int) -> None:
+def test_refinement_keeps_the_root(poly, bits):
     roots = unit_roots(tuple(poly)) if any(poly) else []
     assert all(x.compare(y) < 0 for x, y in pairwise(roots))
     for root in (root for root in roots if not root.denominator):
@@ -154,7 +142,7 @@ def test_refinement_keeps_the_root(poly: list[int], bits: int) -> None:
 
 
 @by_turns(0)
-def test_no_contact_before_the_exact_toi_and_contact_at_it(family: str, kind: str, dimension: int) -> None:
+def test_no_contact_before_the_exact_toi_and_contact_at_it(family, kind, dimension):
     points = FAMILIES[family](kind, 8, np.random.default_rng(1), dimension)
     times = [fmpq(k, 16) for k in range(17)] + [fmpq(k, 12) for k in (1, 2, 4, 5, 7, 8, 10, 11)]
     for a, b, toi in zip(*points, exact_tois(kind, *points), strict=True):
@@ -167,7 +155,7 @@ def test_no_contact_before_the_exact_toi_and_contact_at_it(family: str, kind: st
 
 
 @by_turns(1)
-def test_gap_equals_the_separation_when_it_is_reached(family: str, kind: str, dimension: int) -> None:
+def test_gap_equals_the_separation_when_it_is_reached(family, kind, dimension):
     for a, b in zip(*FAMILIES[family](kind, 4, np.random.default_rng(3), dimension), strict=True):
         start, size = exact_gap(kind, a, b, 0.0), max(np.abs(a).max(), np.abs(b).max())
         found = []
@@ -181,20 +169,19 @@ def test_gap_equals_the_separation_when_it_is_reached(family: str, kind: str, di
         assert found[-1].lo == 0
 
 
-@every_kind
-def test_cull_scale_and_shorter_steps_change_nothing(
-    kind: str, dimension: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
+def test_cull_scale_and_shorter_steps_change_nothing(kind, dimension, monkeypatch):
+    def answers(points, separation):
+        return [(found.hit, found.approx) for found in exact_tois(kind, *points, separation)]
+
     for family in ("random_colliding", "cloth_like", "lattice", "one_plane", "slivers", "mixed_axis_scales"):
         points = FAMILIES[family](kind, 20, np.random.default_rng(4), dimension)
         for separation in (0.0, 0.01):
-            plain = exact_tois(kind, *points, separation)
-            answers = [(r.hit, r.approx) for r in plain]
-            scaled = (exact_tois(kind, *(2.0**e * p for p in points), 2.0**e * separation) for e in (-400, 400))
-            assert all([(r.hit, r.approx) for r in results] == answers for results in scaled)
+            plain, expected = exact_tois(kind, *points, separation), answers(points, separation)
+            assert all(answers(2.0**e * np.array(points), 2.0**e * separation) == expected for e in (-400, 400))
             with monkeypatch.context() as patch:
                 patch.setattr(oracle, "certainly_apart", lambda kind, p0, *_: np.zeros(len(p0), dtype=bool))
-                assert [(r.hit, r.approx) for r in exact_tois(kind, *points, separation)] == answers
+                assert answers(points, separation) == expected
             for cut, full in zip(exact_tois(kind, *points, separation, t_max=0.5), plain, strict=True):
                 assert cut.hit == (full.hit and full.compare(0.5) >= 0)
                 assert not cut.hit or (cut.lo <= full.hi and full.lo <= cut.hi and cut.rational == full.rational)

@@ -180,5 +180,3 @@ def test_every_call_of_a_step_says_where_surfaces_cross_at_its_start_if_it_is_as
                 assert result.start.num_crossing == 2 and sentence in repr(result)
                 result = result.toi if isinstance(result, ccd.MeshResult) else result.fraction
             assert result == expected
-            with pytest.raises(ValueError, match="check_start is 'yes'; expected True or False"):
-                asked(mesh, *frames, check_start="yes")

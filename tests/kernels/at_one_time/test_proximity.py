@@ -8,7 +8,7 @@ import warp as wp
 from distance_oracle import exact_distance
 from hard_cases import FAMILIES
 from laws.calls import on_device
-from scenes import FACE, NO_FACES, TRIANGLE, stacked
+from scenes import FACE, NO_FACES, TRIANGLE, pairs_in_worlds, stacked
 
 import ccd_warp as ccd
 
@@ -47,11 +47,7 @@ def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_thei
         for i, j in rng.integers(0, corners, (rng.integers(1, 4), 2)):
             pair[i] = pair[j] + rng.integers(-2, 3, 3) * 2.0 ** -rng.integers(30, 54)
     pairs = np.concatenate([*(x for family in FAMILIES.values() for x in family(name, 4, rng)), points])
-    cut = 2 if kind == KIND.EDGE_EDGE else 1
-    parts = {1: (NO_FACES,), 2: (NO_FACES, [[0, 1]]), 3: (FACE,)}
-    bodies = [(side, *parts[len(side)]) for pair in pairs for side in (pair[:cut], pair[cut:])]
-    world = np.repeat(np.arange(len(pairs)), corners)
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=kind != KIND.EDGE_EDGE, vertex_world=world)
+    mesh = pairs_in_worlds(name, pairs, pairs)[0]
     found = ccd.find_proximity(mesh, mesh.vertices, 1e300, pair_kinds=[kind])
     assert found.world.tolist() == list(range(len(pairs)))  # none is left out
     bounds = ccd.displacement_bounds(mesh, mesh.vertices, 1e300, pair_kinds=[kind]).reshape(-1, corners)
@@ -68,9 +64,8 @@ def test_a_pair_exactly_at_the_distance_is_found_and_one_beyond_it_is_not():
     points = [([[0.0, 0, 0]], NO_FACES), ([[3.0, 4, 12]], NO_FACES)]
     mesh = ccd.CollisionMesh.from_arrays(points, codimensional_points=True)
     for scale in (1.0, 2.0**-520, 2.0**500):
-        near = [
-            ccd.find_proximity(mesh, scale * mesh.vertices, d) for d in (13 * scale, 13 * scale * (1 - 4e-15), 1e308)
-        ]
+        distances = 13 * scale, 13 * scale * (1 - 4e-15), 1e308
+        near = [ccd.find_proximity(mesh, scale * mesh.vertices, distance) for distance in distances]
         assert near[0].distance.tolist() == [13 * scale] and [*map(len, near)] == [1, 0, 1]
 
 
@@ -119,31 +114,6 @@ def test_unique_keeps_each_two_features_once():
 
     every, once = features(found), features(found.unique())
     assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
-
-
-def test_weights_and_direction_are_the_derivative_of_the_distance():
-    mesh, x = crowd()
-    found = ccd.find_proximity(mesh, x, 0.1)
-    found = found[found.distance > 0.01]
-    moves = 1e-6 * np.random.default_rng(0).standard_normal(x.shape)
-    slopes = np.einsum("mk,mkd,md->m", found.weights, moves[found.vertices], found.direction)
-    moved = ccd.find_proximity(mesh, x + moves, 0.11)
-    after = dict(zip(rows_of(moved), moved.distance, strict=True))
-    # the second derivative is at most the square of the moves over the least distance
-    np.testing.assert_allclose([after[row] for row in rows_of(found)], found.distance + slopes, rtol=0, atol=1e-8)
-    assert len(found) > 30
-
-
-def test_what_is_in_one_place_in_a_solid_or_thick():
-    mesh, x = stacked(0.0, 0.0)
-    x[5] = x[0]
-    found = ccd.find_proximity(mesh, x, 0.0)
-    at_vertex = found[(found.vertices[:, 0] == 0) & (found.kind == int(KIND.VERTEX_FACE))]
-    assert at_vertex.distance.tolist() == [0] and (at_vertex.direction == 0).all()
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ccd.HalfSpace([0, 0, 1], [0, 0, 5])], radius=[0.25, 0.0])
-    found = ccd.find_proximity(mesh, mesh.vertices + [0, 0, 1.5] * np.arange(3)[:, None], 0.25)
-    assert found.distance.tolist() == [-1.0, 0.5] and found.direction.tolist() == [[0, 0, 1]] * 2
-    assert found.points[:, 1, 2].tolist() == [1.0, 1.0] and found.weights.tolist() == [[1, 0, 0, 0]] * 2
 
 
 def test_a_choice_of_pairs_a_copy_and_the_text():

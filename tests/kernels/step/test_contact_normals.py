@@ -66,18 +66,6 @@ def contacts_of(bodies, motion, **options):
     return ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + np.array(motion)[mesh.vertex_body], **options).contacts
 
 
-def test_what_starts_within_its_distance_is_pushed_apart_along_the_gap():
-    """The normal of a face, and the velocity, would push one over or into the other."""
-    for motion in np.concatenate([np.eye(3), -np.eye(3)]):
-        bodies = [(SQUARE, TWO_FACES), (SQUARE + [1.05, 0.25, 0.0], TWO_FACES)]
-        found = contacts_of(bodies, [0 * motion, 0.01 * motion], minimum_distance=0.08)
-        sides = np.where(found.bodies[:, 0] == 0, -1.0, 1.0)[:, None]
-        assert len(found) >= 5 and np.array_equal(found.normal, sides * [1, 0, 0])
-        ends = [([[0.0, 0, 0], [1, 0, 0]], NO_FACES, LINE), ([[1.05, 0, 0], [2, 0, 0]], NO_FACES, LINE)]
-        (contact,) = contacts_of(ends, [0 * motion, motion], minimum_distance=0.1)
-        assert contact.normal.tolist() == [-1, 0, 0] and contact.parameters == (1.0, 0.0)
-
-
 def test_pair_that_touches_without_a_gap_has_a_normal_against_its_velocity():
     for speed in (-1.0, 1.0):  # what lies on a face, and layers with a gap, that part or press on
         for height, distance, sign in ((0.0, 0.0, -speed), (0.05, 0.1, 1.0)):
