@@ -101,36 +101,10 @@ def test_no_point_is_farther_from_its_path_than_stated(chain, cubic):
             points = centres[row] + directions / lengths * (reach[row] * (1 - 4 * EPS))
             apart = farthest(paths, row, joints[:row], points, begin, end)
             assert apart <= excess[row]
+            origin = exact_place(joints[:row], [0, 0, 0], arb(float(begin)))
+            assert np.abs(motion.at(begin)[row, :3] - [float(x) for x in origin]).max() < 1e-13 * size
             if duration == 1e-3 and row == motion.num_links - 1:
                 assert excess[row] < 2 * apart  # a sum of two lengths for that of a sum, at a few points
-
-
-@pytest.mark.long
-def test_the_bound_is_hardly_larger_than_what_is_found():
-    """The figures of docs/rigid.md: 3,500 links of chains of seven joints, most of them revolute, in random slices."""
-    rng = np.random.default_rng(1)
-    found = []
-    for k in range(500):
-        kinds = ["revolute"] * 7 if k % 2 else rng.choice(KINDS, 7, p=[0.7, 0.15, 0.05, 0.1]).tolist()
-        size = 10 ** rng.uniform(-3, 3)
-        motion, joints = random_chain(rng, kinds, 10 ** rng.uniform(-3, 0.3), k % 3 == 0, size)
-        duration = 10 ** rng.uniform(-3, 0)
-        begin = rng.uniform(0, 1 - duration)
-        end = begin + duration
-        centres, reach = rng.normal(size=(8, 3)) * 0.2 * size, rng.uniform(0.01, 0.5, 8) * size
-        (paths, excess), turns = motion._slices(begin, end, reach, centres), motion._turns(begin, end)
-        for row in range(1, 8):
-            directions = rng.normal(size=(4, 3))
-            directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-            points = centres[row] + directions * (reach[row] * (1 - 4 * EPS))
-            apart = farthest(paths, row, joints[:row], points, begin, end)
-            assert apart <= excess[row]
-            if apart > 1e-10 * size and k % 3:
-                found.append((turns[row], excess[row] / apart))
-    turn, ratio = np.array(found).T
-    medians = [np.median(ratio[(turn > low) & (turn < high)]) for low, high in ((0, 0.05), (0.05, 0.2), (0.2, 0.5))]
-    print(medians, len(ratio))
-    assert (np.array(medians) < [1.2, 1.5, 2.2]).all()
 
 
 @pytest.mark.parametrize("kinds", [["revolute"], ["fixed", "revolute", "fixed"], ["prismatic"], ["free"]])
