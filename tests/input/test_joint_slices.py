@@ -123,18 +123,13 @@ def test_a_slide_along_the_axis_of_a_turn_is_a_screw():
     assert (motion._slices(0.0, 1.0, [1.0, 1.0, 1.0])[1] < 1e-11).all()  # rounding in all of a turn by 3 rad
 
 
-def test_the_bound_falls_as_the_square_of_the_slice():
+def test_the_bound_falls_as_the_square_of_the_slice_and_with_a_nearer_centre():
     motion, _ = random_chain(np.random.default_rng(2), ["revolute"] * 7, 0.5, False)
-    reach = np.full(8, 0.2)
-    whole, half = (motion._slices(0.5, 0.5 + h, reach)[1][2:] for h in (1e-2, 0.5e-2))
+    whole, half = (motion._slices(0.5, 0.5 + h, np.full(8, 0.2))[1][2:] for h in (1e-2, 0.5e-2))
     assert (np.abs(whole / half - 4) < 0.2).all()  # what the bound adds for the ends falls as the cube
-
-
-def test_a_centre_nearer_to_the_points_has_a_smaller_bound():
     motion, _ = random_chain(np.random.default_rng(3), ["revolute"] * 7, 0.1, False)
-    about_origin = motion._slices(0.0, 1.0, np.full(8, 0.4))[1]
-    about_centre = motion._slices(0.0, 1.0, np.full(8, 0.2), np.tile([0.0, 0.2, 0.0], (8, 1)))[1]
-    assert (about_centre[2:] < about_origin[2:]).all()
+    centred = motion._slices(0.0, 1.0, np.full(8, 0.2), np.tile([0.0, 0.2, 0.0], (8, 1)))[1]
+    assert (centred[2:] < motion._slices(0.0, 1.0, np.full(8, 0.4))[1][2:]).all()
 
 
 def test_worlds_have_slices_of_their_own():
