@@ -99,10 +99,7 @@ def test_bad_use_is_told(library):
     pipeline, *given = thrown()
     start, end = map(make, given)
     for call, message in (
-        (
-            lambda: ours.toi(pipeline, make(given[0].astype(int)), make(given[1].astype(int))),
-            "vertices_t0 has dtype int",
-        ),
+        (lambda: ours.toi(pipeline, *(make(x.astype(int)) for x in given)), "vertices_t0 has dtype int"),
         (lambda: ours.toi(pipeline, start, end, per="edge"), "per is 'edge'"),
         (lambda: ours.toi(pipeline.mesh, start, end), "pipeline is"),
         (lambda: ours.line_search(pipeline, start[1:], end[1:]), "vertices_t0 has "),
@@ -139,9 +136,8 @@ def test_torch_shares_memory_keeps_what_it_needs_and_compiles(torch):
     def squared(x, y):
         return (ours.collision_free_step(pipeline, x * 1.0, y) * 3.0) ** 2
 
-    both = [
-        torch.autograd.grad(f(start, end), (start, end)) for f in (squared, torch.compile(squared, backend="eager"))
-    ]
+    functions = squared, torch.compile(squared, backend="eager")
+    both = [torch.autograd.grad(f(start, end), (start, end)) for f in functions]
     assert all(torch.equal(x, y) and x.any() for x, y in zip(*both, strict=True))
     for call, message in (
         (lambda: ours.toi(pipeline, start, end.detach().numpy()), "vertices_t1 is a ndarray; expected a tensor"),
@@ -173,10 +169,7 @@ def test_jax_maps_worlds(jax, monkeypatch, capfd):
         (jax.jit(jax.vmap(jax.grad(of_world)))(speed, start), [-0.25, -0.0625, 0.0]),
         (jax.vmap(height)(speed, start), [0.1, 0.1, 0.5]),  # 1 - 0.9 of the gap
         (jax.vmap(jax.grad(height))(speed, start), [0.0, 0.0, -1.0]),
-        (
-            jax.vmap(lambda x, y: ours.toi_is_regular(pipeline, x, y))(start, start - FALL * speed[:, None, None]),
-            [1, 1, 0],
-        ),
+        (jax.vmap(lambda v, x: ours.toi_is_regular(pipeline, x, x - FALL * v))(speed, start), [1, 1, 0]),
     ):
         np.testing.assert_allclose(found, values, rtol=1e-6, atol=1e-9)
     with pytest.raises(jax.errors.JaxRuntimeError, match="expected 18, one a vertex"):

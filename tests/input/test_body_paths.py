@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from flint import arb, arb_poly, ctx
-from laws.trajectories import cross, exact, scaled, sub
+from laws.trajectories import add, cross, dot, exact, scaled, sub
 from laws.turning import rotated, shortest_rotation_vector, turning
 
 import ccd_warp as ccd
@@ -18,9 +18,8 @@ COUNT = 50  # of each family
 @pytest.fixture(autouse=True)
 def many_digits():
     """60 digits and more are left where neighbouring quaternions cancel."""
-    before, ctx.prec = ctx.prec, 320
-    yield
-    ctx.prec = before
+    with ctx.workprec(320):
+        yield
 
 
 def _neighbours(rng):
@@ -58,18 +57,14 @@ FAMILIES = {name: ends for name, *ends in _families()}
 
 
 def length(vector):
-    return sum((x * x for x in vector), arb(0)).sqrt()
-
-
-def plus(*vectors):
-    return [sum(parts, arb(0)) for parts in zip(*vectors, strict=True)]
+    return dot(vector, vector).sqrt()
 
 
 def check(found, expected, bound):
     """A vector of floats is no farther from one of arb, in Euclidean length, than a multiple of eps."""
     apart = sub(exact(found), expected)
     bound = EPS * bound + (arb(0) if bound == 0 else arb(1e-300))  # nothing is asked of what is hardly a float
-    assert sum((x * x for x in apart), arb(0)) <= bound**2, (found, bound)
+    assert dot(apart, apart) <= bound**2, (found, bound)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -84,29 +79,22 @@ def test_fields_are_within_their_bounds(family):
     for k in range(COUNT):
         p0, p1, c = exact(start[k, :3]), exact(end[k, :3]), exact(pivot[k])
         q0, q1 = exact(start[k, 3:]), exact(end[k, 3:])
-        omega = shortest_rotation_vector(q0, q1)
+        omega, d, arm = shortest_rotation_vector(q0, q1), sub(p1, p0), rotated(q0, c)
         angle = length(omega)
-        size = length(q0)
-        check(linear.rotation[k], scaled(1 / size, q0), 2)
+        check(linear.rotation[k], scaled(1 / (dot(q0, q0) + q0[3] ** 2).sqrt(), q0), 2)
         check(linear.omega[k], omega, 4 * angle)  # exactly 0 where nothing turns
-        arm = rotated(q0, c)
-        check(linear.pivot_t0[k], plus(p0, arm), length(p0) + 8 * length(c))
-        d = sub(p1, p0)
-        way = sub(plus(d, rotated(q1, c)), arm)
+        check(linear.pivot_t0[k], add(p0, arm), length(p0) + 8 * length(c))
+        way = sub(add(d, rotated(q1, c)), arm)
         check(linear.velocity[k], way, 2 * length(d) + 16 * arb.min(angle, arb(2)) * length(c))
         assert not linear.turning[k].any() and (linear.pivot[k] == pivot[k]).all() and not screw.pivot[k].any()
         np.testing.assert_array_equal(screw.pivot_t0[k], start[k, :3])
-        along = d
-        if angle > 0:
-            axis = scaled(1 / angle, omega)
-            along = scaled(sum((a * b for a, b in zip(axis, d, strict=True)), arb(0)), axis)
-        across = sub(d, along)
+        along = scaled(dot(omega, d) / angle**2, omega) if angle > 0 else d
         check(screw.velocity[k], along, 8 * length(d))
-        found = exact(screw.turning[k])
+        found, across = exact(screw.turning[k]), sub(d, along)
         if angle > 0:
             # σ1(1) and σ2(1) as they are defined; the equation for turning, which has factors of at least 2/π
             one, two = angle.sin() / angle, (1 - angle.cos()) / angle**2
-            apart = plus(scaled(one, found), scaled(two, cross(omega, found)), scaled(arb(-1), across))
+            apart = sub(add(scaled(one, found), scaled(two, cross(omega, found))), across)
             check([0.0, 0.0, 0.0], apart, 8 * length(d))
         else:
             assert not screw.turning[k].any()
@@ -133,8 +121,6 @@ def test_places_are_those_of_the_definition(path):
         about = {} if pivot is None else {"pivot": pivot[k]}
         place = turning(local, start[k], path=path, twist=twist[k], **about)(arb_poly([arb(float(t[k]))]))
         expected, origin = ([arb_poly(x)[0] for x in point] for point in place)
-        bound = 60 * (1 + np.abs(twist[k]).sum())
-        check(found[k], expected, bound)
-        check(poses[k, :3], origin, bound)
-        turned = rotated(exact(poses[k, 3:]), exact(points[k]))
-        check([float(v.mid()) for v in turned], sub(expected, origin), bound)
+        turned = [float(v.mid()) for v in rotated(exact(poses[k, 3:]), exact(points[k]))]
+        for seen, of in ((found[k], expected), (poses[k, :3], origin), (turned, sub(expected, origin))):
+            check(seen, of, 60 * (1 + np.abs(twist[k]).sum()))

@@ -1,6 +1,7 @@
 """Motions of joints: where links are, worlds, waypoints and cubics, and what is refused."""
 
 import pickle
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -105,68 +106,75 @@ def test_a_motion_does_not_change_and_is_pickled():
     assert hash(joint) == hash(replace(joint)) and joint.axis == (0.0, 0.0, 3.0)
 
 
-def rejected(message, *arguments, make=ccd.JointMotion, **options):
-    with pytest.raises(ValueError) as error:
-        make(*arguments, **options)
-    assert message in str(error.value)
+def link(name, parent, child, kind="fixed", **options):
+    return ccd.Joint(name, parent, child, kind, **options)
 
 
-def test_joints_that_form_no_tree_are_refused():
-    def link(name, parent, child):
-        return ccd.Joint(name, parent, child, "fixed")
-
-    rejected("a loop of 2 joints: a, b", [link("a", "x", "y"), link("b", "y", "x")], [], [])
-    rejected("a loop of 2 joints", [link("c", "y", "z"), link("a", "x", "y"), link("b", "y", "x")], [], [])
-    rejected("a loop of 1 joint: a", [link("a", "x", "x")], [], [])
-    rejected("carry the link 'y', 'a' and 'b'", [link("a", "x", "y"), link("b", "z", "y")], [], [])
-    rejected("2 links that no joint carries: x, Y; expected one", [link("a", "x", "y"), link("b", "Y", "z")], [], [])
-    rejected("joints has 2 of the name 'a'", [link("a", "x", "y"), link("a", "y", "z")], [], [])
-    rejected("joints is empty", [], [], [])
-    rejected("an item of joints is 3; expected a Joint", [3], [], [])
-    rejected("links has 'arm'; expected names of links: carriage", arm(), [0, 0], [1, 1], links=["hand", "arm"])
-    rejected("links has [3]; expected names of links", arm(), [0, 0], [1, 1], links=[[3]])
-    rejected("links has 2 of the name 'hand'", arm(), [0, 0], [1, 1], links=["hand", "hand"])
+def elbow(kind="revolute", axis=(0, 0, 1), **options):
+    return lambda: ccd.Joint("elbow", "upper", "lower", kind, axis, **options)
 
 
-def test_joints_are_checked():
-    def joint(message, kind="revolute", axis=(0, 0, 1), **options):
-        rejected(message, "elbow", "upper", "lower", kind, axis, make=ccd.Joint, **options)
+def motion(joints, *q, make=ccd.JointMotion, **options):
+    return lambda: make(joints, *q, **options)
 
-    joint("axis of joint 'elbow' is (0, 0, 0), of length 0.0", axis=(0, 0, 0))
-    joint("axis of joint 'elbow' is None; expected three finite numbers", axis=None)
-    joint("axis of joint 'elbow' is (nan, 0, 1)", axis=(np.nan, 0, 1))
-    joint("axis of joint 'elbow' is (0, 1)", axis=(0, 1))
-    joint("expected none, as the joint is free", kind="free")
-    joint("kind of joint 'elbow' is 'ball'", kind="ball")
-    joint("origin of joint 'elbow' has shape (6,)", origin=(0,) * 6)
-    joint("origin of joint 'elbow' has a quaternion of length 0; expected", origin=(0,) * 7)
-    joint("origin of joint 'elbow' holds nan; expected finite numbers", origin=(np.nan, 0, 0, 0, 0, 0, 1))
-    joint("origin of joint 'elbow' holds no rotation: the products", origin=np.diag([1.0, 1, 2, 1]))
-    rejected("parent is 3; expected the name", "elbow", 3, "x", "fixed", make=ccd.Joint)
+
+FREE, INFINITE = [link("float", "sea", "ship", "free")], np.zeros((4, 2))
+INFINITE[2, 1] = np.inf
+WAYPOINTS, CUBICS = {"make": ccd.JointMotion.from_waypoints}, {"make": ccd.JointMotion.from_cubics}
+TWO = ccd.JointMotion(arm(), np.zeros((2, 2)), np.ones((2, 2)))
+REFUSED = [
+    # joints that form no tree
+    (motion([link("a", "x", "y"), link("b", "y", "x")], [], []), "a loop of 2 joints: a, b"),
+    (motion([link("c", "y", "z"), link("a", "x", "y"), link("b", "y", "x")], [], []), "a loop of 2 joints"),
+    (motion([link("a", "x", "x")], [], []), "a loop of 1 joint: a"),
+    (motion([link("a", "x", "y"), link("b", "z", "y")], [], []), "carry the link 'y', 'a' and 'b'"),
+    (motion([link("a", "x", "y"), link("b", "Y", "z")], [], []), "2 links that no joint carries: x, Y; expected one"),
+    (motion([link("a", "x", "y"), link("a", "y", "z")], [], []), "joints has 2 of the name 'a'"),
+    (motion([], [], []), "joints is empty"),
+    (motion([3], [], []), "an item of joints is 3; expected a Joint"),
+    (motion(arm(), [0, 0], [1, 1], links=["arm"]), "links has 'arm'; expected names of links: carriage"),
+    (motion(arm(), [0, 0], [1, 1], links=[[3]]), "links has [3]; expected names of links"),
+    (motion(arm(), [0, 0], [1, 1], links=["hand", "hand"]), "links has 2 of the name 'hand'"),
+    # joints
+    (elbow(axis=(0, 0, 0)), "axis of joint 'elbow' is (0, 0, 0), of length 0.0"),
+    (elbow(axis=None), "axis of joint 'elbow' is None; expected three finite numbers"),
+    (elbow(axis=(np.nan, 0, 1)), "axis of joint 'elbow' is (nan, 0, 1)"),
+    (elbow(axis=(0, 1)), "axis of joint 'elbow' is (0, 1)"),
+    (elbow("free"), "expected none, as the joint is free"),
+    (elbow("ball"), "kind of joint 'elbow' is 'ball'"),
+    (elbow(origin=(0,) * 6), "origin of joint 'elbow' has shape (6,)"),
+    (elbow(origin=(0,) * 7), "origin of joint 'elbow' has a quaternion of length 0; expected"),
+    (elbow(origin=(np.nan, 0, 0, 0, 0, 0, 1)), "origin of joint 'elbow' holds nan; expected finite numbers"),
+    (elbow(origin=np.diag([1.0, 1, 2, 1])), "origin of joint 'elbow' holds no rotation: the products"),
+    (lambda: link("elbow", 3, "x"), "parent is 3; expected the name"),
+    # configurations
+    (motion(arm(), [0, 0, 0], [1, 1]), "q0 has shape (3,); expected shape (2,)"),
+    (motion(arm(), np.zeros((2, 2)), np.zeros((3, 2))), "q1 is of 3 worlds; expected 2 like q0"),
+    (motion(arm(), [0, 0], [[0, 0], [np.nan, 0]]), "q1 holds nan at [1, 0], for joint 'turn'"),
+    (motion(arm(), [0, -1e308], [0, 1e308]), "link 'carriage' is at no finite pose"),
+    (motion(arm(), [[0, 0]], **WAYPOINTS), "waypoints has shape (1, 2); expected (K, 2), K at least 2"),
+    (motion(arm(), np.zeros((3, 2)), **CUBICS), "coefficients has shape (3, 2); expected shape (4, 2)"),
+    (motion(arm(), INFINITE, **CUBICS), "coefficients holds inf at [2, 1], for joint 'slide'"),
+    (motion(FREE, [0] * 7, [1] * 7), "q0 has a quaternion of length 0 for the free joint 'float', of configuration 0"),
+    (motion(FREE, np.ones((4, 7)), **CUBICS), "turns the free joint 'float'; expected 0"),
+    *(
+        (lambda call=call, t=t: call(t), message)
+        for call in (TWO.at, TWO.shortened, TWO.configuration)
+        for t, message in (
+            (1.5, "t is 1.5; expected a fraction in [0, 1]"),
+            ([0.5, np.nan], "t is nan for world 1"),
+            ([0.5] * 3, "t has shape (3,)"),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "message"), REFUSED)
+def test_what_is_no_joint_tree_or_configuration_is_refused(call, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        call()
+
+
+def test_an_origin_may_be_a_matrix():
     turned = [[0, -1, 0, 5], [1, 0, 0, 6], [0, 0, 1, 7], [0, 0, 0, 1]]
-    near(ccd.Joint("a", "b", "c", "fixed", origin=turned).origin, (5, 6, 7, 0, 0, HALF, HALF))
-
-
-def test_configurations_are_checked():
-    rejected("q0 has shape (3,); expected shape (2,)", arm(), [0, 0, 0], [1, 1])
-    rejected("q1 is of 3 worlds; expected 2 like q0", arm(), np.zeros((2, 2)), np.zeros((3, 2)))
-    rejected("q1 holds nan at [1, 0], for joint 'turn'", arm(), [0, 0], [[0, 0], [np.nan, 0]])
-    rejected("link 'carriage' is at no finite pose", arm(), [0, -1e308], [0, 1e308])
-    make = ccd.JointMotion.from_waypoints
-    rejected("waypoints has shape (1, 2); expected (K, 2), K at least 2", arm(), [[0, 0]], make=make)
-    make = ccd.JointMotion.from_cubics
-    rejected("coefficients has shape (3, 2); expected shape (4, 2)", arm(), np.zeros((3, 2)), make=make)
-    rejected(
-        "coefficients holds inf at [2, 1], for joint 'slide'",
-        arm(),
-        np.diag([0, 0, np.inf])[:, 1:].repeat(2, 0)[2:],
-        make=make,
-    )
-    free = [ccd.Joint("float", "sea", "ship", "free")]
-    rejected("q0 has a quaternion of length 0 for the free joint 'float', of configuration 0", free, [0] * 7, [1] * 7)
-    rejected("turns the free joint 'float'; expected 0", free, np.ones((4, 7)), make=make)
-    motion = ccd.JointMotion(arm(), np.zeros((2, 2)), np.ones((2, 2)))
-    for call in (motion.at, motion.shortened, motion.configuration):
-        rejected("t is 1.5; expected a fraction in [0, 1]", 1.5, make=call)
-        rejected("t is nan for world 1", [0.5, np.nan], make=call)
-        rejected("t has shape (3,)", [0.5] * 3, make=call)
+    near(link("a", "b", "c", origin=turned).origin, (5, 6, 7, 0, 0, HALF, HALF))

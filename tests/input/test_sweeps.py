@@ -2,20 +2,23 @@
 
 import numpy as np
 import pytest
+from laws.turning import turned
 
 import ccd_warp as ccd
 from ccd_warp._body_sweeps import BodySweeps
 
 COUNT, SAMPLES, HALVINGS = 100, 21, 2
-HEIGHT = (0, 0, 0.3, 0, 0, 0, 1)
 # A slide and a turn carry an arm, and a second one branches off; a link floats.
 JOINTS = [
-    ccd.Joint("slide", "base", "rail", "prismatic", (1, 0.2, 0)),
-    ccd.Joint("waist", "rail", "trunk", "revolute", (0, 0, 1), (0, 0, 0.1, 0, 0, 0, 1)),
-    ccd.Joint("shoulder", "trunk", "upper", "revolute", (0, 1, 0), HEIGHT),
-    ccd.Joint("elbow", "upper", "lower", "revolute", (0, 1, 0.3), HEIGHT),
-    ccd.Joint("other", "trunk", "left", "revolute", (1, 0, 0), HEIGHT),
-    ccd.Joint("float", "base", "free", "free"),
+    ccd.Joint(child, parent, child, kind, axis, (0, 0, height, 0, 0, 0, 1))
+    for parent, child, kind, axis, height in (
+        ("base", "rail", "prismatic", (1, 0.2, 0), 0.0),
+        ("rail", "trunk", "revolute", (0, 0, 1), 0.1),
+        ("trunk", "upper", "revolute", (0, 1, 0), 0.3),
+        ("upper", "lower", "revolute", (0, 1, 0.3), 0.3),
+        ("trunk", "left", "revolute", (1, 0, 0), 0.3),
+        ("base", "free", "free", None, 0.0),
+    )
 ]
 LINKS = ["trunk", "upper", "lower", "left", "free"]
 PAIRS = [(0, 1), (1, 2), (0, 2), (2, 3), (3, 4)]
@@ -62,14 +65,7 @@ class Chain:
 
     def places(self, points, t):
         poses = self._motion.at(t)
-        x, y, z, w = poses[..., 3:].transpose(2, 0, 1)
-        rows = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        turn = np.moveaxis(np.array(rows), (0, 1), (2, 3))
-        return poses[..., :3] + np.einsum("nlij,nlj->nli", turn, points)
+        return poses[..., :3] + turned(poses[..., 3:], points)
 
 
 SCENES = [
@@ -89,11 +85,9 @@ def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, t
     shares = np.concatenate([(np.arange(n) + 0.5) / n for n in 1 << np.arange(HALVINGS + 1)])
     found = motion.sweeps(begin, end, begin + shares[:, None] * (end - begin))
     points = rng.normal(size=(COUNT, motion.count, 3)) * rng.choice([0.0, 0.1, 10.0], (COUNT, motion.count, 1))
-    arm = np.linalg.norm(points, axis=2)
-    first, second = (np.array([pair[k] for pair in motion.pairs]) for k in (0, 1))
+    arm, (first, second) = np.linalg.norm(points, axis=2), np.array(motion.pairs).T
     for window, share in enumerate(shares):
-        level = int(np.log2(window + 1))
-        short = 0.5**level  # half of the window, as a share of half the slice
+        short = 0.5 ** int(np.log2(window + 1))  # half of the window, as a share of half the slice
         origin, error, turns, wrong, bend, bend_of_arm = np.moveaxis(found.reach, 2, 0)
         goes = origin * short + error + (turns * short + wrong) * arm
         bends = (bend + bend_of_arm * arm) * short**2 + error + wrong * arm
@@ -104,26 +98,21 @@ def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, t
         length, off, of_a, off_a, of_b, off_b = np.moveaxis(relative, 2, 0)
         comes = length * short + off + (of_a * short + off_a) * arm[:, first] + (of_b * short + off_b) * arm[:, second]
 
-        def at(tau, share=share, short=short):
-            return motion.places(points, begin + (share + 0.5 * tau * short) * (end - begin))
+        def at(tau, x=points, share=share, short=short):
+            return motion.places(x, begin + (share + 0.5 * tau * short) * (end - begin))
 
-        middle = at(0.0)
-        zero = motion.places(np.zeros_like(points), begin + share * (end - begin))
+        middle, zero = at(0.0), at(0.0, np.zeros_like(points))
         assert np.abs(found.position[:, window] - zero).max() <= 1e-13 * max(motion.size, 1.0)
         speed = found.velocity[:, window] + np.cross(found.omega[:, window], middle - zero)
         apart = np.linalg.norm(middle[:, first] - middle[:, second], axis=2)
-        rounding = 1e-14 * np.abs(middle).max()  # of a distance here
-        largest = np.zeros((3, COUNT))
+        largest, rounding = np.zeros((3, COUNT)), 1e-14 * np.abs(middle).max()  # of a distance here
         for tau in np.linspace(-1, 1, SAMPLES):
-            moved = at(tau) - middle
-            goes_now = np.linalg.norm(moved, axis=2)
-            bends_now = np.linalg.norm(moved - tau * short * speed, axis=2)
-            now = middle + moved
+            now = at(tau)
+            goes_now, bends_now = (np.linalg.norm(now - middle - x, axis=2) for x in (0.0, tau * short * speed))
             nearer = apart - np.linalg.norm(now[:, first] - now[:, second], axis=2)
             assert (goes_now <= goes).all() and (bends_now <= bends).all() and (nearer <= comes + rounding).all()
             with np.errstate(invalid="ignore", divide="ignore"):
                 ratios = [goes_now / goes, bends_now / bends, nearer / comes]
             largest = np.maximum(largest, [np.nan_to_num(x).max(axis=1) for x in ratios])
         if scale == 1.0:  # the bounds are of use
-            goes_most, bends_most, nearer_most = largest
-            assert np.median(goes_most) > 0.3 and np.median(bends_most) > 0.2 and nearer_most.max() > 0.6
+            assert np.median(largest[0]) > 0.3 and np.median(largest[1]) > 0.2 and largest[2].max() > 0.6
