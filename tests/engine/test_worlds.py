@@ -124,7 +124,8 @@ def far_apart():
     return mesh, start + offset, end + offset
 
 
-def vertices_that_have_flown_away():
+def flown_away():
+    """Some vertices of a few worlds."""
     mesh, start, end = worlds(9)
     for world, values in {1: [1e9], 2: [_LARGEST], 3: [-_LARGEST, _LARGEST, 1e300], 4: [1e40] * 7}.items():
         start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
@@ -139,7 +140,7 @@ def of_a_wall_much_larger_than_what_moves():
     return mesh, start, end
 
 
-def of_vertices_that_take_turns():
+def taking_turns():
     """Two worlds, each with half of every body."""
     rng = np.random.default_rng(3)
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, 12, 0.3)] * 2, vertex_world=np.arange(72) // 3 % 2)
@@ -151,15 +152,7 @@ SCENES = {
     "of very different sizes": lambda: worlds(10, sizes=10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290])),
     "with numbers left out": lambda: worlds(4, numbers=np.array([0, 3, 9, 40])),
 }
-SCENES |= {
-    of.__name__: of
-    for of in (
-        far_apart,
-        vertices_that_have_flown_away,
-        of_a_wall_much_larger_than_what_moves,
-        of_vertices_that_take_turns,
-    )
-}
+SCENES |= {of.__name__: of for of in (far_apart, flown_away, of_a_wall_much_larger_than_what_moves, taking_turns)}
 
 
 def quantized(mesh, *frames, positions=None):
