@@ -88,23 +88,6 @@ def test_copies_of_several_worlds_have_an_axis_of_copies_and_worlds_of_different
             of.frame(x)
 
 
-def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
-    """A point passes a wall in each of 20 worlds; later one wall stands far away, and one moves, which is refused."""
-    bodies = [(np.array([[0.0, 0, 1]]), NO_FACES), (TRIANGLE, FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], codimensional_points=True).replicate(20)
-    pipeline, down = ccd.CollisionPipeline(mesh), np.outer([1, 0, 0, 0], [0, 0, -2.0])
-    for elsewhere in ([], [13], [4], []):
-        x = mesh.vertices.copy().reshape(20, 4, 3)
-        x[elsewhere, 1:, 0] += 9.0
-        for result in (pipeline.mesh_ccd(x, x + down), pipeline.launch(x, x + down).to_host()):
-            found = result.world_toi
-            assert np.array_equal(np.flatnonzero(np.isinf(found)), elsewhere) and found.min() == pytest.approx(0.5)
-    end = x + down
-    end[17, 2] += 0.1
-    with pytest.raises(ValueError, match=r"vertex 1 of body 35 .* \(row 70\)"):
-        pipeline.mesh_ccd(x, end)
-
-
 # --- in quantized coordinates ---
 
 
