@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
+from oracles import rows
 
 import ccd_warp as ccd
 
@@ -52,9 +53,8 @@ def test_pairs_that_touch_at_the_start_do_so_wherever_others_end(option):
         contacts = ccd.mesh_ccd(mesh, mesh.vertices, with_one_at(mesh, 1e20), **option).contacts
     at_rest = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **option).contacts
     at_start = contacts[contacts.status == AT_START]
-    assert len(at_start) and (at_rest.status == AT_START).all()
-    assert np.array_equal(at_start.kind, at_rest.kind) and np.array_equal(at_start.primitives, at_rest.primitives)
-    assert ((contacts.status == AT_START) | (contacts.status == HIDDEN)).all()
+    assert (at_rest.status == AT_START).all() and np.isin(contacts.status, [AT_START, HIDDEN]).all()
+    assert rows(at_start) == rows(at_rest) != {}
 
 
 def test_a_launch_flags_what_rounding_hides():
@@ -69,12 +69,11 @@ def test_a_launch_flags_what_rounding_hides():
     assert pipeline.launch_line_search(mesh.vertices, end).to_host().flags == 0
 
 
-@pytest.mark.parametrize("count", [1, 9])
-def test_a_pair_whose_motion_blows_up_is_not_in_contact(count):
+def test_a_pair_whose_motion_blows_up_is_not_in_contact():
     start = np.array([[0.2, 0.2, 0.5], [0, 0, 0], [1, 0, 0], [0, 1, 0]])
     end = start * [1e20, -3e20, 1e20]
     for function, touching in ((ccd.vertex_face_ccd, start * [1, 1, 0]), (ccd.edge_edge_ccd, 0 * start)):
-        for points, status in ((start, HIDDEN), (touching, AT_START)):
+        for points, status, count in ((start, HIDDEN, 1), (touching, AT_START, 9)):
             result = function(*(np.tile(x, (count, 1, 1)) for x in (points, end)), length_scale=1.0)
             assert (result.toi == 0.0).all() and (result.status == status).all()
 
@@ -161,10 +160,10 @@ def test_a_distance_of_three_edges_is_named_once_by_every_call_on_host_and_devic
 
 @pytest.mark.parametrize("form", ["whole", "moving", "float32", "array", "in the plane"])
 def test_a_launch_looks_at_its_own_positions_and_at_those_of_moving_vertices(form):
-    bodies, is_moving = [(9.0 * SHEET, FACES), (9.0 * SHEET - [0, 0, 99], FACES)], form == "moving"
+    bodies = [(9.0 * SHEET, FACES), (9.0 * SHEET - [0, 0, 99], FACES)]
     if form == "in the plane":
         bodies = [(9.0 * SHEET[:, :2], ccd.CollisionMesh.from_arrays([(SHEET, FACES)]).edges)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if is_moving else [])
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1] if form == "moving" else [])
     x = (mesh.vertices / 9.0)[mesh.moving_vertices].astype(np.float32 if form == "float32" else np.float64)
     x = wp.array(x, dtype=wp.vec3d) if form == "array" else x
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.8)
