@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import warp as wp
-from scenes import crowd, named_cloth_and_ball, random_pairs
+from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball, random_pairs
 
 import ccd_warp as ccd
 from ccd_warp import datasets, distributed
@@ -71,8 +71,7 @@ def test_help_of_every_call_fits_on_a_screen_or_two():
 def public():
     """An object of every public class that holds something."""
     mesh, start, end = crowd(np.random.default_rng(0), num_faces=1500)
-    result = ccd.mesh_ccd(mesh, start, end)
-    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=1e-3)
+    result, pipeline = ccd.mesh_ccd(mesh, start, end), ccd.CollisionPipeline(mesh, minimum_separation=1e-3)
     launched = pipeline.launch(start, end)
     points, points_t1 = random_pairs("edge_edge", 5000)
     poses, affine = np.ones((50, 40, 7)), np.ones((50, 40, 3, 4))
@@ -84,41 +83,33 @@ def public():
     return [*objects, ccd.AffineMotion(affine, affine)]
 
 
-def test_every_public_object_shows_itself_in_a_line_or_two(public):
-    mesh, start, end = named_cloth_and_ball()
-    low = int(mesh.body_vertex_range[1])
-    bodies = [(start[:low], mesh.faces[mesh.face_body == 0]), (start[low:], mesh.faces[mesh.face_body == 1] - low)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], names=["c" * 500, "b" * 500])  # which are cut
-    for value in [*public, mesh, ccd.mesh_ccd(mesh, start, end)]:
-        text = repr(value)
+def test_every_public_object_shows_itself_in_a_line_or_two_and_tables_are_short_and_well_formed(public):
+    named, start, end = named_cloth_and_ball()
+    bodies = [(start, named.faces), (TRIANGLE, FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, names=["c" * 500, "<script>"])  # of which texts are cut
+    start, end = (np.vstack([x, TRIANGLE + 9]) for x in (start, end))
+    objects = [*public, mesh, ccd.mesh_ccd(mesh, start, end)]
+    for text, value in zip(map(repr, objects), objects, strict=True):
         assert text.startswith(f"{type(value).__name__}(") and text.endswith(")")
         assert len(text) < 240 and text.count("\n") <= 1 and "array(" not in text and "object at" not in text, text
-
-
-def test_tables_for_notebooks_are_short_and_well_formed(public):
+    assert "<script>" not in mesh._repr_html_() and "&lt;script&gt;" in mesh._repr_html_()
     tables = [value._repr_html_() for value in public if hasattr(value, "_repr_html_")]
     assert len(tables) >= 6
     for html in tables:
         table = ElementTree.fromstring(f"<div>{html}</div>").find("table")
         assert table is not None and 1 <= len(table.find("tbody")) <= 30 and len(html) < 10_000
-    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])], names=["<script>"])
-    assert "<script>" not in mesh._repr_html_() and "&lt;script&gt;" in mesh._repr_html_()
 
 
 def test_results_say_toi_contacts_and_the_first_by_name():
     result = ccd.mesh_ccd(*named_cloth_and_ball())
-    text = (
-        rf"MeshResult\(toi={result.toi!r}, {len(result.contacts):,} contacts, first: vertex-face of ball and cloth at"
-    )
-    assert re.match(text, repr(result))
+    text = f"MeshResult(toi={result.toi!r}, {len(result.contacts):,} contacts, first: vertex-face of ball and cloth at"
+    assert repr(result).startswith(text)
     assert repr(ccd.mesh_ccd(*named_cloth_and_ball(), t_max=0.1)) == "MeshResult(toi=inf, no contact)"
     pairs = ccd.edge_edge_ccd(*random_pairs("edge_edge", 5000))
     num_hits = f"{np.isfinite(pairs.toi).sum():,}"
     assert repr(pairs) == f"PairResult(5,000 pairs, {num_hits} touching, earliest toi={float(pairs.toi.min())!r})"
     zeros = [wp.zeros((3, 4), dtype=wp.vec3d) for _ in range(2)]
     assert repr(ccd.edge_edge_ccd(*zeros)) == f"PairResult(3 pairs, arrays on {zeros[0].device})"
-    pipeline = ccd.CollisionPipeline(named_cloth_and_ball()[0], minimum_separation=1e-3)
-    assert re.search(r", minimum_separation=0\.001\b.* on \w", repr(pipeline))
 
 
 def test_a_place_shows_no_rounding():

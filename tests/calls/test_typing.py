@@ -32,8 +32,8 @@ frames = ccd.read_frames("a.stl", "b.stl", static=["wall.stl"])
 for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0, 0, 1])], surface=True)[1:]:
     inside: int = len(ccd.CollisionMesh.from_volume(vertices, {"tetra": [[0, 1, 2, 3]]}, static=[0]).inner_vertices)
 contacts = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).contacts
-result = ccd.CollisionPipeline(mesh).launch(x[0], x[0])
-places = [result.contacts.points, result.contacts.points_at(x[0], x[0]), result.contacts.order_by_toi()]
+launched = ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts
+places = [launched.points, launched.points_at(x[0], x[0]), launched.order_by_toi()]
 motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
@@ -43,26 +43,19 @@ height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.t
 WRONG = """
 ccd.vertex_face_ccd(x, x, precision="float16")
 ccd.vertex_face_ccd(x, x, presicion="float32")
-ccd.edge_edge_ccd(x, x, method=3)
 ccd.edge_edge_ccd(x, x, max_work=10)
 ccd.point_point_ccd(x, x, 1e-6)
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds=["vertex-face"])
 ccd.mesh_ccd(mesh, x[0], x[0], pair_kinds="vertex_face")
-ccd.mesh_ccd(mesh, x[0], x[0], device=0)
 ccd.collision_free_step(mesh, x[0], x[0], max_iterations=0.5)
 ccd.line_search(mesh, x[0], x[0], t_max=0.5)
-ccd.line_search(mesh, x[0], x[0], per="face")
 ccd.find_candidates(mesh, x[0], x[0], tolerance=0.1)
-ccd.find_intersections(mesh, x[0], tolerance=0.1)
 ccd.find_proximity(mesh, x[0], 0.1, minimum_distance=0.1)
-ccd.displacement_bounds(mesh, x[0], 0.1, t_max=0.5)
-ccd.RigidMotion(x, x, path="spline")
 ccd.RigidMotion(x, x, "screw")
 ccd.CollisionPipeline(mesh, tolerence=0.1)
 bad_options: ccd.MeshOptions = {"method": "bisect"}
 ccd.read_frames("a.stl", "b.stl", static=3)
 ccd.mesh_ccd(mesh, x[0], x[0]).first.toi
-ccd.mesh_ccd(mesh, mesh, x[0])
 ccd.vertex_face_ccd(x, None)
 ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts.sorted_by_toi()
 """

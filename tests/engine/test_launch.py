@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from expected_warnings import OF_ROUNDING
-from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball
+from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball, soup
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
@@ -148,8 +148,7 @@ def test_what_cannot_be_stops_its_world_alone_and_once(of, value, dtype):
 @pytest.mark.parametrize("count", [20, 5_000])
 def test_face_whose_box_is_infinite_in_quantized_coordinates(count, far):
     rng = np.random.default_rng(0)
-    vertices = (rng.uniform(-1, 1, (count, 1, 3)) + 1e-3 * rng.normal(size=(count, 3, 3))).reshape(-1, 3)
-    bodies = [(vertices, np.arange(3 * count).reshape(-1, 3)), (np.eye(3), FACE)]
+    bodies = [soup(rng, count, 1e-3, spread=2.0), (np.eye(3), FACE)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
     start, end = mesh.vertices.copy(), mesh.vertices + [0, 0, 0.01]
     pipeline = ccd.CollisionPipeline(mesh, max_pairs=60_000, max_contacts=60_000)

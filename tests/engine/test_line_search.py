@@ -5,7 +5,7 @@ import pytest
 import trimesh
 import warp as wp
 from oracles import exact_contacts, num_touching
-from scenes import FACE, TRIANGLE, stacked, triangles, with_static_at_rest
+from scenes import FACE, TRIANGLE, stacked, triangles
 
 import ccd_warp as ccd
 
@@ -48,7 +48,7 @@ def test_one_body_falls_on_another(per, safety):
 def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per):
     """In one world a body is stopped by a face; in the other it would then stand in the way of what follows it."""
     layers = [TRIANGLE + [0.1 * k, 0.07 * k, z] for k, z in enumerate((1.0, 0.0, 1.0, 1.5))]
-    bodies = [(np.vstack([layers[0], layers[2]]), [[0, 1, 2], [3, 4, 5]]), (layers[1], FACE), (layers[3], FACE)]
+    bodies = [(np.vstack(layers[::2]), [[0, 1, 2], [3, 4, 5]]), (layers[1], FACE), (layers[3], FACE)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 3 + [0] * 3 + [1] * 3)
     wished = mesh.vertices - np.repeat([[0, 0, 2.0], [0, 0, 0], [0, 0, 2.3]], [6, 3, 3], axis=0)
     assert np.isinf(ccd.mesh_ccd(mesh, mesh.vertices, wished).world_toi).tolist() == [False, True]
@@ -191,17 +191,6 @@ def test_what_touches_stops_its_vertices_alone_and_is_named_once_in_order():
     assert (both.vertices[corners] == step.vertices[corners]).all() and (step.touching.toi == 0).all()
     keys = np.column_stack([step.touching.kind, step.touching.primitives])
     np.testing.assert_array_equal(keys, np.unique(keys, axis=0))
-
-
-def test_a_step_that_is_lost_in_the_rounding_of_positions_says_what_stopped_it():
-    """One rounding above a face, far from the origin: nine tenths of the gap are the gap again, or none of it."""
-    at = 2.0**20
-    above = TRIANGLE * 0.5 + [0, 0, np.nextafter(at, np.inf)]
-    mesh = ccd.CollisionMesh.from_arrays([(above, FACE), (TRIANGLE + [0, 0, at], FACE)], static=[1])
-    end = with_static_at_rest(mesh, mesh.vertices, mesh.vertices - [0, 0, 1.0])
-    step = ccd.line_search(mesh, mesh.vertices, end, per="vertex")
-    np.testing.assert_array_equal(step.vertices[:3], mesh.vertices[:3])
-    assert set(range(3)) <= set(step.touching.vertices.ravel())
 
 
 def test_pushes_again_and_again_neither_round_through_a_face_nor_stop_what_is_elsewhere():

@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 import weakref
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ import trimesh
 from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from laws.outputs import different, outputs_of
 from scenes import FACE, TRIANGLE, crowd, leaning_stack, single, soup
 
 import ccd_warp as ccd
@@ -154,22 +152,6 @@ def test_positions_of_a_large_mesh_are_let_go(call):
     getattr(pipeline, call)(start, end)
     del start, end
     assert mesh.num_vertices > 1 << 15 and [array() for array in arrays] == [None, None]
-
-
-def test_python_threads_on_different_meshes_and_on_one():
-    frames = [crowd(np.random.default_rng(k), 300) for k in range(3)]
-    frames.append(frames[0])  # the same mesh twice
-    pipeline = ccd.CollisionPipeline(frames[0][0])
-
-    def answers(k):
-        found = ccd.mesh_ccd(*frames[k]), ccd.collision_free_step(*frames[k])
-        shared = pipeline.mesh_ccd(*frames[0][1:]) if k in (0, 3) else None
-        return outputs_of({"step": found, "shared": shared})
-
-    expected = [answers(k) for k in range(4)]
-    with ThreadPoolExecutor(4) as threads:
-        for k, found in zip(list(range(4)) * 5, threads.map(answers, list(range(4)) * 5), strict=True):
-            assert different(found, expected[k]) == []
 
 
 # --- scenes made to break a broad phase ---

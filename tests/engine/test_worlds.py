@@ -88,23 +88,6 @@ def test_copies_of_several_worlds_have_an_axis_of_copies_and_worlds_of_different
             of.frame(x)
 
 
-def test_walls_of_many_worlds_are_met_where_they_stand_in_each_step():
-    """A point passes a wall in each of 20 worlds; later one wall stands far away, and one moves, which is refused."""
-    bodies = [(np.array([[0.0, 0, 1]]), NO_FACES), (TRIANGLE, FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1], codimensional_points=True).replicate(20)
-    pipeline, down = ccd.CollisionPipeline(mesh), np.outer([1, 0, 0, 0], [0, 0, -2.0])
-    for elsewhere in ([], [13], [4], []):
-        x = mesh.vertices.copy().reshape(20, 4, 3)
-        x[elsewhere, 1:, 0] += 9.0
-        for result in (pipeline.mesh_ccd(x, x + down), pipeline.launch(x, x + down).to_host()):
-            found = result.world_toi
-            assert np.array_equal(np.flatnonzero(np.isinf(found)), elsewhere) and found.min() == pytest.approx(0.5)
-    end = x + down
-    end[17, 2] += 0.1
-    with pytest.raises(ValueError, match=r"vertex 1 of body 35 .* \(row 70\)"):
-        pipeline.mesh_ccd(x, end)
-
-
 # --- in quantized coordinates ---
 
 
@@ -124,7 +107,8 @@ def far_apart():
     return mesh, start + offset, end + offset
 
 
-def vertices_that_have_flown_away():
+def flown_away():
+    """Some vertices of a few worlds."""
     mesh, start, end = worlds(9)
     for world, values in {1: [1e9], 2: [_LARGEST], 3: [-_LARGEST, _LARGEST, 1e300], 4: [1e40] * 7}.items():
         start[12 * world : 12 * world + len(values)] = np.array(values)[:, None]
@@ -139,7 +123,7 @@ def of_a_wall_much_larger_than_what_moves():
     return mesh, start, end
 
 
-def of_vertices_that_take_turns():
+def taking_turns():
     """Two worlds, each with half of every body."""
     rng = np.random.default_rng(3)
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, 12, 0.3)] * 2, vertex_world=np.arange(72) // 3 % 2)
@@ -151,15 +135,7 @@ SCENES = {
     "of very different sizes": lambda: worlds(10, sizes=10.0 ** np.array([-300, -40, -9, -1, 0, 0, 1, 9, 40, 290])),
     "with numbers left out": lambda: worlds(4, numbers=np.array([0, 3, 9, 40])),
 }
-SCENES |= {
-    of.__name__: of
-    for of in (
-        far_apart,
-        vertices_that_have_flown_away,
-        of_a_wall_much_larger_than_what_moves,
-        of_vertices_that_take_turns,
-    )
-}
+SCENES |= {of.__name__: of for of in (far_apart, flown_away, of_a_wall_much_larger_than_what_moves, taking_turns)}
 
 
 def quantized(mesh, *frames, positions=None):
