@@ -7,7 +7,7 @@ from laws.calls import EVERY_PER
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp.distributed import DistributedMesh, DistributedPipeline
+from ccd_warp.distributed import DistributedMesh
 
 SCALARS = ["collision_free_step", "is_step_collision_free"]
 SEARCHES = [f"line_search {per}" for per in EVERY_PER]
@@ -55,10 +55,13 @@ class Cut:
     def __init__(self, comm, mesh, rank_of_face, rng, with_owners=False):
         rank, size = comm.Get_rank(), comm.Get_size()
         faces = mesh.faces[rank_of_face == rank]
-        # a face of another rank, too, with its corners in another order: it counts once, as the first has it
-        faces = np.concatenate([faces, mesh.faces[rng.random(len(mesh.faces)) < 0.05 * (rank + 1)]])
+        # faces of another rank, too, with their corners in the last order: they count once, as the first has them
+        others = mesh.faces[rng.random(len(mesh.faces)) < 0.05 * (rank + 1)]
+        faces = np.concatenate([faces, np.sort(others, axis=1)[:, ::-1]])
         edges = mesh.edges[mesh.codimensional_edges]
         edges = edges[edges[:, 0] % size == rank]
+        if len(faces):  # also some that faces have, perhaps of another rank, and which are none of their own then
+            edges = np.concatenate([edges, mesh.edges[rng.random(len(mesh.edges)) < 0.02]])
         is_used = ~np.isin(np.arange(mesh.num_vertices), mesh.faces) & (np.arange(mesh.num_vertices) % size == rank)
         is_used[faces], is_used[edges] = True, True
         self.rows = rng.permutation(np.flatnonzero(is_used))
@@ -98,15 +101,6 @@ class Cut:
         ghosts = np.flatnonzero(~self.mesh.is_owned)
         values[ghosts] = np.resize([np.nan, 0.0, np.inf, -1e308], len(ghosts))[:, None]
         return values
-
-
-def compare(comm, cut, mesh, start, end, calls, options, motion=None):
-    """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
-    start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
-    pipelines = DistributedPipeline(cut.mesh, **options), ccd.CollisionPipeline(mesh, **options)
-    for call in calls:
-        compare_call(comm, cut, *pipelines, start, end, call, motion)
-    return pipelines[0]
 
 
 def wait_for_all(comm):

@@ -1,17 +1,18 @@
 """What `test_distributed.py` runs on several ranks: cuts of meshes, whose results have the bits of one process.
 
-    mpiexec -n 3 python -m mpi4py tests/distributed/mpi_program.py [2 | 3 | together | killed | CASE ...]
+    mpiexec -n 3 python -m mpi4py tests/distributed/mpi_program.py [CASE ...]
 
-One program goes through many cases, because starting processes and compiling kernels takes most of the time: those of
-two ranks, of three, or all. It prints a line for each, on rank 0; by ``-m mpi4py``, a failure on one rank ends all.
-``together`` lets one rank fail, or be interrupted, and checks that all say so. In ``killed`` the last rank is killed as
-the others wait for it; that they end is up to MPI.
+One program goes through many cases, because starting processes and compiling kernels takes most of the time: on two
+ranks and on three half of them each. It prints a line for each, on rank 0; by ``-m mpi4py``, a failure on one rank ends
+all. In the case ``killed`` the last rank is killed as the others wait for it; that they end is up to MPI.
 """
 
 import contextlib
 import copy
+import io
 import os
 import pickle
+import re
 import signal
 import sys
 import time
@@ -26,7 +27,7 @@ import warp as wp
 from laws.calls import PRECISIONS
 from laws.scenes import drawn, with_static_at_rest
 from mpi4py import MPI
-from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare, compare_call, whole_mesh
+from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare_call, wait_for_all, whole_mesh
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh import topology
@@ -34,7 +35,10 @@ from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _exchange
 
 COMM = MPI.COMM_WORLD
 RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
+LAST = SIZE - 1
 NO_FACES = np.zeros((0, 3), dtype=int)
+TRIANGLE, FACE, IDS = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), np.arange(3)
+GROUND = ccd.HalfSpace([0, 0, -1], [0, 0, 1])
 
 
 def interleaved(mesh, seed=0):
@@ -47,10 +51,20 @@ def in_blocks(mesh):
     return np.arange(mesh.num_faces) * SIZE // max(mesh.num_faces, 1)
 
 
-def check(mesh, start, end, rank_of_face, calls, *, with_owners=False, motion=None, **options):
+def cut_of(mesh, rank_of_face, with_owners=False):
+    """The mesh as ranks number it, and the part of it on this one."""
     mesh = whole_mesh(mesh)
-    cut = Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
-    return compare(COMM, cut, mesh, start, end, calls, options, motion)
+    return mesh, Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
+
+
+def check(mesh, start, end, rank_of_face, calls, *, with_owners=False, motion=None, **options):
+    """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
+    mesh, cut = cut_of(mesh, rank_of_face, with_owners)
+    start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
+    pipelines = DistributedPipeline(cut.mesh, **options), ccd.CollisionPipeline(mesh, **options)
+    for call in calls:
+        compare_call(COMM, cut, *pipelines, start, end, call, motion)
+    return pipelines[0]
 
 
 def sheet(count, size=1.0):
@@ -70,9 +84,6 @@ def falling(count=12, **options):
     return mesh, mesh.vertices, mesh.vertices - [0.02, 0.01, 0.45] * (mesh.vertex_body == 0)[:, None]
 
 
-# --- scenes that are drawn, with the calls by turns ---
-
-
 def drawn_scenes(seeds, family=None):
     """Scenes of the laws, on which the ranks make some of the calls each."""
     for seed in seeds:
@@ -81,9 +92,8 @@ def drawn_scenes(seeds, family=None):
         if (mesh.planes.vertices >= 0).any():
             continue  # half-spaces that move are those of one process
         of_step = {name: value for name, value in case.options.items() if name != "num_threads"}
-        of_search = {name: value for name, value in of_step.items() if name != "t_max"} | {
-            "precision": PRECISIONS[seed % 2]
-        }
+        of_search = {name: value for name, value in of_step.items() if name != "t_max"}
+        of_search["precision"] = PRECISIONS[seed % 2]
         motion = None if case.make_motion is None else case.make_motion()
         groups = ([*CALLS[:2], *SCALARS], of_step), (OF_STARTS * (motion is None), {}), (SEARCHES, of_search)
         for calls, options in groups:
@@ -143,7 +153,7 @@ def nothing_at_all():
     k = np.arange(24)
     x, edges = np.stack([k / 24, 0.5 + 0.05 * np.sin(k)], axis=1), np.stack([k[:-1], k[1:]], axis=1)
     end = x + 0.3 * np.random.default_rng(8).standard_normal(x.shape)
-    own = (x, end, edges) if RANK == SIZE - 1 else ([], [], None)
+    own = (x, end, edges) if RANK == LAST else ([], [], None)
     whole = DistributedMesh(COMM, own[0], vertex_ids=np.arange(len(own[0])), edges=own[2])
     assert (whole.dimension, whole.num_edges) == (2, 23)
     expected = ccd.mesh_ccd(ccd.CollisionMesh.from_arrays([(x, edges)]), x, end).toi
@@ -176,10 +186,9 @@ def work_that_open_pairs_share():
     """Pairs that stay open in the first round share what is left; some ranks work in many batches all the same."""
     rng = np.random.default_rng(5)
     start, faces = rng.random((90, 3)), np.arange(90).reshape(-1, 3)
-    mesh = whole_mesh(ccd.CollisionMesh.from_arrays([(start, faces)]))
+    mesh, cut = cut_of(ccd.CollisionMesh.from_arrays([(start, faces)]), interleaved)
     end = start[rng.permutation(len(start))]
     check(mesh, start, end, interleaved, ["mesh_ccd", "collision_free_step"], method="bisection", max_work=1)
-    cut = Cut(COMM, mesh, interleaved(mesh), np.random.default_rng(RANK))
     limit = {"memory_limit": 280_000} if RANK % 2 == 0 else {}
     given = {"method": "bisection", "max_work": 3_000}
     pipeline, one = DistributedPipeline(cut.mesh, **given, **limit), ccd.CollisionPipeline(mesh, **given)
@@ -198,9 +207,8 @@ def a_bound_from_a_sample():
 
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
-    mesh, x, _ = falling(static=[1])
-    mesh = whole_mesh(mesh)
-    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
+    mesh, cut = cut_of(falling(static=[1])[0], in_blocks)
+    x = mesh.vertices
     pipeline, one, num_plans = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh), 0
     velocity = [0, 0, -0.02] * (mesh.vertex_body == 0)[:, None]
     for k in range(12):
@@ -216,9 +224,8 @@ def one_rank_has_more_work():
     rng = np.random.default_rng(2)
     calm, faces = sheet(20)
     bodies = [(calm, faces), (calm + 0.1 * rng.random(calm.shape) + [2.0, 0, 0], faces)]
-    mesh = whole_mesh(ccd.CollisionMesh.from_arrays(bodies))
+    mesh, cut = cut_of(ccd.CollisionMesh.from_arrays(bodies), in_blocks)
     end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape) * (mesh.vertex_body == 1)[:, None]
-    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
     pipeline, one, seen = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh), []
     for call in ("mesh_ccd", "mesh_ccd", "find_intersections", "mesh_ccd", "mesh_ccd"):
         compare_call(COMM, cut, pipeline, one, mesh.vertices, end, call)
@@ -226,16 +233,16 @@ def one_rank_has_more_work():
     assert SIZE == 1 or (seen[0][0] > 1.3 and seen[1][1] and not seen[4][1] and seen[4][0] < 0.9 * seen[0][0]), seen
 
 
-CASES = [scenes_that_are_drawn, more_scenes_that_are_drawn, starts_that_are_not_sound, a_sheet_in_blocks, a_giant_face]
-CASES += [nothing_at_all, coordinates_at_the_ends_of_float64, vertices_that_take_no_part, work_that_open_pairs_share]
-CASES += [a_bound_from_a_sample, many_steps, one_rank_has_more_work]
+def the_page():
+    """The block of the page prints on three ranks what the page says."""
+    page = (Path(__file__).parents[2] / "docs" / "distributed.md").read_text(encoding="utf-8")
+    (code,), (output,) = (re.findall(rf"^```{fence}\n(.*?)^```$", page, re.S | re.M) for fence in ("python", "text"))
+    with contextlib.redirect_stdout(io.StringIO()) as printed:
+        exec(code, {})
+    assert SIZE != 3 or printed.getvalue() == output * (RANK == 0), printed.getvalue()
 
 
 # --- a fault of one rank is the error of all ---
-
-LAST = SIZE - 1
-TRIANGLE, FACE, IDS = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0, 1, 2]]), np.arange(3)
-GROUND = ccd.HalfSpace([0, 0, -1], [0, 0, 1])
 
 
 def everywhere(parts, call, kind=ValueError):
@@ -256,50 +263,37 @@ def strike():
         os.kill(os.getpid(), signal.SIGINT)
 
 
-@contextlib.contextmanager
-def struck(holder, name, is_before):
-    """Ctrl-C before or after a method of the last rank."""
+def struck(holder, name, *when):
+    """Ctrl-C before and after a method of the last rank, or at one of these."""
     original = getattr(holder, name)
 
     def method(*given, **named):
-        if is_before:
-            strike()
-        result = original(*given, **named)
-        if not is_before:
-            strike()
-        return result
+        try:
+            if "before" in when:
+                strike()
+            return original(*given, **named)
+        finally:
+            if "after" in when:
+                strike()
 
-    setattr(holder, name, method)
-    yield
-    setattr(holder, name, original)
+    return mock.patch.object(holder, name, method)
 
 
 def interrupted(pipeline, x, y):
     """Ctrl-C on one rank, in the engine and where others wait for its messages, ends the call on all."""
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have had it ignored
     pipeline.mesh_ccd(x, y)
-    for of, name, is_before in (
-        (lambda: pipeline, "_run", True),
-        (lambda: pipeline, "_bring", False),
-        (lambda: pipeline._planned.part.everything._of(False, 1), "start", False),
-        (lambda: pipeline._planned.part.everything._of(False, 1), "wait", True),
+    messages = lambda: pipeline._planned.part.everything._of(False, 1)  # noqa: E731
+    for of, *where in (
+        (lambda: pipeline, "_run", "before"),
+        (lambda: pipeline, "_bring", "after"),
+        (messages, "start", "after"),
+        (messages, "wait", "before"),
+        (lambda: pipeline.mesh, "frames", "before", "after"),  # the second while the others are told of the first
     ):
-        with struck(of(), name, is_before):
+        with struck(of(), *where):
             everywhere([f"rank {LAST}"], lambda: pipeline.mesh_ccd(x, y), KeyboardInterrupt)
         pipeline.mesh_ccd(x, y)
-
-    # impatience: the second comes while the others are told of the first
-    def twice(*given):
-        try:
-            strike()
-            return original(*given)
-        finally:
-            strike()
-
-    original = pipeline.mesh.frames
-    pipeline.mesh.frames = twice
-    everywhere([f"rank {LAST}"], lambda: pipeline.mesh_ccd(x, y), KeyboardInterrupt)
-    del pipeline.mesh.frames
 
     # an error that all know of is on its way when one rank is struck
     class Struck(DistributedPipeline):
@@ -321,8 +315,8 @@ def interrupted(pipeline, x, y):
     # a program that only notes what it is asked, to end after the step
     asked = []
     signal.signal(signal.SIGINT, lambda *_: asked.append("to end"))
-    for of, name in ((pipeline, "_bring"), (pipeline._planned.part.everything._of(False, 1), "start")):
-        with struck(of, name, False):
+    for of, name in ((pipeline, "_bring"), (messages(), "start")):
+        with struck(of, name, "after"):
             pipeline.mesh_ccd(x, y)
     assert asked == ["to end"] * (2 * (RANK == LAST)), asked
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -344,80 +338,78 @@ def refused_calls(mesh, x, y):
     limited = DistributedPipeline(mesh, **({"memory_limit": 1000} if RANK == LAST else {}))
     bad = x.copy()
     bad[own, 1] = np.nan if RANK == LAST else bad[own, 1]
-    vertex = f"vertex id {COMM.bcast(int(mesh.vertex_ids[own]), root=LAST)}"
-    short = y[:-1] if RANK == 0 else y
+    number = ["nan", f"vertex id {COMM.bcast(int(mesh.vertex_ids[own]), root=LAST)}"]
     by_rank = lambda first, other: other if RANK else first  # noqa: E731
-    memory, several = [f"rank {LAST}: memory_limit is 1000 bytes"], by_rank(pipeline, limited)
-    yield [f"rank {LAST}: vertices_t0", "nan", vertex], lambda: pipeline.mesh_ccd(bad, y)
-    yield [f"rank {LAST}: positions", "nan", vertex], lambda: pipeline.find_proximity(bad, 0.1)
-    yield [f"rank {LAST}: positions", "nan", vertex], lambda: pipeline.find_intersections(bad)
-    yield ["rank 0: vertices_t1 has shape"], lambda: pipeline.collision_free_step(x, short)
-    # a fault deep in the engine, on one rank only
-    yield memory, lambda: limited.mesh_ccd(x, y)
-    yield memory, lambda: limited.find_intersections(x)
-    yield memory, lambda: limited.collision_free_step(x, y)
-    yield ["options differ"], lambda: DistributedPipeline(mesh, tolerance=1e-6 * (1 + RANK))
-    yield ["minimum_separation is 0.1"], lambda: DistributedPipeline(made(radius=0.1)(), minimum_separation=0.1)
-    yield ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour")
-    yield ["inflation is"], lambda: pipeline.find_candidates(x, y, 0.1 * RANK)
-    yield ["search_radius is 1.0 on"], lambda: pipeline.displacement_bounds(x, 1.0 + RANK)
-    yield ["rank 0: displacement_bounds: search_radius is 0"], lambda: pipeline.displacement_bounds(x, RANK)
+    turning = DistributedPipeline(made(rigid=[0])())
+
+    def turned(count, share):
+        motion = ccd.RigidMotion([[0.0, 0, 0, 0, 0, 0, 1]] * count, twist=[[0.1, 0, 0, 0, 0, 0.3]] * count)
+        turning.mesh_ccd(TRIANGLE, TRIANGLE, motion=motion.shortened(share))
+
+    for parts, of, name, *given in (
+        ([f"rank {LAST}: vertices_t0", *number], pipeline, "mesh_ccd", bad, y),
+        ([f"rank {LAST}: positions", *number], pipeline, "find_proximity", bad, 0.1),
+        ([f"rank {LAST}: positions", *number], pipeline, "find_intersections", bad),
+        (["rank 0: vertices_t1 has shape"], pipeline, "collision_free_step", x, by_rank(y[:-1], y)),
+        # a fault deep in the engine, on one rank only
+        *(([f"rank {LAST}: memory_limit is 1000 bytes"], limited, name, x, *given)
+          for name, *given in (("mesh_ccd", y), ("find_intersections",), ("collision_free_step", y))),
+        (["inflation is"], pipeline, "find_candidates", x, y, 0.1 * RANK),
+        (["search_radius is 1.0 on"], pipeline, "displacement_bounds", x, 1.0 + RANK),
+        (["rank 0: displacement_bounds: search_radius is 0"], pipeline, "displacement_bounds", x, RANK),
+        (["of pipeline"], by_rank(pipeline, limited), "mesh_ccd", x, y),
+    ):  # fmt: skip
+        yield parts, lambda of=of, name=name, given=given: getattr(of, name)(*given)
     # ranks that would wait for each other
     for calls in (("mesh_ccd", "collision_free_step"), ("line_search", "find_candidates")):
-        yield (
-            [f"rank 0 calls {calls[0]}", f"and rank 1 {calls[1]}"],
-            lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y),
-        )
+        parts = [f"rank 0 calls {calls[0]}", f"and rank 1 {calls[1]}"]
+        yield parts, lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y)
     searches = by_rank(lambda: pipeline.find_intersections(x), lambda: pipeline.find_proximity(x, 0.1))
     yield ["rank 0 calls find_intersections", "and rank 1 find_proximity"], searches
+    yield ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour")
     for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
         given = {name: by_rank(*values)}
         yield [f"{name}={v!r}" for v in values], lambda given=given: pipeline.line_search(x, y, **given)
-    yield ["of pipeline"], lambda: several.mesh_ccd(x, y)
-    turning, at = DistributedPipeline(made(rigid=[0])()), [[0.0, 0, 0, 0, 0, 0, 1]]
-    for count, share, words in (
-        (1, by_rank(1.0, 0.5), "motion differs between ranks"),
-        (2, 1.0, "2 rows for 1 rigid body"),
-    ):
-        motion = ccd.RigidMotion(at * count, twist=[[0.1, 0, 0, 0, 0, 0.3]] * count).shortened(share)
-        yield [words], lambda motion=motion: turning.mesh_ccd(TRIANGLE, TRIANGLE, motion=motion)
+    yield ["options differ"], lambda: DistributedPipeline(mesh, tolerance=1e-6 * (1 + RANK))
+    yield ["minimum_separation is 0.1"], lambda: DistributedPipeline(made(radius=0.1)(), minimum_separation=0.1)
+    yield ["motion differs between ranks"], lambda: turned(1, by_rank(1.0, 0.5))
+    yield ["2 rows for 1 rigid body"], lambda: turned(2, 1.0)
 
 
 def refused_meshes():
     """What is wrong on one rank, or differs between ranks, and meshes that have it."""
-    ones, on_first = np.ones(3, dtype=bool), RANK == 0
-    yield ["rank 0: owned is set for vertex id", f"on {SIZE} ranks"], made(owned=ones)
-    yield ["owned is given on some ranks"], made(owned=~ones if on_first else None)
-    yield ["bodies of vertex id 0 differs between ranks 0 and 1"], made(bodies=np.full(3, min(RANK, 1)))
-    twice = np.array([4, 4, 5])
-    yield [f"rank {LAST}: vertex_ids holds 4 more than once"], made(vertex_ids=twice if RANK == LAST else IDS)
-    yield ["vertex_ids holds 9223372036854775813"], made(vertex_ids=IDS.astype(np.uint64) + np.uint64(2**63 + 3))
-    yield ["static", "differs between ranks"], made(static=[0] if on_first else [])
-    yield ["radius is given on some ranks"], made(radius=0.1 if on_first else None)
-    yield ["rank 0: exclude_pairs is"], made(exclude_pairs={"edge_edge": [[0, 1]]})
-    yield ["half_spaces differs between ranks"], made(half_spaces={} if on_first else {1: GROUND})
-    yield ["half_spaces differs"], made(half_spaces={1: ccd.HalfSpace([0, 0, RANK], [0, 0, 1])})
-    yield ["rank 0: bodies gives vertex id 0 body 0, which is a half-space"], made(half_spaces={0: GROUND})
-    flat = ccd.HalfSpace([0, 0, 0], [0, 0, 0])
-    yield ["rank 0: normal of body 1 is [0.0, 0.0, 0.0]"], made(half_spaces={1: flat})
-    yield ["rank 0: half_spaces is"], made(half_spaces=[GROUND])
-    yield ["rank 0: half_spaces has the key 'ground'"], made(half_spaces={"ground": GROUND})
-    yield [f"rank {LAST}: half_spaces holds"], made(half_spaces={1: 2.0 if RANK == LAST else GROUND})
-    yield ["half_spaces holds 9; expected numbers below 4"], made(half_spaces={9: GROUND})
-    elsewhere = {"vertices": np.array([[7, 1]], np.uint64)}
-    yield ["holds id 7; expected ids of the whole"], made(exclude_pairs=elsewhere)
-    masked = {"vertices": np.ma.array([[0, 1]], mask=True)}
-    yield ["exclude_pairs['vertices'] is a masked array"], made(exclude_pairs=masked)
-    yield [f"rank {LAST}: faces holds index 3"], made(faces=FACE + (RANK == LAST))
-    yield (
-        ["bodies gives vertex id 0 body 1 and the next, 7, body 0"],
-        made(faces=NO_FACES, vertex_ids=np.array([0, 7, 9]), bodies=np.array([1, 0, 0])),
-    )
-    columns = 2 if RANK == LAST else 3
-    yield [f"vertices has 2 columns on rank {LAST} and 3 on rank 0"], made(TRIANGLE[:, :columns], None)
-    yield ["faces has shape (1, 3)"], made(TRIANGLE[:, :2])
-    alone = {"vertex_ids": IDS[:0], "half_spaces": {0: GROUND}}
-    yield ["half_spaces holds all bodies"], made(TRIANGLE[:0], FACE[:0], **alone)
+    ones, on_first, on_last = np.ones(3, dtype=bool), RANK == 0, RANK == LAST
+    flat, columns = ccd.HalfSpace([0, 0, 0], [0, 0, 0]), 2 if on_last else 3
+    huge = IDS.astype(np.uint64) + np.uint64(2**63 + 3)
+    of_vertices = lambda pairs: {"exclude_pairs": {"vertices": pairs}}  # noqa: E731
+    for part, changed in (
+        (f"rank 0: owned is set for vertex id 0 on {SIZE} ranks", {"owned": ones}),
+        ("owned is given on some ranks", {"owned": ~ones if on_first else None}),
+        ("bodies of vertex id 0 differs between ranks 0 and 1", {"bodies": np.full(3, min(RANK, 1))}),
+        (f"rank {LAST}: vertex_ids holds 4 more than once", {"vertex_ids": np.array([4, 4, 5]) if on_last else IDS}),
+        ("vertex_ids holds 9223372036854775813", {"vertex_ids": huge}),
+        ("static, kinematic", {"static": [0] if on_first else []}),
+        ("radius is given on some ranks", {"radius": 0.1 if on_first else None}),
+        ("rank 0: exclude_pairs is", {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
+        ("holds id 7; expected ids of the whole", of_vertices(np.array([[7, 1]], np.uint64))),
+        ("exclude_pairs['vertices'] is a masked array", of_vertices(np.ma.array([[0, 1]], mask=True))),
+        ("half_spaces differs between ranks", {"half_spaces": {} if on_first else {1: GROUND}}),
+        ("half_spaces differs", {"half_spaces": {1: ccd.HalfSpace([0, 0, RANK], [0, 0, 1])}}),
+        ("rank 0: bodies gives vertex id 0 body 0, which is a half-space", {"half_spaces": {0: GROUND}}),
+        ("rank 0: normal of body 1 is [0.0, 0.0, 0.0]", {"half_spaces": {1: flat}}),
+        ("rank 0: half_spaces is", {"half_spaces": [GROUND]}),
+        ("rank 0: half_spaces has the key 'ground'", {"half_spaces": {"ground": GROUND}}),
+        (f"rank {LAST}: half_spaces holds", {"half_spaces": {1: 2.0 if on_last else GROUND}}),
+        ("half_spaces holds 9; expected numbers below 4", {"half_spaces": {9: GROUND}}),
+        ("half_spaces holds all bodies",
+         {"vertices": TRIANGLE[:0], "faces": FACE[:0], "vertex_ids": IDS[:0], "half_spaces": {0: GROUND}}),
+        (f"rank {LAST}: faces holds index 3", {"faces": FACE + on_last}),
+        ("bodies gives vertex id 0 body 1 and the next, 7, body 0",
+         {"faces": NO_FACES, "vertex_ids": np.array([0, 7, 9]), "bodies": np.array([1, 0, 0])}),
+        (f"vertices has 2 columns on rank {LAST} and 3 on rank 0", {"vertices": TRIANGLE[:, :columns], "faces": None}),
+        ("faces has shape (1, 3)", {"vertices": TRIANGLE[:, :2]}),
+    ):  # fmt: skip
+        yield [part], made(**changed)
     in_plane = DistributedPipeline(made(TRIANGLE[:, :2], None, edges=[[0, 1]])())
     yield ["vertices_t0 has shape (3, 3); expected (3, 2)"], lambda: in_plane.mesh_ccd(TRIANGLE, TRIANGLE)
 
@@ -425,12 +417,12 @@ def refused_meshes():
 def begun():
     """A mesh, its part on this rank with a pipeline, and where its vertices are at both ends."""
     mesh, start, end = falling()
-    mesh = whole_mesh(mesh)
-    cut = Cut(COMM, mesh, in_blocks(mesh), np.random.default_rng(RANK))
+    mesh, cut = cut_of(mesh, in_blocks)
     return mesh, cut, DistributedPipeline(cut.mesh), start, end
 
 
 def together():
+    """All ranks say what failed on one of them."""
     mesh, cut, pipeline, start, end = begun()
     one = ccd.CollisionPipeline(mesh)
     x, y = cut.local(start), cut.local(end)
@@ -470,7 +462,6 @@ def together():
     assert 0.499 < grounded.mesh_ccd(TRIANGLE, TRIANGLE - [0, 0, 2]).toi <= 0.5
     # and after all that the pipeline works
     compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
-    print(f"rank {RANK} has seen the errors of the others", flush=True)
 
 
 def killed():
@@ -481,18 +472,24 @@ def killed():
         pipeline.collision_free_step(cut.local(start), cut.local(end))
 
 
+CASES = [scenes_that_are_drawn, more_scenes_that_are_drawn, starts_that_are_not_sound, a_sheet_in_blocks, a_giant_face]
+CASES += [nothing_at_all, coordinates_at_the_ends_of_float64, vertices_that_take_no_part, work_that_open_pairs_share]
+CASES += [a_bound_from_a_sample, many_steps, one_rank_has_more_work, together, the_page]
+
+
 def main(given):
     wp.config.log_level = wp.LOG_ERROR
-    if given in (["together"], ["killed"]):
-        return {"together": together, "killed": killed}[given[0]]()
-    chosen = {("2",): CASES[::2], ("3",): CASES[1::2]}.get(tuple(given), CASES)
-    for case in [case for case in chosen if case.__name__ in given] or chosen:
+    chosen = {2: CASES[::2], 3: CASES[1::2]}.get(SIZE, CASES)
+    for case in [case for case in [*CASES, killed] if case.__name__ in given] or chosen:
         begin = time.perf_counter()
         case()
+        wait_for_all(COMM)
         if RANK == 0:
-            print(f"{case.__name__}: the bits of one process, {time.perf_counter() - begin:.1f} s", flush=True)
+            print(f"{case.__name__}: done, {time.perf_counter() - begin:.1f} s", flush=True)
     if RANK == 0:
-        print(f"all of {len(chosen)} cases")
+        print(f"all of {len(chosen)} cases", flush=True)
+    if SIZE == 3:
+        killed()
 
 
 if __name__ == "__main__":

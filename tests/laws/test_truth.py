@@ -186,7 +186,7 @@ def test_contacts_of_a_step(seed, precision):
 @pytest.mark.parametrize("seed", [seed for seed in SEEDS if scene_of(seed)[1].radius is not None])
 def test_radii_written_on_the_device_are_those_of_the_next_launch(seed):
     scene, mesh, start, end, _ = scene_of(seed)
-    pipeline = ccd.CollisionPipeline(mesh, **scene.options, **scene.capacities)
+    pipeline = scene.pipeline(mesh, "float64")
     for radius in (0.0 * mesh.radius, mesh.radius):
         pipeline.radius.assign(radius)
         found = pipeline.launch(start, end).vertex_toi.numpy().copy()
