@@ -9,7 +9,7 @@ from typing import Any
 import checkout  # noqa: F401
 import numpy as np
 import warp as wp
-from pair_functions import SOLVE
+from distance_queries import SOLVE
 from univariate import ends_ccd, univariate_ccd
 
 import ccd_warp as ccd

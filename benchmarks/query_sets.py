@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from accuracy import ExactTimes
 from checkout import ROOT
+from distance_queries import size_of as size_of_motion
 from hard_cases import FAMILIES
 from methods import KINDS
-from pair_functions import size_of_motion
 
 from ccd_warp import datasets
 

@@ -14,9 +14,9 @@ from typing import Any
 
 import checkout  # noqa: F401
 import numpy as np
+from distance_queries import SOLVE
 from hard_cases import FAMILIES
 from methods import Method
-from pair_functions import SOLVE
 from timing import interleaved
 
 import ccd_warp as ccd

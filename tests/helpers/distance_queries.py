@@ -15,17 +15,23 @@ from distance_oracle import exact_distance
 from exact import exact_distance_tois, exact_tois
 from hard_cases import FAMILIES
 from oracle import exact_gap
-from pair_functions import SOLVE
-from pair_functions import size_of_motion as size_of
 
 import ccd_warp as ccd
 
+SOLVE = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
+SOLVE |= {"point-segment": ccd.point_segment_ccd, "point-point": ccd.point_point_ccd}
 UNIT_ROUNDOFF = {"float64": 2.0**-53, "float32": 2.0**-24}
 # Kinds, and the dimensions in which they are defined.
 KINDS = (("vertex-face", 3), ("edge-edge", 3))
 KINDS += tuple((kind, dimension) for kind in ("point-segment", "point-point") for dimension in (2, 3))
 LIMITS = (ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT)
 BATCH = 50
+
+
+def size_of(points_t0, points_t1):
+    """Longest side of the box around each query's motion: its default length scale."""
+    both = np.concatenate([points_t0, points_t1], axis=1)
+    return (both.max(axis=1) - both.min(axis=1)).max(axis=1)
 
 
 def named_vector(kind, points_t0, points_t1, result):
