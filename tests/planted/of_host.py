@@ -228,9 +228,9 @@ PLANTED = [
     Fault("a box at a cut on one side of it", "ccd_warp/distributed/_partition.py",
           "lower[axis].take(items) < cut, upper[axis].take(items) >= cut",
           "lower[axis].take(items) < cut, lower[axis].take(items) >= cut",
-          ("distributed/test_distributed.py::test_boxes_that_meet_are_both_in_the_region_of_the_lower_corner_of_what_they_share",)),
+          ("distributed/test_distributed.py::test_every_point_lies_in_one_region_and_boxes_in_those_that_they_meet",)),
     Fault("an edge of a face taken for one without", "ccd_warp/distributed/_numbering.py",
           "of_face[group[is_of_face[order]]] = True", "of_face[group[is_of_face]] = True",
-          ("distributed/test_distributed.py::test_an_edge_is_codimensional_only_if_no_rank_has_a_face_with_it",)),
+          ("distributed/test_distributed.py::test_every_cut_over_ranks_gives_the_bits_of_one_process_and_errors_of_one_are_those_of_all",)),
 ]
 # fmt: on
