@@ -14,8 +14,6 @@ import pytest
 import warp as wp
 from browser import find_browser, opened_browser
 
-from ccd_warp._cli.explore import write_page
-
 wp.config.log_level = wp.LOG_WARNING
 if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
     wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
@@ -126,22 +124,3 @@ def browser():
         pytest.skip("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
     with opened_browser(path) as page:
         yield page
-
-
-@pytest.fixture(scope="session")
-def explore_file(tmp_path_factory) -> Path:
-    """The page of `ccd-warp explore`."""
-    return write_page(tmp_path_factory.mktemp("page") / "explore.html")
-
-
-@pytest.fixture
-def explore_page(browser, explore_file):
-    """That page, newly opened; in the end it must have asked for nothing else and complained of nothing."""
-    browser.messages.clear()
-    browser.requests.clear()
-    browser.resize(1280)
-    browser.set_theme("light")
-    browser.open(explore_file)
-    yield browser
-    assert browser.messages == []
-    assert browser.requests == [explore_file.as_uri()]
