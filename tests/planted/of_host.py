@@ -490,9 +490,7 @@ PLANTED = [
         "ccd_warp/distributed/_partition.py",
         "lower[axis].take(items) < cut, upper[axis].take(items) >= cut",
         "lower[axis].take(items) < cut, lower[axis].take(items) >= cut",
-        (
-            "distributed/test_distributed.py::test_boxes_that_meet_are_both_in_the_region_of_the_lower_corner_of_what_they_share",
-        ),
+        ("distributed/test_distributed.py::test_every_point_lies_in_one_region_and_boxes_in_those_that_they_meet",),
     ),
     Fault(
         "an edge of a face taken for one without",
