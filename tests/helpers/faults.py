@@ -12,7 +12,7 @@ import operator
 import signal
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -69,13 +69,11 @@ class Event:
         return f"{self.error.__name__} {'after' if self.is_after else 'before'} event {self.n} ({self.what})"
 
     def start(self) -> None:
-        """Stand between the caller and Warp."""
         self._originals = [(*at, getattr(*at)) for at in (*_NEW, *_READ, *_WRITE, *_OF_THREADS)]
         for owner, name, original in self._originals:
             setattr(owner, name, self._watched(original, (owner, name)))
 
     def stop(self) -> None:
-        """Step aside."""
         for owner, name, original in self._originals:
             setattr(owner, name, original)
 
@@ -109,11 +107,7 @@ class Event:
 
 
 class _Signal:
-    """Asks for an interrupt when its attribute is read, as SIGINT does.
-
-    No function of Python is called for that, since Python looks for signals after each call: the interrupt arrives in
-    the code that is traced, and not in the function that traces it.
-    """
+    """Asks for an interrupt when its attribute is read: no function of Python is called, after which it would come."""
 
     trip = staticmethod(functools.partial(__import__("_thread").interrupt_main, signal.SIGINT))
     now = property(operator.methodcaller("trip"))
@@ -136,12 +130,10 @@ class Interrupt:
         return f"interrupt at bytecode {self.n}{f' and {self.second}' if self.second else ''} ({self.where})"
 
     def start(self) -> None:
-        """Trace this thread."""
         self._handler = signal.signal(signal.SIGINT, self._arrive)
         sys.settrace(self._enter)
 
     def stop(self) -> None:
-        """Stop tracing."""
         sys.settrace(None)
         signal.signal(signal.SIGINT, self._handler)
 
@@ -175,14 +167,14 @@ class Interrupt:
 
 
 @contextmanager
-def _patience():
-    """Raises TimeoutError where the main thread waits too long."""
+def alarm(seconds: float, error: type[BaseException]) -> Iterator[None]:
+    """Raises an error in the main thread after so many seconds."""
 
-    def give_up(*_: Any) -> None:
-        raise TimeoutError("the call did not end")
+    def ring(*_: Any) -> None:
+        raise error("the call did not end")
 
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, _PATIENCE)
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
@@ -190,22 +182,18 @@ def _patience():
         signal.signal(signal.SIGALRM, before)
 
 
-def _settle() -> None:
-    """A call, in which an interrupt arrives that the last bytecode asked for."""
-
-
 def _disturbed(fault: Any, call: Callable[[], Any]) -> tuple[BaseException | None, Any]:
-    """What the call raised, and returned, while a fault happened in it."""
+    """What the call raised, and returned, while a fault happened in it; a second interrupt takes the first's place."""
     error, result = None, None
+    settle = (lambda: None).__call__  # a call, in which an interrupt arrives that the last bytecode asked for
     try:
         try:
             fault.start()
             result = call()
-            _settle()
         except BaseException as raised:
             error = raised
-            _settle()
-    except BaseException as raised:  # a second interrupt, which arrived above
+        settle()
+    except BaseException as raised:
         error = raised
     finally:
         fault.stop()
@@ -225,12 +213,11 @@ def _is_of(error: BaseException, kind: type[BaseException]) -> bool:
 
 def inject(scenario: Scenario, fault: Any, truth: dict[str, np.ndarray]) -> list[str]:
     """Let one fault happen, and make the same call twice; what is wrong, in words."""
-    objects = scenario.fresh()
-    scenario.before(objects)
+    objects = _prepared(scenario)
     ignored: list[Any] = []
     hook, sys.unraisablehook = sys.unraisablehook, ignored.append
     try:
-        with _patience():
+        with alarm(_PATIENCE, TimeoutError):
             error, result = _disturbed(fault, lambda: scenario.call(objects))
     finally:
         sys.unraisablehook = hook
@@ -245,16 +232,21 @@ def inject(scenario: Scenario, fault: Any, truth: dict[str, np.ndarray]) -> list
     elif error is None:
         wrong += different(outputs_of(result), truth)
     for count in ("next", "second"):
-        with _patience():
+        with alarm(_PATIENCE, TimeoutError):
             wrong += [f"the {count} call: {line}" for line in different(outputs_of(scenario.call(objects)), truth)]
     del error  # kept until here, with all its frames
     return [f"{fault}: {line}" for line in wrong]
 
 
-def _counted(scenario: Scenario, fault: Any) -> Any:
-    """A fault that counts and does not happen."""
+def _prepared(scenario: Scenario) -> Any:
     objects = scenario.fresh()
     scenario.before(objects)
+    return objects
+
+
+def _counted(scenario: Scenario, fault: Any) -> Any:
+    """A fault that counts and does not happen."""
+    objects = _prepared(scenario)
     error, _ = _disturbed(fault, lambda: scenario.call(objects))
     assert error is None and fault.count > 0, error
     return fault
@@ -263,8 +255,7 @@ def _counted(scenario: Scenario, fault: Any) -> Any:
 def truth_of(scenario: Scenario) -> dict[str, np.ndarray]:
     """What the call answers on fresh objects; checks that it answers the same again, and after what came before."""
     truth = outputs_of(scenario.call(scenario.fresh()))
-    objects = scenario.fresh()
-    scenario.before(objects)
+    objects = _prepared(scenario)
     for _ in range(2):
         assert different(outputs_of(scenario.call(objects)), truth) == [], "without a fault"
     return truth

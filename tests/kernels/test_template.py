@@ -21,15 +21,6 @@ def test_there_is_one_specialisation_for_each_set_of_the_parameters_on_which_a_f
         specialised("pair.patch", breadth=8)
 
 
-def test_what_a_template_imports_is_specialised_alike_and_has_its_own_parameters():
-    lanes = specialised("pair.lane_advance", real=wp.float32, width=8, norm="euclidean", with_facets=False)
-    assert lanes.Corners is specialised("pair.patch", real=wp.float32, width=8).Corners
-    assert lanes.length is specialised("pair.support", real=wp.float32, width=8, norm="euclidean").length
-    outcome = specialised("narrow_phase.pair_outcome", width=8)
-    # the solver of a single pair has no lanes, whatever those of the rounds
-    assert outcome.solver is specialised("pair.solver") and outcome.simd is specialised("pair.simd", width=8)
-
-
 def test_a_plain_import_shares_its_code_with_specialisations():
     """Warp parses the source of a function once for each code object."""
     for function in (patch.corners_at, atomics.claim):

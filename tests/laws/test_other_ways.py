@@ -284,6 +284,9 @@ PAIR_OPTIONS = {
     "bisection": {"method": "bisection", "max_iterations": 500},
     "limit": {"max_iterations": 2},
     "distance": {"minimum_distance": 0.02, "t_max": 0.6},
+    # limits within the later rounds, and within the solver for single pairs
+    "later limit": {"max_iterations": 5},
+    "last limit": {"max_iterations": 14},
 }
 KINDS = ["vertex-face 3", "edge-edge 3", "point-segment 2", "point-segment 3", "point-point 2", "point-point 3"]
 _OF_KINDS = ("random", "random_colliding", "cloth_like", "static_partner", "lattice", "collinear")

@@ -1,4 +1,4 @@
-"""Recorded launches that stay packed: parts, other arguments, graphs, and versions of Warp that pack otherwise."""
+"""Recorded launches that stay packed: parts, other arguments, a graph, and versions of Warp that pack otherwise."""
 
 import gc
 import weakref
@@ -8,10 +8,8 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.step.contacts import NO_CONTACT, reset_first
 
-from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.parts import new_parts
-from ccd_warp._runtime.repeated import RepeatedLaunches
 
 RANGES = [(0, 3), (3, 5), (5, 9), (9, 10)]
 
@@ -68,26 +66,6 @@ def test_a_version_of_warp_that_packs_otherwise_launches_the_whole(error, monkey
     is_alive = weakref.ref(others)
     del launch, others, parts, part
     assert is_alive() is None
-
-
-@pytest.mark.parametrize("num_threads", [1, 2])
-def test_each_launch_has_its_own_arguments_and_items_and_a_graph_those_of_its_capture(num_threads):
-    repeated = RepeatedLaunches(Execution(wp.get_device("cpu"), num_threads))
-
-    def launched(size, count):
-        values = wp.zeros(size, dtype=wp.int32, device="cpu")
-        repeated.launch(reset_first, count, [], [values])
-        return values
-
-    for size, count in ((10, 10), (5, 3), (5000, 5000), (4, 0), (10, 10)):
-        assert marked(launched(size, count)) == list(range(count))
-    with wp.ScopedCapture(device="cpu") as capture:
-        values = launched(10, 10)
-    values.zero_()
-    others = launched(8, 8)
-    others.zero_()
-    wp.capture_launch(capture.graph)
-    assert (marked(values), marked(others)) == (list(range(10)), [])
 
 
 def test_parts_and_their_gradients_do_not_overlap_and_stay_while_one_is_held():
