@@ -8,7 +8,6 @@ from toi_scenes import FACE, TRIANGLE, array, scene, taped, thick_scene
 import ccd_warp as ccd
 from ccd_warp._engine.device.step import DeviceStep
 
-TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
 PER = ("scene", "world", "body", "vertex")
 
 
@@ -22,7 +21,7 @@ def pulled(tape, result, given, end_grad=None):
     if end_grad is not None:
         given[1].grad.assign(end_grad)
     else:
-        for name in TOIS[1:]:  # the toi of a single world is that of the scene
+        for name in ("world_toi", "body_toi", "vertex_toi"):
             values = getattr(result, name)
             weights = np.cos(np.arange(len(values)) + len(name))
             values.grad.assign(np.where(np.isfinite(values.numpy()), weights, 0.0))
@@ -88,32 +87,30 @@ def test_gradients_follow_the_form_of_the_input(dtype, form):
 
 
 @pytest.mark.parametrize("per", PER)
-@pytest.mark.parametrize("make", [scene, thick_scene])
-def test_line_searches_change_as_their_gradients_say(make, per):
+def test_line_searches_change_as_their_gradients_say(per):
     """Differences of the shortened positions themselves, by both ends and radii, of what is regular."""
-    mesh, start, end = make()
+    mesh, *ends = thick_scene()
     pipeline, rng = pipeline_of(mesh), np.random.default_rng(1)
-    radius = [] if pipeline.radius is None else [pipeline.radius]
-    values, weights = [start, end, *(x.numpy().copy() for x in radius)], rng.standard_normal(start.shape)
+    values, weights = [*ends, mesh.radius], rng.standard_normal(ends[0].shape)
+    given = [array(ends[0]), array(ends[1]), pipeline.radius]
 
-    def shortened(*inputs, weights=None):
-        for x, new in zip(radius, inputs[2:], strict=True):
-            x.assign(new)
-            x.requires_grad = weights is not None
-        given = [array(x, requires_grad=weights is not None) for x in inputs[:2]]
-        if weights is not None:
-            return searched(pipeline, given + radius, weights, per=per)
-        pipeline.launch_line_search(*given, per=per)
-        return given[1].numpy()
+    def shortened(*values):
+        for x, value in zip(given, values, strict=True):
+            x.assign(value)
+        pipeline.launch_line_search(*given[:2], per=per)
+        return given[1].numpy().copy()
 
-    is_regular = shortened(*values, weights=weights)[2]
+    given[2].requires_grad = True
+    is_regular = searched(pipeline, given, weights, per=per)[2]
     weights[~is_regular] = 0.0
-    taped_places, found, _ = shortened(*values, weights=weights)
+    given[1].assign(ends[1])
+    taped_places, found, _ = searched(pipeline, given, weights, per=per)
+    for x in given:
+        x.requires_grad = False
     assert is_regular.any() and np.array_equal(shortened(*values), taped_places)
     moves = [1e-7 * rng.standard_normal(x.shape) for x in values]
-    for move in moves[2:]:
-        move[values[2] == 0] = 0.0  # a radius cannot be negative
-    late, early = (shortened(*(x + s * dx for x, dx in zip(values, moves, strict=True))).copy() for s in (1, -1))
+    moves[2][values[2] == 0] = 0.0  # a radius cannot be negative
+    late, early = (shortened(*(x + s * dx for x, dx in zip(values, moves, strict=True))) for s in (1, -1))
     change = 2.0 * sum((g * dx).sum() for g, dx in zip(found, moves, strict=True))
     assert change == pytest.approx((weights * (late - early)).sum(), rel=1e-6)
 
@@ -148,20 +145,6 @@ def test_equal_tois_pass_their_gradient_to_the_first_contact():
     np.add.at(expected, gradient.vertices[first], gradient.start[first])
     assert gradient.is_regular[first] and (contacts.toi == contacts.toi[first]).sum() > 1
     np.testing.assert_allclose(given[0].grad.numpy(), expected, atol=1e-14)
-
-
-def test_flags_say_which_tois_have_a_gradient():
-    bodies = [(TRIANGLE + [x, 0, z], FACE) for x in (0.0, 10.0, 20.0) for z in (0.0, 1.0)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies)
-    fall = np.array([0.0, 2.0, 0, 0.5, 0, 0.9])[mesh.vertex_body]
-    start, end = mesh.vertices.copy(), mesh.vertices - [0, 0, 1.0] * fall[:, None]
-    start[15:, 2] = 0.05  # the last pair is within its distance at the start
-    _, result = taped(lambda: pipeline_of(mesh).launch(array(start), array(end)))
-    toi = result.body_toi.numpy()
-    assert toi[0] == toi[1] < 1.0 and np.isinf(toi[2:4]).all() and not toi[4:].any()
-    np.testing.assert_array_equal(result.is_regular("body").numpy(), [True, True, *[False] * 4])
-    np.testing.assert_array_equal(result.is_regular().numpy(), [True] * 6 + [False] * 12)
-    assert not result.is_regular("scene").numpy() and not result.is_regular("world").numpy()
 
 
 def test_tapes_that_are_alive_together_have_gradients_of_their_own():
@@ -206,9 +189,10 @@ def test_a_graph_holds_both_passes(is_search):
     assert not np.array_equal(elsewhere[0], expected[0]) and np.array_equal(again, expected)
 
 
-@pytest.mark.parametrize(
-    "case", [("vertex_face", 4, 3), ("edge_edge", 4, 3), ("point_segment", 3, 2), ("point_point", 2, 3)]
-)
+PAIRS = [("vertex_face", 4, 3), ("edge_edge", 4, 3), ("point_segment", 3, 2), ("point_point", 2, 3)]
+
+
+@pytest.mark.parametrize("case", PAIRS)
 def test_pair_functions_on_a_tape_have_the_gradients_of_their_results(case):
     solve, points, dimension = getattr(ccd, f"{case[0]}_ccd"), *case[1:]
     ends = np.random.default_rng(0).standard_normal((2, 200, points, dimension))
@@ -307,11 +291,8 @@ def test_nothing_is_recorded_where_no_gradient_is_asked_for():
 def test_who_asks_for_what_has_no_gradient_is_told_why():
     mesh, start, end = scene()
     ends, points = [array(start), array(end)], np.random.default_rng(0).standard_normal((2, 3, 4, 3))
-    pipeline, shared, thick = (
-        pipeline_of(mesh),
-        pipeline_of(mesh, start_gap_fraction=0.5),
-        pipeline_of(thick_scene()[0]),
-    )
+    pipeline, shared = pipeline_of(mesh), pipeline_of(mesh, start_gap_fraction=0.5)
+    thick = pipeline_of(thick_scene()[0])
     thick.radius.requires_grad = True
     motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
     turns = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0]))
