@@ -45,7 +45,7 @@ def spins(poses, *turns):
 @pytest.mark.filterwarnings("default:motion is None")
 @pytest.mark.parametrize("call", ["mesh_ccd", "find_candidates", "line_search", "launch", "launch_line_search"])
 def test_rigid_bodies_without_a_motion_are_said_to_move_straight_once(call):
-    mesh, _ = fan([0.0], [at_angle(2.0)])
+    (mesh, _), (still, _) = fan([0.0], [at_angle(2.0)]), fan([], [at_angle(1.0)])
     x, pipeline = mesh.vertices, ccd.CollisionPipeline(mesh)
     with pytest.warns(RuntimeWarning, match="motion is None, and body 0 is rigid: vertices move on straight lines"):
         getattr(pipeline, call)(x, x.copy())
@@ -53,7 +53,6 @@ def test_rigid_bodies_without_a_motion_are_said_to_move_straight_once(call):
         warnings.simplefilter("error")
         getattr(pipeline, call)(x, x.copy())
         pipeline.is_step_collision_free(x, x)
-        still, _ = fan([], [at_angle(1.0)])
         getattr(ccd.CollisionPipeline(still), call)(still.vertices, still.vertices.copy())
         ccd.rigid_ccd(mesh, [AT_REST] * 2, [AT_REST] * 2)
 
@@ -237,24 +236,28 @@ def test_points_that_roll_out_and_come_back_within_a_slice_do_not_stay(wall, pre
 # --- launches ---
 
 
-def test_static_walls_that_launches_of_both_kinds_have_placed_and_radii_that_grow():
+def test_static_walls_that_launches_of_both_kinds_have_placed():
     mesh = ccd.CollisionMesh.from_arrays([(BOX.vertices, BOX.faces)] * 2, static=[0], rigid=[1])
     arc = {"motion": ccd.RigidMotion([[3.0, 0, 0, 0, 0, 0, 1]], twist=[[4.0, 0, 0, 0, 0, 0.3]])}
-    placed, own = mesh.vertices + np.where(mesh.vertex_body[:, None] == 0, [5.5, 0, 0], 0.0), mesh.vertices[8:]
-    start, end = own + [3.0, 0, 0], own + [7.0, 0, 0]
-    for first, second, rows in (({}, arc, (own, own)), (arc, {}, (start, end))):
+    wall, own = mesh.vertices[:8] + [5.5, 0, 0], mesh.vertices[8:]
+    placed = np.concatenate([wall, own])
+    for first, second, start, end in (({}, arc, own, own), (arc, {}, own + [3.0, 0, 0], own + [7.0, 0, 0])):
         pipeline = ccd.CollisionPipeline(mesh)
         pipeline.launch(placed, placed, **first)
         with pytest.raises(RuntimeError, match="pass vertices_t0 with a row for every vertex"):
-            pipeline.launch(rows[0], rows[1].copy(), **second)
-        toi = pipeline.launch(*(np.concatenate([placed[:8], part]) for part in rows), **second).to_host().toi
-        assert 0.3 < toi < 0.4
+            pipeline.launch(start, end.copy(), **second)
+        toi = pipeline.launch(*(np.concatenate([wall, x]) for x in (start, end)), **second).to_host().toi
         for _ in range(2):
-            assert pipeline.launch(rows[0], rows[1].copy(), **second).to_host().toi == toi
+            assert pipeline.launch(start, end.copy(), **second).to_host().toi == toi and 0.3 < toi < 0.4
             pipeline.reserve(vertices=placed)
+
+
+def test_radii_that_change_between_launches():
     mesh = ccd.CollisionMesh.from_arrays([POINT, GROUND], rigid=[0], codimensional_points=True, radius=[0.1])
-    motion = ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1]])
-    pipeline = ccd.CollisionPipeline(mesh)
+    motion, pipeline = (
+        ccd.RigidMotion([[0, 0, 1, 0, 0, 0, 1]], twist=[[0, 0, -2, 0, 0, 1]]),
+        ccd.CollisionPipeline(mesh),
+    )
     for radius in (0.1, 0.3, 0.1):
         pipeline.radius.assign(np.array([radius]))
         toi = pipeline.launch(*step_of(mesh), motion=motion).to_host().toi
