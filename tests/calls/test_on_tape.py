@@ -139,9 +139,8 @@ def test_equal_tois_pass_their_gradient_to_the_first_contact():
     tape, result = taped(lambda: pipeline_of(mesh, minimum_distance=0.01).launch(*given))
     result.toi.grad.fill_(1.0)
     tape.backward()
-    contacts = result.to_host().contacts
+    contacts, expected = result.to_host().contacts, np.zeros((len(mesh.vertices), 3))
     first, gradient = int(contacts.toi.argmin()), contacts.toi_gradient()
-    expected = np.zeros((len(mesh.vertices), 3))
     np.add.at(expected, gradient.vertices[first], gradient.start[first])
     assert gradient.is_regular[first] and (contacts.toi == contacts.toi[first]).sum() > 1
     np.testing.assert_allclose(given[0].grad.numpy(), expected, atol=1e-14)
@@ -223,30 +222,26 @@ def test_line_searches_say_what_of_them_has_no_derivative():
     ends[2][3:, 2], tiny[2][3:, 2] = 0.0, -1.0
     single = {"precision": "float32", "start_gap_fraction": None, "minimum_distance": 0.0, "tolerance": 1e-6}
 
-    def search(scene, weights=(1.0, 1, 1), options={}, **search):  # noqa: B006
-        mesh, start, end = scene
-        weights = np.ones_like(start) * weights
-        return searched(pipeline_of(mesh, **options), [array(start), array(end)], weights, **search)
+    def search(mesh, start, end, weights=(1.0, 1, 1), options={}, **search):  # noqa: B006
+        given, weights = [array(start), array(end)], np.ones_like(start) * weights
+        return searched(pipeline_of(mesh, **options), given, weights, **search)
 
-    for step, options, least, most in (
-        (close, {}, 0.0, 0.0),
-        (ends, {"minimum_distance": 0.0}, 0.9, 0.9),
-        (tiny, single, 1e-12, 0.25 * 2.0**-20),
-    ):
-        (_, start, end), (shortened, found, is_regular) = step, search(step, options=options)
+    cases = (close, {}, 0.0, 0.0), (ends, {"minimum_distance": 0.0}, 0.9, 0.9), (tiny, single, 1e-12, 0.25 * 2.0**-20)
+    for step, options, least, most in cases:
+        (_, start, end), (shortened, found, is_regular) = step, search(*step, options=options)
         fraction = (shortened - start)[3, 2] / (end - start)[3, 2]
         assert least * (1 - 1e-9) <= fraction <= most * (1 + 1e-9)
         assert not is_regular.any() and not np.any(found[1])
         np.testing.assert_array_equal(found[0], 1.0 if fraction == 0 else 0.0)
     for per, height in (("body", 0.05), ("vertex", 0.1 - 2.0**-52)):
-        shortened, found, is_regular = search(sliding(height), (0, 0, 1.0), per=per)
+        shortened, found, is_regular = search(*sliding(height), (0, 0, 1.0), per=per)
         # it keeps from the wall what it kept before
         np.testing.assert_allclose([shortened[6, 0], shortened[12, 2]], [0.9 * (1.0 - height), 0.19], rtol=1e-9)
         np.testing.assert_array_equal(is_regular[6:], np.arange(6, 15) > 8)
         assert not any(x[6:9].any() for x in found)
-    _, start, end = step = falling(kinematic=[1])  # goes all the way
-    shortened, found, _ = search(step)
-    assert np.array_equal(shortened, end) and (found[1][3:] == 1.0).all()
+    step = falling(kinematic=[1])  # goes all the way
+    shortened, found, _ = search(*step)
+    assert np.array_equal(shortened, step[2]) and (found[1][3:] == 1.0).all()
 
 
 def test_vertices_that_take_no_part_leave_gradients_numbers():
