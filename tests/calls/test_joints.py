@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 import trimesh
+from laws.turning import turned
 
 import ccd_warp as ccd
 from ccd_warp._engine.host import near_search
@@ -38,14 +39,14 @@ def moved(mesh, motion, call=ccd.mesh_ccd, end=None, **options):
     return call(mesh, mesh.vertices, mesh.vertices if end is None else end, motion=motion, **options)
 
 
-def arms(count=24, **options):
-    return ccd.JointMotion(ARM, *edges(count), links=LINKS, **options)
-
-
-def edges(count, seed=0):
+def edges(count, seed=0, around=0.5):
     rng = np.random.default_rng(seed)
-    q0 = rng.uniform(-0.5, 0.5, (count, 2))
+    q0 = rng.uniform(-around, around, (count, 2))
     return q0, q0 + rng.uniform(-2, 2, (count, 2))
+
+
+def arms(count=24):
+    return ccd.JointMotion(ARM, *edges(count), links=LINKS)
 
 
 def side_of_point(q, link):
@@ -88,20 +89,14 @@ def test_arm_that_sweeps_a_point(truth, precision):
     assert (contacts.world[result.world_contact[touches]] == np.flatnonzero(touches)).all()
     assert (result.world_contact[~touches] == -1).all()
     within = moved(arm_and_point(24), arms(), precision=precision, minimum_distance=0.01)
-    assert (within.world_toi[touches] < truth[touches]).all() and (
-        within.contacts.gap < (1e-9 if precision == "float64" else 1e-6)
-    ).all()
-
-
-def test_one_arm_alone_has_the_toi_that_it_has_among_others(truth):
-    """Its links touch at the elbow all the time; the mesh says that they are neighbours."""
-    k, mesh = int(np.flatnonzero(np.isfinite(truth))[0]), arm_and_point(1)
+    assert (within.world_toi[touches] < truth[touches]).all()
+    assert (within.contacts.gap < (1e-9 if precision == "float64" else 1e-6)).all()
+    # one alone has its toi; its links touch at the elbow all the time, and the mesh says that they are neighbours
+    k, mesh, is_free = int(np.flatnonzero(touches)[0]), arm_and_point(1), ccd.is_step_collision_free
     motion = ccd.JointMotion(ARM, *(q[k] for q in edges(24)), links=LINKS)
-    toi = moved(mesh, motion, ccd.collision_free_step)
-    assert toi == pytest.approx(truth[k], abs=1e-11) and toi <= truth[k] + 1e-14
-    assert not moved(mesh, motion, ccd.is_step_collision_free)
-    assert moved(mesh, motion.shortened(0.999 * toi), ccd.is_step_collision_free)
-    assert moved(mesh, motion, ccd.is_step_collision_free, t_max=0.999 * toi)
+    toi = moved(mesh, motion, ccd.collision_free_step, precision=precision)
+    assert toi == result.world_toi[k] and not moved(mesh, motion, is_free)
+    assert moved(mesh, motion.shortened(0.999 * toi), is_free) and moved(mesh, motion, is_free, t_max=0.999 * toi)
 
 
 def test_what_joints_do_not_move_is_refused_by_name():
@@ -130,8 +125,7 @@ def test_arms_in_worlds_stop_before_the_point_in_their_way(truth, per):
     fraction = found.vertex_fraction[is_link].reshape(24, -1)
     assert (np.ptp(fraction, axis=1) == 0.0).all() and fraction[:, 0] == pytest.approx(expected, abs=1e-11)
     assert (found.motion.poses_t1 == motion.at(fraction[:, 0])).all()
-    assert found.motion.configuration(1.0) == pytest.approx(motion.configuration(fraction[:, 0]), abs=1e-15)
-    angles = np.cumsum(found.motion.configuration(1.0), axis=1)
+    angles = np.cumsum(motion.configuration(fraction[:, 0]), axis=1)
     ends = np.cumsum(np.stack([np.cos(angles), np.sin(angles)], axis=2), axis=1)
     assert found.vertices[is_link].reshape(24, 2, 3, 3)[:, :, 1, :2] == pytest.approx(ends, abs=1e-12)
     assert moved(mesh, found.motion, ccd.is_step_collision_free)
@@ -158,13 +152,13 @@ def test_arm_that_touches_at_the_start_stays_and_the_others_go():
     bend = np.arccos(0.5 * np.hypot(*OBSTACLE[:2]))  # of two links of length 1 whose tip is at the point
     q0 = np.array([[np.arctan2(0.9, 1.3) + bend, -2 * bend], [0.0, 0.0]])
     motion = ccd.JointMotion(ARM, q0, q0 + [[0.3, 0.1], [0.1, 0.0]], links=LINKS)
-    found = moved(mesh, motion, ccd.line_search, per="world", minimum_distance=0.01)
-    assert found.vertex_fraction[mesh.rigid[mesh.vertex_body]].tolist() == [0.0] * 6 + [1.0] * 6
-    assert (found.motion.configuration(1.0)[0] == q0[0]).all()
-    assert found.touching.world.tolist() == [0] * len(found.touching) != []
-    of_scene = moved(mesh, motion, ccd.line_search, minimum_distance=0.01)
-    assert (of_scene.vertex_fraction[mesh.rigid[mesh.vertex_body]] == 0.0).all()
-    assert (of_scene.motion.poses_t1 == motion.poses_t0).all()
+    is_link = mesh.rigid[mesh.vertex_body]
+    for per, fractions in (("world", [0.0] * 6 + [1.0] * 6), ("scene", [0.0] * 12)):
+        found = moved(mesh, motion, ccd.line_search, per=per, minimum_distance=0.01)
+        assert found.vertex_fraction[is_link].tolist() == fractions
+        assert (found.motion.configuration(1.0)[0] == q0[0]).all()
+        assert found.touching.world.tolist() == [0] * len(found.touching) != []
+    assert (found.motion.poses_t1 == motion.poses_t0).all()
 
 
 def test_candidates_of_an_arm_are_all_pairs_that_come_near_on_the_way():
@@ -195,71 +189,58 @@ def test_slider_that_is_back_at_the_end_meets_what_is_where_it_was_between(place
 
 @pytest.fixture(scope="module")
 def blocks():
-    """An arm whose links are divided blocks, among a divided ball, a cable and a point, and 12 edges of it."""
+    """An arm whose links are divided blocks, among a divided ball, a cable and a point, with 12 motions of it."""
     block = trimesh.creation.box([1, 0.1, 0.1]).subdivide().subdivide().apply_translation([0.5, 0, 0])
     ball = trimesh.creation.icosphere(2, 0.2)
-    bodies = [
-        (block.vertices, block.faces),
-        (block.vertices, block.faces),
-        (ball.vertices + [1.2, 1.0, 0.05], ball.faces),
-        (np.array([[-0.8, 0.9, -0.5], [-0.8, 0.9, 0.5]]), NO_FACES, [[0, 1]]),
-        (np.array([[0.2, -1.4, 0.01]]), NO_FACES),
-    ]
+    cable = np.array([[-0.8, 0.9, -0.5], [-0.8, 0.9, 0.5]]), NO_FACES, [[0, 1]]
+    bodies = [*[(block.vertices, block.faces)] * 2, (ball.vertices + [1.2, 1.0, 0.05], ball.faces), cable]
+    bodies.append((np.array([[0.2, -1.4, 0.01]]), NO_FACES))
     may = np.ones((5, 5), dtype=bool)
     may[0, 1] = may[1, 0] = False
-    mesh = ccd.CollisionMesh.from_arrays(
-        bodies, rigid=[0, 1], static=[2, 3, 4], codimensional_points=True, body_pairs=may
-    )
-    rng = np.random.default_rng(1)
-    q0 = rng.uniform(-3, 3, (12, 2))
-    return mesh, (q0, q0 + rng.uniform(-2, 2, (12, 2)))
+    options = {"rigid": [0, 1], "static": [2, 3, 4], "codimensional_points": True, "body_pairs": may}
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **options).replicate(12)
+    return mesh, ccd.JointMotion(ARM, *edges(12, seed=1, around=3), links=LINKS)
 
 
-@pytest.mark.parametrize(
-    "options", [{}, {"minimum_distance": 0.05}, {"t_max": 0.7}], ids=["plain", "distance", "t_max"]
-)
+@pytest.mark.parametrize("options", [{}, {"minimum_distance": 0.05}, {"t_max": 0.7}])
 def test_parts_alone_touch_as_whole_bodies_do(blocks, options, monkeypatch):
-    one, ends = blocks
-    mesh, motion = one.replicate(12), ccd.JointMotion(ARM, *ends, links=LINKS)
+    (mesh, motion), results = blocks, []
     if not options:  # in several meshes of parts
         for name, few in (("_MOST_ROWS", 1000), ("_MOST_WINDOWS", 4), ("_FEW_WORLDS", 1), ("_SLICES", 1)):
             monkeypatch.setattr(near_search, name, few)
-    results = []
     for near_parts in (ccd.CollisionPipeline._near_parts, lambda *_: None):
         monkeypatch.setattr(ccd.CollisionPipeline, "_near_parts", near_parts)
         results.append(moved(mesh, motion, **options))
     of_parts, of_bodies = results
     touches = np.isfinite(of_bodies.world_toi)
     assert 3 < touches.sum() < 12 and "near parts" in of_parts.timings and "near parts" not in of_bodies.timings
-    assert (np.isfinite(of_parts.world_toi) == touches).all()
-    np.testing.assert_allclose(of_parts.world_toi[touches], of_bodies.world_toi[touches], atol=1e-12)
+    np.testing.assert_allclose(of_parts.world_toi, of_bodies.world_toi, atol=1e-12)
     np.testing.assert_array_equal(of_parts.body_toi < np.inf, of_bodies.body_toi < np.inf)
     # of each world the first contact; others differ with the last window
     for world in np.flatnonzero(touches).tolist():
-        first = [r.contacts[int(r.world_contact[world])] for r in results]
-        assert first[0].world == first[1].world == world
-        assert (first[0].bodies % 5 == first[1].bodies % 5).all() and (first[0].bodies // 5 == world).all()
+        first, other = (r.contacts[int(r.world_contact[world])] for r in results)
+        assert first.world == other.world == world
+        assert (first.bodies % 5 == other.bodies % 5).all() and (first.bodies // 5 == world).all()
         # of several at once, as of two edges that are parallel, it is one of them
         own = of_bodies.contacts[of_bodies.contacts.world == world]
         own = own[own.toi < of_bodies.world_toi[world] + 1e-9]
-        same = own[int(np.linalg.norm(own.points - first[0].point, axis=1).argmin())]
-        np.testing.assert_allclose(first[0].point, same.point, atol=1e-6)
-        np.testing.assert_allclose(first[0].relative_velocity, same.relative_velocity, atol=1e-3)
+        same = own[int(np.linalg.norm(own.points - first.point, axis=1).argmin())]
+        np.testing.assert_allclose(first.point, same.point, atol=1e-6)
+        np.testing.assert_allclose(first.relative_velocity, same.relative_velocity, atol=1e-3)
     assert len({*of_parts.contacts.kind.tolist()}) > 1
 
 
 def test_relative_velocity_of_contacts_is_that_in_the_whole_step(blocks):
-    one, ends = blocks
-    mesh, motion = one.replicate(12), ccd.JointMotion(ARM, *ends, links=LINKS)
+    mesh, motion = blocks
     contacts = moved(mesh, motion).contacts
     assert len(contacts)
     for contact in contacts[:20]:
         link, sign = (0, 1.0) if mesh.rigid[contact.bodies[0]] else (1, -1.0)
         row = int(contact.bodies[link]) % 5
-        poses = [motion.at(min(max(contact.toi + d, 0), 1))[contact.world, row] for d in (-1e-6, 1e-6)]
-        turns = [trimesh.transformations.quaternion_matrix(p[[6, 3, 4, 5]])[:3, :3] for p in poses]
-        local = turns[0].T @ (contact.point - poses[0][:3])
-        velocity = sum(k * (turn @ local + p[:3]) for k, turn, p in zip((-1, 1), turns, poses, strict=True)) / 2e-6
+        times = (min(max(contact.toi + d, 0), 1) for d in (-1e-6, 1e-6))
+        first, last = (motion.at(t)[contact.world, row] for t in times)
+        local = turned(first[3:] * [-1, -1, -1, 1], contact.point - first[:3])
+        velocity = (turned(last[3:], local) + last[:3] - contact.point) / 2e-6
         np.testing.assert_allclose(contact.relative_velocity, sign * velocity, atol=1e-3)
 
 
@@ -288,7 +269,7 @@ def test_slides_as_short_as_squares_that_vanish_do_not_lose_a_face():
     count, size = 6, 1.4e-162
     slides = [ccd.Joint(f"s{k}", f"l{k}", f"l{k + 1}", "prismatic", axis=[1, 0, 0]) for k in range(count)]
     face = size * (np.array([[0.0, -1, -1], [0, 1, -1], [0, 0, 1]]) + [0.9 * count, 0, 0])
-    bodies = [(np.zeros((1, 3)), np.zeros((0, 3), dtype=int)), (face, [[0, 1, 2]])]
+    bodies = [(np.zeros((1, 3)), NO_FACES), (face, [[0, 1, 2]])]
     mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], codimensional_points=True)
     motion = ccd.JointMotion(slides, np.zeros(count), np.full(count, size), links=[f"l{count}"])
     toi = moved(mesh, motion).toi

@@ -10,28 +10,21 @@ TRIANGLE, FACE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]]), np.array([[0,
 
 def scene(**options):
     """All kinds of pairs: two bodies, one of which falls on the other and on two half-spaces, one of them moving."""
-    lower = np.array(
-        [*TRIANGLE, [-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
-    )
+    cables = [[-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
+    lower = np.array([*TRIANGLE, *cables])
     upper = lower * [0.98, 1.04, 1.0] + [0.02, 0.01, 0.5] + 0.02 * np.random.default_rng(0).random(lower.shape)
     planes = [ccd.HalfSpace([0, 0, -0.35], [0.1, 0.2, 2.0]), ccd.HalfSpace([0, 0, -0.5], [0, 0.1, 1.0])]
     bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), *planes]
-    mesh = ccd.CollisionMesh.from_arrays(
-        bodies, codimensional_points=True, self_collision=False, kinematic=[3], **options
-    )
-    fall = np.array([0.3, 0.75, 0.0, -0.1])[mesh.vertex_body][:, None]
-    rng = np.random.default_rng(2)
-    end = (
-        mesh.vertices
-        - fall * [0, 0, 1]
-        + np.where(mesh.vertex_body < 2, 0.05, 0.0)[:, None] * rng.standard_normal((mesh.num_vertices, 3))
-    )
-    return mesh, mesh.vertices.copy(), end
+    options = {"codimensional_points": True, "self_collision": False, "kinematic": [3]} | options
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    fall, amount = (np.array(x)[mesh.vertex_body, None] for x in ([0.3, 0.75, 0.0, -0.1], [0.05, 0.05, 0, 0]))
+    noise = np.random.default_rng(2).standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices.copy(), mesh.vertices - fall * [0, 0, 1] + amount * noise
 
 
-def thick_scene(**options):
+def thick_scene():
     """The same with radii."""
-    return scene(radius=np.linspace(0.0, 0.02, 17), **options)
+    return scene(radius=np.linspace(0.0, 0.02, 17))
 
 
 def random_scene(seed):

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from chain_paths import ChainJoint, chain
 from flint import arb, arb_poly, ctx
 from laws.trajectories import add, cross, dot, exact, scaled, sub
-from laws.turning import rotated
+from laws.turning import rotated, shortest_rotation_vector
 
 import ccd_warp as ccd
 
@@ -19,9 +18,30 @@ def many_digits():
         yield
 
 
+def rotation(axis, angle, x):
+    """A vector turned about an axis of any length."""
+    axis = scaled(1 / dot(axis, axis).sqrt(), axis)
+    across = add(scaled(angle.cos(), x), scaled(angle.sin(), cross(axis, x)))
+    return add(across, scaled(dot(axis, x) * (1 - angle.cos()), axis))
+
+
 def exact_place(joints, point, t):
-    """A point of the last link at a time."""
-    return [arb_poly(x)[0] for x in chain([point], joints)(arb_poly([t]))[0]]
+    """A point of the last link at a time, carried from link to link, by the joints as they were given."""
+    x = exact(point)
+    for kind, axis, origin, coordinates in reversed(joints):
+        q, origin = [polynomial(t) for polynomial in coordinates], exact(origin)
+        if kind == "revolute":
+            x = rotation(exact(axis), q[0], x)
+        elif kind == "prismatic":
+            axis = exact(axis)
+            x = add(x, scaled(q[0] / dot(axis, axis).sqrt(), axis))
+        elif kind == "free":
+            start, end = ([polynomial(arb(side)) for polynomial in coordinates[3:]] for side in (0, 1))
+            omega, x = shortest_rotation_vector(start, end), rotated(start, x)
+            turn = dot(omega, omega).sqrt()
+            x = add(q[:3], rotation(omega, turn * t, x) if turn > 0 else x)
+        x = add(origin[:3], rotated(origin[3:], x))
+    return x
 
 
 def place_on_path(paths, row, point, s):
@@ -46,27 +66,24 @@ def farthest(paths, row, joints, points, begin, end):
 
 
 def random_chain(rng, kinds, turn, cubic, size=1.0):
-    """A chain with these joints, its motion, and the joints as the oracle takes them."""
-    joints, of_oracle, columns = [], [], []
+    """The motion of a chain with these joints, and of each its kind, axis, origin and coordinates as polynomials."""
+    joints, of_oracle, columns, most = [], [], [], 4 if cubic else 2
     for k, kind in enumerate(kinds):
         origin = np.concatenate([rng.normal(size=3) * 0.3 * size, rng.normal(size=4) if k % 2 else [0, 0, 0, 1]])
         axis = rng.normal(size=3)
-        joints.append(
-            ccd.Joint(f"{k}", f"link {k}", f"link {k + 1}", kind, axis if kind in KINDS[:2] else None, origin)
-        )
+        along = axis if kind in KINDS[:2] else None
+        joints.append(ccd.Joint(f"{k}", f"link {k}", f"link {k + 1}", kind, along, origin))
         powers = np.zeros((4, joints[-1].num_coordinates))
-        powers[: 4 if cubic else 2] = rng.normal(size=(4, powers.shape[1]))[: 4 if cubic else 2]
+        powers[:most] = rng.normal(size=(4, powers.shape[1]))[:most]
         powers[1:] *= turn
-        if kind == "prismatic":
-            powers *= size
+        powers *= size if kind == "prismatic" else 1.0
         if kind == "free":
             powers[:, :3] *= size
             powers[1:, 3:] *= 0.0 if cubic else 0.5
         columns.append(powers)
-        q = None if not cubic else powers if kind == "free" else powers[:, 0] if powers.size else None
-        ends = np.stack([powers[0], powers[0] + powers[1]])
-        ends = None if cubic else ends if kind == "free" else ends[:, 0] if powers.size else None
-        of_oracle.append(ChainJoint(kind, origin, axis, q, ends))
+        ends = [exact(powers[0]), exact(powers[0] + powers[1])]
+        rows = map(exact, powers) if cubic else [ends[0], sub(ends[1], ends[0])]
+        of_oracle.append((kind, axis, origin, [arb_poly(list(row)) for row in zip(*rows, strict=True)]))
     powers = np.concatenate(columns, axis=1)
     if cubic:
         return ccd.JointMotion.from_cubics(joints, powers), of_oracle
@@ -90,10 +107,8 @@ def test_no_point_is_farther_from_its_path_than_stated(chain, cubic):
         motion, joints = random_chain(rng, CHAINS[chain], turn, cubic, size)
         begin = rng.uniform(0, 1 - duration)
         end = begin + duration
-        centres, reach = (
-            rng.normal(size=(motion.num_links, 3)) * 0.2 * size,
-            rng.uniform(0.01, 0.5, motion.num_links) * size,
-        )
+        centres = rng.normal(size=(motion.num_links, 3)) * 0.2 * size
+        reach = rng.uniform(0.01, 0.5, motion.num_links) * size
         paths, excess = motion._slices(begin, end, reach, centres)
         for row in {1, 3, motion.num_links - 1}:
             directions = rng.normal(size=(4, 3))

@@ -33,19 +33,18 @@ def check_places(motion, *places):
 # ---- Conventions and paths -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "motion",
-    [
-        RIGID([IDENTITY], [QUARTER_ABOUT_Z]),
-        RIGID([IDENTITY], [[0, 0, 0, 0, 0, -3, -3]]),  # of any length and sign
-        RIGID([np.eye(4)], [TURNED_Z]),
-        RIGID([IDENTITY], [TURNED_Z]),
-        RIGID([IDENTITY], twist=[[0, 0, 0, 0, 0, np.pi / 2]]),
-        RIGID.from_scalar_first([[0, 0, 0, 1, 0, 0, 0]], [[0, 0, 0, 1, 0, 0, 1]]),
-        RIGID([IDENTITY], [QUARTER_ABOUT_Z], path="screw"),
-    ],
-    ids=["scalar last", "any length", "matrices", "both forms", "twist", "scalar first", "screw"],
-)
+QUARTERS = [
+    RIGID([IDENTITY], [QUARTER_ABOUT_Z]),
+    RIGID([IDENTITY], [[0, 0, 0, 0, 0, -3, -3]]),  # of any length and sign
+    RIGID([np.eye(4)], [TURNED_Z]),
+    RIGID([IDENTITY], [TURNED_Z]),
+    RIGID([IDENTITY], twist=[[0, 0, 0, 0, 0, np.pi / 2]]),
+    RIGID.from_scalar_first([[0, 0, 0, 1, 0, 0, 0]], [[0, 0, 0, 1, 0, 0, 1]]),
+    RIGID([IDENTITY], [QUARTER_ABOUT_Z], path="screw"),
+]
+
+
+@pytest.mark.parametrize("motion", QUARTERS)
 def test_a_quarter_turn_about_z_takes_x_to_y_on_an_arc(motion):
     check_places(motion, (X, 0.0, X), (X, 0.5, [HALF, HALF, 0]), (X, 1.0, Y))
     np.testing.assert_allclose(motion.turns, [np.pi / 2], **CLOSE)
@@ -88,9 +87,8 @@ def test_a_nut_on_a_bolt_moves_on_a_screw():
     start, end = [1.0, 0, 0, 0, 0, 0, 1], [0.0, 1, 4, 0, 0, HALF, HALF]
     screw, linear = (RIGID([start], [end], path=path) for path in ("screw", "linear"))
     check_places(linear, (ORIGIN, 0.5, [0.5, 0.5, 2]))
-    check_places(
-        screw, (ORIGIN, 0.5, [HALF, HALF, 2]), *((-X, t, [0, 0, 4 * t]) for t in (0.0, 0.3, 1.0))
-    )  # on the axis
+    on_the_axis = [(-X, t, [0, 0, 4 * t]) for t in (0.0, 0.3, 1.0)]
+    check_places(screw, (ORIGIN, 0.5, [HALF, HALF, 2]), *on_the_axis)
     np.testing.assert_allclose(screw._body_paths.velocity, [[0, 0, 4]], **CLOSE)
 
 
@@ -114,11 +112,9 @@ ENDS = np.random.default_rng(2).normal(size=(2, 4, 3, 7))  # of three bodies in 
 
 
 def test_worlds_are_as_many_motions():
-    pivot = np.arange(9.0).reshape(3, 3)
+    pivot, fractions = np.arange(9.0).reshape(3, 3), np.linspace(0, 1, 12).reshape(4, 3)
     motion = RIGID(*ENDS, pivot=pivot)
-    assert (motion.num_worlds, motion.num_bodies, motion.path) == (4, 3, "linear")
     assert motion.turns.shape == (4, 3) and motion.poses_t0.shape == motion.poses_t1.shape == (4, 3, 7)
-    fractions = np.linspace(0, 1, 12).reshape(4, 3)
     for w in range(4):
         alone = RIGID(*ENDS[:, w], pivot=pivot)
         assert (alone.num_worlds, alone.num_bodies) == (1, 3)
@@ -126,8 +122,7 @@ def test_worlds_are_as_many_motions():
             np.testing.assert_array_equal(motion.at(t)[w], alone.at(own))
         np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[w, 1], alone.at(0.5)[1])
         np.testing.assert_array_equal(motion._body_paths.velocity[3 * w : 3 * w + 3], alone._body_paths.velocity)
-    same = RIGID(*ENDS, pivot=np.tile(pivot, (4, 1, 1)))
-    np.testing.assert_array_equal(same.at(0.3), motion.at(0.3))
+    np.testing.assert_array_equal(RIGID(*ENDS, pivot=np.tile(pivot, (4, 1, 1))).at(0.3), motion.at(0.3))
     check_places(motion)
 
 
@@ -145,33 +140,28 @@ def test_a_motion_can_be_copied_and_does_not_change():
     start[...] = end[...] = affine[...] = 0.0
     for motion in motions:
         for same in (motion, copy.copy(motion), copy.deepcopy(motion), pickle.loads(pickle.dumps(motion))):
-            assert repr(same) == repr(motion)
+            arrays = [vars(x) for x in (same, getattr(same, "_body_paths", None)) if x is not None]
+            arrays = [x for each in arrays for x in each.values() if isinstance(x, np.ndarray)]
+            assert repr(same) == repr(motion) and arrays and not any(x.flags.writeable for x in arrays)
             for name in ("poses_t0", "poses_t1", "turns", "affine_t0", "affine_t1"):
-                array = getattr(same, name, None)
-                assert array is None or not array.flags.writeable
-                np.testing.assert_array_equal(array, getattr(motion, name, None))
-            paths = vars(same._body_paths).values() if isinstance(same, RIGID) else []
-            assert not any(x.flags.writeable for x in paths)
+                np.testing.assert_array_equal(getattr(same, name, None), getattr(motion, name, None))
             with pytest.raises(AttributeError):
                 same.num_worlds = 2
     np.testing.assert_array_equal(pickle.loads(pickle.dumps(motions[0])).at(0.5), before)
 
 
-@pytest.mark.parametrize(
-    ("shown", "expected"),
-    [
-        (RIGID([IDENTITY], [QUARTER_ABOUT_Z]), "RigidMotion(1 body, path='linear', turns up to 1.57 rad)"),
+def test_a_motion_shows_itself_in_a_line():
+    for shown, expected in (
+        (QUARTERS[0], "RigidMotion(1 body, path='linear', turns up to 1.57 rad)"),
         (
-            RIGID(ENDS[0], ENDS[0], path="screw"),
+            RIGID(*2 * [ENDS[0]], path="screw"),
             "RigidMotion(3 bodies in each of 4 worlds, path='screw', turns up to 0 rad)",
         ),
         (RIGID(*ENDS)._body_paths, "BodyPaths(12)"),
         (RIGID(np.zeros((0, 7)), np.zeros((0, 4, 4))), "RigidMotion(0 bodies, path='linear')"),
         (ccd.AffineMotion(*np.zeros((2, 1, 2, 3, 4))), "AffineMotion(2 bodies in each of 1 world)"),
-    ],
-)
-def test_a_motion_shows_itself_in_a_line(shown, expected):
-    assert repr(shown) == expected
+    ):
+        assert repr(shown) == expected
 
 
 def test_affine_bodies_are_where_their_maps_put_them():
@@ -210,10 +200,8 @@ def twisted(at, value, poses=TWO, end=None):
 MOST = "twist turns body 0 by 1e.06 rad; expected less than 1e.06 rad in a step: divide it"
 BAD = [
     (rigid(np.eye(4), TWO), r"poses_t0 has shape \(4, 4\); expected shape .* or \(B, 4, 4\)"),
-    (rigid(WORLDS[None], TWO), r"poses_t0 has shape \(1, 3, 2, 7\)"),
     (rigid(WORLDS, WORLDS[:2]), "poses_t1 is of 2 bodies in each of 2 worlds; expected 2 bodies in each of 3 worlds"),
     (rigid(WORLDS, TWO), "poses_t1 is of 2 bodies; expected 2 bodies in each of 3 worlds like poses_t0"),
-    (rigid(_with(TWO, (1, 0), np.nan), TWO), "poses_t0 holds nan for body 1; expected finite numbers"),
     (rigid(WORLDS, _with(WORLDS, (2, 1, 5), -np.inf)), "poses_t1 holds -inf for body 1 of world 2; expected finite"),
     (rigid(TWO, _with(MATRICES, (1, 3, 0), 0.5)), r"poses_t1 has the bottom row \[0.5, 0.0, 0.0, 1.0\] for body 1"),
     (rigid(TWO, _with(MATRICES, (1, 0, 0), 1.01)), "poses_t1 holds no rotation for body 1: .* 0.0201 .* at most 1e-06"),
@@ -221,8 +209,6 @@ BAD = [
     (rigid(_with(MATRICES, (0, 0, 0), 1e200), TWO), "poses_t0 holds no rotation for body 0: .* are inf from"),
     (rigid(_with(MATRICES, (1, 0, 0), -1), TWO), "poses_t0 holds a reflection for body 1, with determinant -1"),
     (rigid(WORLDS, WORLDS, pivot=np.zeros((3, 3))), r"pivot has shape \(3, 3\); .* \(3,\) or \(2, 3\) or \(3, 2, 3\)"),
-    (rigid(TWO, TWO, pivot=[0, np.nan, 0]), "pivot holds nan for body 0; expected finite"),
-    (twisted((1, 3), np.nan), "twist holds nan for body 1"),
     (twisted((1, 0), 0.5, end=TWO), "twist ends 0.5 and 0 rad away from poses_t1 for body 1; expected the same pose"),
     (twisted((2, 0, 4), 3e-6, WORLDS, WORLDS), "ends 0 and 3e-06 rad .* body 0 of world 2"),
     (rigid(*(_with(TWO, (1, 0), x) for x in (-1.7e308, 1.7e308))), "velocity of the motion holds .* for body 1"),
@@ -235,7 +221,6 @@ BAD = [
     (lambda: ccd.RigidMotion.from_scalar_first(TWO, _with(TWO, (1, 6), 0)), "0 for body 1; .*w x y z, scalar first"),
     *((lambda t=t: ccd.RigidMotion(WORLDS, WORLDS).at(t), message) for t, message in (
         ([0.5], r"t has shape \(1,\); expected a fraction in \[0, 1\], or such fractions of shape \(2,\) or \(3, 2\)"),
-        ([0.5, np.nan], "t is nan for body 1 of world 0"),
         (np.full((3, 2), 2.0), "t is 2.0 for body 0 of world 0"))),
 ]  # fmt: skip
 

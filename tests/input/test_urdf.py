@@ -1,7 +1,6 @@
 """Robots from URDF files: joints, bodies around what the file describes, neighbours, and what is refused."""
 
 import importlib.util
-import subprocess
 import sys
 
 import numpy as np
@@ -110,9 +109,7 @@ def test_a_motion_has_a_row_for_each_body_and_joints_that_mimic_go_along(file):
     assert motion.names == robot.names and motion.num_worlds == 2
     assert np.abs(motion.poses_t1[0, 4:, :3] - [[0.75, 0, 0.6], [2, 0, 0.6]]).max() < 1e-15
     assert np.array_equal(robot.configuration([1, 2, 3]), [1, 2, 3, 6.5])
-    with pytest.raises(
-        ValueError, match=r"q1 has shape \(4,\); expected shape \(..., 3\), the numbers of the joints turn"
-    ):
+    with pytest.raises(ValueError, match=r"q1 has shape \(4,\); expected shape \(..., 3\), the numbers of the joints"):
         robot.motion([0, 0, 0], [0, 0, 0, 0])
 
 
@@ -133,21 +130,21 @@ def test_links_are_where_the_parser_has_them(file, caplog):
         assert np.abs(np.hstack([seen[:, :3], signs * seen[:, 3:]]) - poses).max() < 1e-14
 
 
+DAMAGED = [
+    ("</robot>", "", "is no URDF file"),
+    ('<parent link="base"/>', "", "is no URDF file"),
+    ('<parent link="base"/>', '<parent link="bse"/>', "joint 'turn' joins 'bse', which is no link"),
+    ('<child link="arm"/>', '<child link="base"/>', "a loop of 1 joint: turn"),
+    ('type="continuous"', 'type="planar"', "kind of joint 'roll' is 'planar'"),
+    ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', "axis of joint 'follow' is"),
+    ("meshes/hand.stl", "meshes/hnd.stl", "which is not found; expected packages="),
+    ('<mimic joint="grip"', '<mimic joint="eye"', "joint 'follow' mimics 'eye'"),
+    ('<link name="flange"/>', '<link name="flange"/><link name="lid"/>', "has the links lid, which no joint joins"),
+]
+
+
 @needs_parser
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("</robot>", "", "is no URDF file"),
-        ('<parent link="base"/>', "", "is no URDF file"),
-        ('<parent link="base"/>', '<parent link="bse"/>', "joint 'turn' joins 'bse', which is no link"),
-        ('<child link="arm"/>', '<child link="base"/>', "a loop of 1 joint: turn"),
-        ('type="continuous"', 'type="planar"', "kind of joint 'roll' is 'planar'"),
-        ('<axis xyz="0 -1 0"/>', '<axis xyz="0 0 0"/>', "axis of joint 'follow' is"),
-        ("meshes/hand.stl", "meshes/hnd.stl", "which is not found; expected packages="),
-        ('<mimic joint="grip"', '<mimic joint="eye"', "joint 'follow' mimics 'eye'"),
-        ('<link name="flange"/>', '<link name="flange"/><link name="lid"/>', "has the links lid, which no joint joins"),
-    ],
-)
+@pytest.mark.parametrize(("old", "new", "message"), DAMAGED)
 def test_damaged_files_are_refused(file, old, new, message):
     file.write_text(GRIPPER.replace(old, new, 1))
     with pytest.raises(ValueError) as error:
@@ -174,7 +171,7 @@ def test_vertices_of_a_mesh_that_are_in_no_face_are_left_out(file):
     assert np.array_equal(vertices[faces], corners[[[0, 1, 2], [0, 1, 3]]]) and len(vertices) == 4
 
 
-def test_without_the_extra_the_error_says_which():
-    code = "import sys; sys.modules['yourdfpy'] = None; import ccd_warp; ccd_warp.read_urdf('a.urdf')"
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "read_urdf needs yourdfpy; install with: pip install 'ccd-warp[urdf]'" in found.stderr
+def test_without_the_extra_the_error_says_which(monkeypatch):
+    monkeypatch.setitem(sys.modules, "yourdfpy", None)
+    with pytest.raises(ImportError, match=r"read_urdf needs yourdfpy; install with: pip install 'ccd-warp\[urdf\]'"):
+        ccd.read_urdf("a.urdf")

@@ -8,7 +8,7 @@ import pytest
 from distance_oracle import exact_distance_tois
 from flint import arb, arb_poly, ctx
 from oracle import exact_tois
-from trimesh.transformations import quaternion_matrix, rotation_matrix
+from trimesh.transformations import quaternion_matrix, quaternion_multiply, rotation_matrix
 
 from laws.trajectories import BITS, Parts, first_contact, search, short, sine_and_cosine, straight
 from laws.turning import AT_REST, COUNTS, quaternion, turning
@@ -41,19 +41,19 @@ def near(angle):  # by which a radius of 1 comes to within 0.5 of (-1, 0)
 
 def ways():
     """A point or an edge that comes straight to a face or an edge from beyond each of their sides and ends: at 1/2."""
-    places = ([0, 0], [-1, -1]), ([4, 0], [1, -0.2]), ([0, 3], [-0.2, 1]), ([2, 0], [0, -1]), ([0, 1], [-1, 0])
-    for place, way in places:
-        start = np.array([[*place, 0.0]]) + 5.5 * np.array([*way, 0]) / np.linalg.norm(way)
-        yield "vertex-face", start, -10 * np.array([[*way, 0]]) / np.linalg.norm(way), FACE
-    across, askew = np.array([[0.0, 0, 0], [0, 2, 0]]), np.array([[0.0, 0, 0], [2, 0.5, 0.3]])
+    sides = ([0, 0], [-1, -1]), ([4, 0], [1, -0.2]), ([0, 3], [-0.2, 1]), ([2, 0], [0, -1]), ([0, 1], [-1, 0])
+    cases = [("vertex-face", np.array([[*place, 0.0]]), np.array([*way, 0]), FACE) for place, way in sides]
+    across, askew = np.array([[0.0, 0, 0], [0, 2, 0]]), np.array([[1.0, 0, 0], [3, 0.5, 0.3]])
     shift = np.array([1.0, 0, 0])
-    for a, b, way in (
-        (EDGE, across, [0, 1, 0]),
-        (across, EDGE, [0, -1, 0]),
-        (EDGE, askew + shift, shift),
-        (EDGE + shift, EDGE - shift, -shift),
-    ):
-        yield "edge-edge", b + 5.5 * np.array(way), -10 * np.array(way), a
+    edges = (
+        (across, [0, 1, 0], EDGE),
+        (EDGE, [0, -1, 0], across),
+        (askew, shift, EDGE),
+        (EDGE - shift, -shift, EDGE + shift),
+    )
+    for kind, x, way, y in cases + [("edge-edge", x, np.array(way), y) for x, way, y in edges]:
+        way = way / np.linalg.norm(way)
+        yield kind, x + 5.5 * way, -10 * np.array([way]), y
 
 
 KNOWN = [  # kind, both sides, distance, and the time; None where they never touch
@@ -150,12 +150,6 @@ def test_straight_pairs_touch_when_rational_arithmetic_says_so():
                 assert lo <= above and below <= hi and hi - lo < 1e-21
 
 
-def as_matrix(pose):
-    matrix = quaternion_matrix(np.roll(pose[3:], 1))
-    matrix[:3, 3] = pose[:3]
-    return matrix
-
-
 @pytest.mark.parametrize("path", ["linear", "screw"])
 def test_bodies_are_where_products_of_many_small_motions_lead(path):
     """A screw is a power of one matrix; on a linear path the pivot goes straight and the body turns about it."""
@@ -164,36 +158,26 @@ def test_bodies_are_where_products_of_many_small_motions_lead(path):
         start, omega = rng.standard_normal(7), turn * rng.standard_normal(3) / 2
         velocity, pivot, x = rng.standard_normal((3, 3))
         pivot *= path == "linear"
-        theta, first = np.linalg.norm(omega), as_matrix(start)
-        centre = first[:3, :3] @ pivot + start[:3]
+        theta, first = np.linalg.norm(omega), quaternion_matrix(np.roll(start[3:], 1))
+        first[:3, 3] = start[:3]
+        if path == "screw":  # about the axis through centre, with ω × (origin − centre) + along = velocity
+            centre, along = start[:3] + np.cross(omega, velocity) / theta**2, omega * (omega @ velocity) / theta**2
+        else:
+            centre, along = first[:3, :3] @ pivot + start[:3], velocity
 
-        def at(t, start=start, omega=omega, velocity=velocity, centre=centre, theta=theta, first=first):
-            if path == "screw":  # about the axis through r, with ω × (origin − r) + pitch = velocity
-                along = omega * (omega @ velocity) / theta**2
-                r = start[:3] + np.cross(omega, velocity) / theta**2
-                turned = rotation_matrix(theta * t, omega, r)
-                turned[:3, 3] += t * along
-                return turned @ first
+        def at(t, omega=omega, theta=theta, first=first, centre=centre, along=along):
             turned = rotation_matrix(theta * t, omega, centre)
-            turned[:3, 3] += t * velocity
+            turned[:3, 3] += t * along
             return turned @ first
 
-        end = at(1.0)
-        pose = [*end[:3, 3], *quaternion(omega)]  # the end's orientation, after that of the start
-        pose[3:] = np.roll(_product(np.roll(quaternion(omega), 1), np.roll(start[3:], 1)), -1)
-        names = {"twist": [*velocity, *omega]} if by_twist else {"end": pose}
+        orientation = quaternion_multiply(np.roll(quaternion(omega), 1), np.roll(start[3:], 1))  # at the end
+        names = {"twist": [*velocity, *omega]} if by_twist else {"end": [*at(1.0)[:3, 3], *np.roll(orientation, -1)]}
         points = turning([x], start, path=path, pivot=pivot, **names)
         for t in (0.0, 0.3, 1.0):
             with ctx.workprec(BITS):
                 found = [float(arb_poly(v)[0]) for v in points(arb_poly([arb(t)]))[0]]
             error = 1e-12 + (1e-15 / theta if path == "screw" else 0.0)  # an axis far away costs digits here
             np.testing.assert_allclose(found, (at(t) @ [*x, 1.0])[:3], rtol=0, atol=error)
-
-
-def _product(a, b):
-    """Of quaternions, scalar first."""
-    w, v = a[0] * b[0] - a[1:] @ b[1:], a[0] * b[1:] + b[0] * a[1:] + np.cross(a[1:], b[1:])
-    return np.array([w, *v])
 
 
 def test_enclosures_hold_sines_cosines_and_what_is_cut_off():
