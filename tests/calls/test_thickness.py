@@ -142,17 +142,3 @@ def test_radii_of_a_pipeline_are_its_own_and_are_kept_as_more_is_reserved():
     assert pipeline.mesh_ccd(start, end).toi < 0.5
     with pytest.raises(ValueError, match=r"minimum_separation is 0.01 and the mesh has a radius of up to 0"):
         pipeline.launch(start, end)
-
-
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_static_boxes_grow_with_radii_in_launches_that_read_only_what_moves_and_in_graphs(broad_phase):
-    x, y = (wp.array([[0.2, 0.2, z]], dtype=wp.vec3d) for z in (1.0, 0.5))
-    pipeline = ccd.CollisionPipeline(sheet_and_bead(0.0, static=[0]), broad_phase=broad_phase)
-    result = pipeline.launch(x, y)
-    with wp.ScopedCapture() as capture:
-        pipeline.launch(x, y)
-    for replay in (lambda: pipeline.launch(x, y), lambda: wp.capture_launch(capture.graph)):
-        for radius, toi in ((0.75, 0.5), (0.625, 0.75), (0.0, np.inf)):
-            pipeline.radius.assign([radius] * 3 + [0.0])
-            replay()
-            assert result.toi.numpy()[0] == pytest.approx(toi, rel=1e-12)
