@@ -112,11 +112,9 @@ def test_twice_what_was_counted_is_enough_after_two_rounds(name):
         small, large = (ccd.CollisionPipeline(mesh, max_pairs=n, max_contacts=n) for n in (16, 1 << 18))
         num_rounds, result = 0, call(small)
         while (flags := ccd.LaunchFlag(int(result.flags.numpy()[0]))) and num_rounds < 3:
-            if ccd.LaunchFlag.PAIRS_OVERFLOW in flags:
-                small.reserve(max_pairs=2 * int(result.num_pairs.numpy().max()))
-            else:
-                count = result.contacts.count if isinstance(result, ccd.LaunchResult) else result.count
-                small.reserve(max_contacts=2 * int(count.numpy()[0]))
+            of_pairs = ccd.LaunchFlag.PAIRS_OVERFLOW in flags
+            counted = getattr(result, "contacts", result).count if not of_pairs else result.num_pairs
+            small.reserve(**{"max_pairs" if of_pairs else "max_contacts": 2 * int(counted.numpy().max())})
             num_rounds, result = num_rounds + 1, call(small)
         assert not flags and num_rounds in (1, 2) and repr(result.to_host()) == repr(call(large).to_host())
 
