@@ -115,8 +115,6 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     assert "surfaces cross at the start of  4 of 10 steps: 6-9\n" in out
     found = rows("out")
     assert [row["start"] for row in found] == [f"ball_{k}.ply" for k in range(10)]
-    # The ball comes down half a unit a step from a gap of 2.75, and is still passing through the box at the end.
-    assert float(found[5]["toi"]) == pytest.approx(0.5, abs=1e-5) and float(found[5]["toi"]) <= 0.5
     assert [np.isfinite(float(row["toi"])) for row in found] == [k >= 5 for k in range(10)]
     run(*BALLS[:3], "--output", "-", "--pair-kinds", "edge-edge", "--fail-on-contact")
     shown = capfd.readouterr()  # standard output takes the CSV alone
