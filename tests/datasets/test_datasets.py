@@ -150,8 +150,6 @@ def test_kinds_are_those_of_places_or_given_and_what_is_joined_is_of_one(tmp_pat
         assert datasets.read_queries(str(path), kind=kind).kind == "vertex-face"
     with pytest.raises(ValueError, match=r"data\.csv: neither its folder .* says the kind .* kind= of read_queries"):
         datasets.read_queries(_write(tmp_path, QUERY, "data.csv"))
-    with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
-        datasets.find_queries(tmp_path, kind=ccd.PairKind.POINT_POINT)
     with pytest.raises(ValueError, match=r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"):
         datasets.Queries.joined("x", read)
 
