@@ -76,12 +76,8 @@ def test_copies_of_several_worlds_have_an_axis_of_copies_and_worlds_of_different
     twice = cloth_and_ball_in_worlds(2)[1].replicate(3)
     for blocks in (6, 3, 2, 1):
         assert np.array_equal(twice.frame(twice.vertices.reshape(blocks, -1, 3)), twice.vertices)
-    for of, x, message in (
-        (mesh, mesh.vertices.reshape(7, 3, 3), r"\(7, 3, 3\); expected .*, or \(3, 7, 3\), with an axis"),
-        (one, one.vertices[:, None], r"\(7, 1, 3\); expected \(7, 3\) one row a vertex"),
-    ):
-        with pytest.raises(ValueError, match=rf"vertices_t0 has shape {message}"):
-            of.frame(x)
+    with pytest.raises(ValueError, match=r"vertices_t0 has shape \(7, 1, 3\); expected \(7, 3\) one row a vertex"):
+        one.frame(one.vertices[:, None])
 
 
 # --- in quantized coordinates ---
