@@ -124,16 +124,6 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
     assert f"{below} pairs are in contact at the start already, with toi 0: {below} of sheet and ground" in repr(result)
 
 
-def test_many_contacts_with_the_ground_come_in_order_or_name_the_memory_that_they_take():
-    start = np.random.default_rng(7).uniform(0.1, 1, (3000, 3))
-    mesh, end = particles(start, GROUND), start - [0, 0, 2.0]
-    result = ccd.mesh_ccd(mesh, start, end)
-    assert np.array_equal(result.contacts.primitives[:, 0], np.arange(3000))
-    np.testing.assert_allclose(result.vertex_toi, start[:, 2] / 2, rtol=3e-15)
-    with pytest.raises(ValueError, match=r"memory_limit is 1000000 bytes; expected at least .* for the 3000 contacts"):
-        ccd.mesh_ccd(mesh, start, end, memory_limit=1_000_000)
-
-
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():
     point, normal = np.array([1, 2, 3]), np.array([0, 0, 1e-310])
     mesh = ccd.CollisionMesh.from_arrays([ccd.HalfSpace(point, normal), (TRIANGLE, FACE)], radius=[0, 0.1])
