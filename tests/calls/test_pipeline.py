@@ -138,8 +138,6 @@ def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists
     assert np.array_equal(searched.vertices[used], of_alone.vertices)
     for values, of_used in ((found.vertex_toi, expected.vertex_toi), (bounds, bounds_of_alone)):
         assert np.array_equal(values[used], of_used) and np.isinf(values[mesh.unused_vertices]).all()
-    copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
-    assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
 
 
 # --- in the plane ---
