@@ -309,7 +309,6 @@ def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
     queries, steps = datasets.find_queries, datasets.find_steps
     for find, name, rows_of_file, message in (
         (queries, "README.md", ["notes"], r"README\.md is not a folder; expected the public data"),
-        (steps, "README.md", ["notes"], r"README\.md is not a folder; expected the public data"),
         (queries, OF_CLOTH, ["[true]"], r"7ee_mma_bool\.json has 1 truths; expected 2, one a query of .*7ee\.csv"),
         (queries, OF_CLOTH, ["[true, false]"], None),
         (queries, "simulation/cloth/queries/8ee.csv", QUERY, r"of simulation/cloth: the truth of .*8ee\.csv"),
