@@ -120,23 +120,8 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
     mesh, start, end = sheet_over_ground(height=0.0)
     result = ccd.mesh_ccd(mesh, start, end, check_start=True)
     below = sum(plane_value(mesh, 0, x, start) <= 0 for x in start)
-    assert result.toi == 0 and 0 < below < len(start) and result.pairs_at_start == {("sheet", "ground"): below}
+    assert result.toi == 0 and 0 < below < len(start) and result.start.by_bodies() == {("sheet", "ground"): below}
     assert f"{below} pairs are in contact at the start already, with toi 0: {below} of sheet and ground" in repr(result)
-    assert result.start.by_bodies() == {("sheet", "ground"): below} and result.start.num_crossing == 0
-
-
-def test_more_contacts_than_there_is_capacity_for():
-    start = np.random.default_rng(7).uniform(0.1, 1, (3000, 3))
-    mesh, end = particles(start, GROUND), start - [0, 0, 2.0]
-    result = ccd.mesh_ccd(mesh, start, end)
-    assert np.array_equal(result.contacts.primitives[:, 0], np.arange(3000))
-    np.testing.assert_allclose(result.vertex_toi, start[:, 2] / 2, rtol=3e-15)
-    with pytest.raises(ValueError, match=r"memory_limit is 1000000 bytes; expected at least .* for the 3000 contacts"):
-        ccd.mesh_ccd(mesh, start, end, memory_limit=1_000_000)
-    launched = ccd.CollisionPipeline(mesh, max_contacts=10).launch(start, end).to_host()
-    assert launched.flags == ccd.LaunchFlag.CONTACTS_OVERFLOW and launched.num_contacts == 3000
-    assert len(launched.contacts) == 10 and launched.num_pairs[VERTEX_PLANE] == 3000
-    np.testing.assert_array_equal(launched.vertex_toi, result.vertex_toi)
 
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():
@@ -178,22 +163,16 @@ def test_a_floor_that_rises_meets_what_is_at_rest_in_each_world_its_own():
     assert result.body_toi.tolist() == [0.0, np.inf, 0.0] and result.first.body_names == ("dust", "floor")
     (risen,) = result.contacts[result.contacts.primitives[:, 0] == 0]
     assert np.allclose(risen.point, [0.2, 0.1, 0.5], atol=1e-15) and risen.primitives.tolist() == [0, 1]
-    same = pickle.loads(pickle.dumps(mesh))
-    assert same.planes == mesh.planes and not same.planes.vertices.flags.writeable
-    for call, message in (
-        (lambda: ccd.mesh_ccd(mesh, start, start[:4]), r"vertices_t1 has shape \(4, 3\)"),
-        (lambda: mesh.replicate(100_000), r"expected at most \d+ copies of a mesh with kinematic half-spaces"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            call()
+    with pytest.raises(ValueError, match=r"vertices_t1 has shape \(4, 3\)"):
+        ccd.mesh_ccd(mesh, start, start[:4])
+    with pytest.raises(ValueError, match=r"expected at most \d+ copies of a mesh with kinematic half-spaces"):
+        mesh.replicate(100_000)
     worlds = mesh.excluding({"vertex_plane": [(3, 1)]}).replicate(3)
     assert worlds.names == ("dust[0]", "floor[0]", "dust[1]", "floor[1]", "dust[2]", "floor[2]", "wall")
     assert worlds.planes.vertices.tolist() == [4, 9, 14, -1] and worlds.planes.bodies.tolist() == [1, 3, 5, 6]
     assert worlds.exclude_pairs["vertex_plane"].tolist() == [[3, 0], [8, 1], [13, 2]]
     frames = np.tile(start, (3, 1, 1)), start + np.array([0.0, 0.5, 1.0])[:, None, None] * rise
-    result, launched = ccd.mesh_ccd(worlds, *frames), ccd.CollisionPipeline(worlds).launch(*frames)
-    assert result.world_toi.tolist() == pytest.approx([np.inf, 0.5, 0.25], abs=1e-15)
-    assert launched.world_toi.numpy().tolist() == result.world_toi.tolist()
+    assert ccd.mesh_ccd(worlds, *frames).world_toi.tolist() == pytest.approx([np.inf, 0.5, 0.25], abs=1e-15)
 
 
 @pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
@@ -213,8 +192,5 @@ def test_a_piston_strikes_what_cannot_get_out_of_its_way(per):
     assert result.flags == result.world_flags[0] == ccd.LaunchFlag.STRUCK
     assert result.contacts.primitives.tolist() == struck.primitives.tolist()
     np.testing.assert_array_equal(result.contacts.toi, struck.toi)
-    # as the documents say: cut the whole step to a little less, and nothing is struck
-    cut = start + 0.9 * struck.toi.min() * (wished - start)
-    found = ccd.line_search(mesh, start, cut, per=per)
-    assert len(found.struck) == 0 and found.fraction > 0
-    assert pipeline.launch_line_search(start, cut.copy(), per=per).to_host().flags == 0
+    cut = start + 0.9 * struck.toi.min() * (wished - start)  # as the documents say; nothing is struck then
+    assert pipeline.launch_line_search(start, cut, per=per).to_host().flags == 0

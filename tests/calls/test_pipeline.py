@@ -134,15 +134,10 @@ def test_bodies_that_share_a_list_of_nodes_have_the_answers_of_bodies_with_lists
     found, expected = answers(mesh, x, y), answers(alone, start, end)
     assert mesh.length_scale == alone.length_scale and expected.hit
     searched, of_alone = (ccd.line_search(*step, per="vertex") for step in ((mesh, x, y), (alone, start, end)))
+    bounds, bounds_of_alone = ccd.displacement_bounds(mesh, x, 0.3), ccd.displacement_bounds(alone, start, 0.3)
     assert np.array_equal(searched.vertices[used], of_alone.vertices)
-    unused, bounds = mesh.unused_vertices, ccd.displacement_bounds(mesh, x, 0.3)
-    for values, of_used in (
-        (found.vertex_toi, expected.vertex_toi),
-        (bounds, ccd.displacement_bounds(alone, start, 0.3)),
-    ):
-        assert np.array_equal(values[used], of_used) and np.isinf(values[unused]).all()
-    copies = ccd.CollisionPipeline(mesh.replicate(2)).launch(np.tile(x, (2, 1)), np.tile(y, (2, 1))).to_host()
-    assert copies.world_toi.tolist() == [expected.toi] * 2 and not copies.flags
+    for values, of_used in ((found.vertex_toi, expected.vertex_toi), (bounds, bounds_of_alone)):
+        assert np.array_equal(values[used], of_used) and np.isinf(values[mesh.unused_vertices]).all()
 
 
 # --- in the plane ---
@@ -157,9 +152,6 @@ def test_a_falling_point_meets_a_segment_at_its_height():
     assert first.vertices.tolist() == [2, 0, 1] and first.parameters[0] == pytest.approx(0.625)
     assert "(0.25, " in repr(result) and "in the plane" in repr(mesh)
     assert pickle.loads(pickle.dumps(mesh)).dimension == 2
-    path = trimesh.load_path(np.array([[0.0, 0], [1, 0], [1, 1]]))
-    mesh = ccd.CollisionMesh.from_trimesh([path, path])
-    assert mesh.dimension == 2 and mesh.num_edges == 4 and mesh.num_faces == 0
 
 
 def test_pictures_of_a_mesh_in_the_plane(tmp_path):
@@ -186,7 +178,6 @@ def test_default_separation_is_the_same_however_far_the_body_falls():
             end = start - [0, 0, height] * (mesh.vertex_body == 1)[:, None]
             toi = answers(of, start, end, minimum_separation=0.1).toi
             assert toi == pytest.approx((1.0 - 0.1 * length) / height, abs=1e-5)
-            assert ccd.mesh_ccd(of, start, end, minimum_separation=0.1, length_scale=length).toi == toi
 
 
 def test_bisection_is_early_by_its_tolerance_and_earlier_where_it_is_cut_short():
@@ -220,11 +211,8 @@ def test_counts_and_timings_are_of_the_last_call_on_the_host():
     assert set(result.timings) == {"input", "boxes", "pairs", "narrow phase", "gather", "total"}
     assert all(seconds >= 0 for seconds in result.timings.values())
     pipeline.launch_line_search(start, end.copy())
-    launched = pipeline.launch(start, end)  # which has counts of its own, on the device
+    pipeline.launch(start, end)  # which has counts of its own, on the device
     assert pipeline.counts is counts and pipeline.timings == result.timings
-    for kind in (ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE):
-        assert launched.num_pairs.numpy()[kind] == counts.num_after_cull[kind] > 0
-    assert launched.contacts.count.numpy()[0] == len(result.contacts)
     pipeline.find_candidates(start, end)
     assert pipeline.counts.num_contacts == {} and all(pipeline.counts.num_candidates.values())
     # the search of a step that cannot begin ends with the first pair that touches at the start

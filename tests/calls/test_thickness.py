@@ -35,13 +35,6 @@ def sheet_and_bead(radius=None, **options):
     return ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=radius, **options)
 
 
-def two_sheets(gap, radius, **options):
-    """Two triangles above each other, the upper one of which falls by twice the gap; mesh, start and end."""
-    bodies = [(TRIANGLE, FACE), (TRIANGLE + [0.1, 0.1, gap], FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, radius=radius, **options)
-    return mesh, mesh.vertices, mesh.vertices - [0, 0, 2 * gap] * (mesh.vertex_body == 1)[:, None]
-
-
 @pytest.mark.parametrize(
     ("given", "expected"),
     [
@@ -130,29 +123,14 @@ def test_radius_counts_where_a_difference_of_coordinates_is_beyond_the_largest_n
 
 
 def test_radii_of_a_pipeline_are_its_own_and_are_kept_as_more_is_reserved():
-    mesh, start, end = two_sheets(1.0, [0.1, 0.2])
-    pipeline = ccd.CollisionPipeline(mesh)
+    mesh = sheet_and_bead([0.1, 0.2])
+    pipeline, end = ccd.CollisionPipeline(mesh), mesh.vertices - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
     assert pipeline.radius.numpy().tolist() == mesh.radius.tolist() and pipeline.radius.dtype is wp.float64
     pipeline.radius.fill_(0.25)
     pipeline.reserve(max_pairs=1 << 13)
-    assert pipeline.launch(start, end).toi.numpy()[0] == pytest.approx(0.25)
-    assert mesh.radius.max() == 0.2 and pipeline.mesh_ccd(start, end).toi == pytest.approx(0.35)
-    mesh, start, end = two_sheets(1.0, 0.0)  # which could be changed on the device, and only there
-    pipeline = ccd.CollisionPipeline(mesh, minimum_separation=0.01)
-    assert pipeline.mesh_ccd(start, end).toi < 0.5
+    assert pipeline.launch(mesh.vertices, end).toi.numpy()[0] == pytest.approx(0.25)
+    assert mesh.radius.max() == 0.2 and pipeline.mesh_ccd(mesh.vertices, end).toi == pytest.approx(0.35)
+    separated = ccd.CollisionPipeline(sheet_and_bead(0.0), minimum_separation=0.01)  # whose radii the device may change
+    assert separated.mesh_ccd(mesh.vertices, end).toi < 0.5
     with pytest.raises(ValueError, match=r"minimum_separation is 0.01 and the mesh has a radius of up to 0"):
-        pipeline.launch(start, end)
-
-
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_static_boxes_grow_with_radii_in_launches_that_read_only_what_moves_and_in_graphs(broad_phase):
-    x, y = (wp.array([[0.2, 0.2, z]], dtype=wp.vec3d) for z in (1.0, 0.5))
-    pipeline = ccd.CollisionPipeline(sheet_and_bead(0.0, static=[0]), broad_phase=broad_phase)
-    result = pipeline.launch(x, y)
-    with wp.ScopedCapture() as capture:
-        pipeline.launch(x, y)
-    for replay in (lambda: pipeline.launch(x, y), lambda: wp.capture_launch(capture.graph)):
-        for radius, toi in ((0.75, 0.5), (0.625, 0.75), (0.0, np.inf)):
-            pipeline.radius.assign([radius] * 3 + [0.0])
-            replay()
-            assert result.toi.numpy()[0] == pytest.approx(toi, rel=1e-12)
+        separated.launch(mesh.vertices, end)

@@ -2,7 +2,7 @@
 
 import os
 import re
-from dataclasses import replace
+from contextlib import nullcontext
 from fractions import Fraction
 
 import numpy as np
@@ -55,19 +55,6 @@ def blocks(request, monkeypatch):
 
 
 # ---- Queries out and in ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("truth", [None, np.arange(5) % 2 == 0])
-def test_queries_come_back(tmp_path, blocks, truth):
-    start, end = _points(5), _points(5, seed=1)
-    path = tmp_path / "227ee.csv"
-    datasets.write_queries(path, start, end, truth)
-    read = datasets.read_queries(path)
-    assert _same_bits(read.points_t0, start) and _same_bits(read.points_t1, end)
-    assert (read.truth is None) == (truth is None) and np.array_equal(read.truth, truth)
-    assert (read.name, read.kind, read.sources) == ("227ee", "edge-edge", (("227ee.csv", 5),))
-    assert len(read) == 5 and read.id(3) == "227ee.csv:3" and read.id(-1) == "227ee.csv:4"
-    assert path.read_bytes().count(b"\n") == 40 and os.listdir(tmp_path) == ["227ee.csv"]
 
 
 @unhurried
@@ -150,21 +137,21 @@ def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, bloc
     expected = np.outer(range(16), [1.0, 0.5, -0.25]).reshape(2, 2, 4, 3) + 0.0
     assert _same_bits(read.points_t0, expected[:, 0].copy()) and _same_bits(read.points_t1, expected[:, 1].copy())
     assert read.truth.tolist() == [True, True] and len(datasets.read_queries(_write(tmp_path, mark + tail))) == 0
+    assert (read.name, read.kind, read.sources) == ("0vf", "vertex-face", (("0vf.csv", 2),)) and read.id(
+        -1
+    ) == "0vf.csv:1"
 
 
-def test_a_kind_is_that_of_the_place_or_one_that_is_given(tmp_path):
-    for name, kind in (
-        ("vertex-face/ree.csv", "vertex-face"),
-        ("edge-edge/0.csv", "edge-edge"),
-        ("7ee.csv", "edge-edge"),
-    ):
-        assert datasets.read_queries(path := _write(tmp_path, QUERY, name)).kind == kind
+def test_kinds_are_those_of_places_or_given_and_what_is_joined_is_of_one(tmp_path):
+    places = ("vertex-face/ree.csv", "edge-edge/0.csv", "7ee.csv")
+    read = [datasets.read_queries(path := _write(tmp_path, QUERY, name)) for name in places]
+    assert [queries.kind for queries in read] == ["vertex-face", "edge-edge", "edge-edge"]
     for kind in (ccd.PairKind.VERTEX_FACE, "vertex_face", "vertex-face"):
         assert datasets.read_queries(str(path), kind=kind).kind == "vertex-face"
     with pytest.raises(ValueError, match=r"data\.csv: neither its folder .* says the kind .* kind= of read_queries"):
         datasets.read_queries(_write(tmp_path, QUERY, "data.csv"))
-    with pytest.raises(ValueError, match=r"kind is .*; expected 'vertex-face' or 'edge-edge'"):
-        datasets.find_queries(tmp_path, kind=ccd.PairKind.POINT_POINT)
+    with pytest.raises(ValueError, match=r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"):
+        datasets.Queries.joined("x", read)
 
 
 # ---- Malformed -------------------------------------------------------------------------------------------------------
@@ -223,21 +210,8 @@ def test_steps_come_back(tmp_path):
         assert _same_bits(read.vertices_t0, step.vertices_t0) and _same_bits(read.vertices_t1, step.vertices_t1)
         assert np.array_equal(read.faces, step.faces) and read.faces.dtype == np.int32
         assert sorted(os.listdir(tmp_path)) == ["7.ply", "8.ply"]
-
-
-def test_joined_sets_keep_their_order_and_ids():
-    def part(label, n, kind="edge-edge", truth=True):
-        known = np.arange(n) % 2 == 0 if truth else None
-        return datasets.Queries(label, kind, _points(n), _points(n, seed=1), known, ((label, n),))
-
-    whole = datasets.Queries.joined("all", [part("a", 2), part("b", 0, truth=False), part("c", 3)])
-    assert [whole.id(i) for i in range(5)] == ["a:0", "a:1", "c:0", "c:1", "c:2"] and whole.kind == "edge-edge"
-    assert _same_bits(whole.points_t1, np.concatenate([_points(2, seed=1), _points(3, seed=1)]))
-    assert whole.truth.tolist() == [True, False, True, False, True]
-    with pytest.raises(ValueError, match=r"of the kinds \['edge-edge', 'vertex-face'\]; expected one"):
-        datasets.Queries.joined("x", [part("a", 1), part("b", 1, "vertex-face")])
-    with pytest.raises(ValueError, match="parts of x: the truth of b is not known, that of others is"):
-        datasets.Queries.joined("x", [part("a", 1), part("b", 1, truth=False)])
+    faces = np.array([[3, 1, 0], [0, 1, 2], [4, 2, 1], [0, 0, 1]])  # the last repeats a vertex
+    assert datasets.edges_by_max(faces).tolist() == [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [1, 4], [2, 4]]
 
 
 ZERO = np.zeros((3, 4, 3))
@@ -248,14 +222,6 @@ BAD = np.where(np.arange(36).reshape(3, 4, 3) == 18, np.nan, 0.0)
     "write, given, message",
     [
         ("queries", (BAD, ZERO), r"points_t0\[1, 2, 0\] is nan; expected finite coordinates"),
-        ("queries", (ZERO, ZERO[1:]), r"points_t1 has shape \(2, 4, 3\); expected \(3, 4, 3\) like points_t0"),
-        ("truth", (np.ones((2, 2), bool),), r"truth is .*; expected bool of shape \(n,\)"),
-        ("step", ("y.ply", replace(STEP, vertices_t1=np.zeros((4, 3)))), r"has shape \(4, 3\); expected \(5, 3\)"),
-        (
-            "step",
-            ("y.ply", replace(STEP, faces=np.array([[0, 1, 5]]))),
-            "faces holds indices from 0 to 5; expected 0 to 4",
-        ),
         ("step", ("vf.ply", STEP), r"end_path is .*vf\.ply, as start_path is; expected another file"),
     ],
 )
@@ -298,12 +264,10 @@ def test_truth_and_boxes_come_back_whole_or_not_at_all(tmp_path, name):
                 read(path)
 
 
-def test_edges_are_sorted_by_their_larger_vertex():
-    faces = np.array([[3, 1, 0], [0, 1, 2], [4, 2, 1], [0, 0, 1]])  # the last repeats a vertex
-    assert datasets.edges_by_max(faces).tolist() == [[0, 1], [0, 2], [1, 2], [0, 3], [1, 3], [1, 4], [2, 4]]
-
-
 # ---- Folders ---------------------------------------------------------------------------------------------------------
+
+
+OF_CLOTH = "simulation/cloth/mma_bool/7ee_mma_bool.json"
 
 
 def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
@@ -318,7 +282,7 @@ def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
         ]
     ):
         _write(tmp_path, [f"{number},1,0,1,0,1{truth}"] * 8 * count, name)
-    _write(tmp_path, ["[true, false]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
+    _write(tmp_path, ["[true, false]"], OF_CLOTH)
     for name in ("cloth/frames/7", "cloth/frames/8", "rod/frames/10", "rod/frames/9"):
         _write(tmp_path, ["ply"], f"simulation/{name}.ply")
     _write(tmp_path, ["notes"], "README.md")
@@ -342,16 +306,14 @@ def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
     assert frames == {"simulation/cloth": ["7.ply", "8.ply"], "simulation/rod": ["9.ply", "10.ply"]}
     assert list(datasets.find_steps(tmp_path / "simulation" / "rod")) == ["rod"]
 
-    for find in (datasets.find_queries, datasets.find_steps):
-        with pytest.raises(ValueError, match=r"README\.md is not a folder; expected the public data"):
-            find(tmp_path / "README.md")
-    _write(tmp_path, ["[true]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
-    with pytest.raises(ValueError, match=r"7ee_mma_bool\.json has 1 truths; expected 2, one a query of .*7ee\.csv"):
-        datasets.find_queries(tmp_path)
-    _write(tmp_path, ["[true, false]"], "simulation/cloth/mma_bool/7ee_mma_bool.json")
-    _write(tmp_path, QUERY, "simulation/cloth/queries/8ee.csv")
-    with pytest.raises(ValueError, match=r"of simulation/cloth: the truth of .*8ee\.csv"):
-        datasets.find_queries(tmp_path)
-    _write(tmp_path, ["ply"], "simulation/rod/frames/11.ply")
-    with pytest.raises(ValueError, match=r"frames holds .*; expected two frames named by numbers, such as 1\.ply"):
-        datasets.find_steps(tmp_path)
+    queries, steps = datasets.find_queries, datasets.find_steps
+    for find, name, rows_of_file, message in (
+        (queries, "README.md", ["notes"], r"README\.md is not a folder; expected the public data"),
+        (queries, OF_CLOTH, ["[true]"], r"7ee_mma_bool\.json has 1 truths; expected 2, one a query of .*7ee\.csv"),
+        (queries, OF_CLOTH, ["[true, false]"], None),
+        (queries, "simulation/cloth/queries/8ee.csv", QUERY, r"of simulation/cloth: the truth of .*8ee\.csv"),
+        (steps, "simulation/rod/frames/11.ply", ["ply"], r"frames holds .*; expected two frames named by numbers"),
+    ):
+        path = _write(tmp_path, rows_of_file, name)
+        with pytest.raises(ValueError, match=message) if message else nullcontext():
+            find(path if name == "README.md" else tmp_path)

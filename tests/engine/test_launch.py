@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import warp as wp
 from expected_warnings import OF_ROUNDING
-from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball, soup
+from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball
 
 import ccd_warp as ccd
 from ccd_warp import LaunchFlag
@@ -84,20 +84,6 @@ def test_capacities_for_which_there_is_no_memory_are_named_and_the_pipeline_goes
         ccd.CollisionPipeline(mesh, max_contacts=2**31 - 1).launch(start, end)
 
 
-def test_static_bodies_stay_where_a_launch_had_them_when_more_is_reserved():
-    mesh, low, _ = falling(static=[0])
-    start = low - [0, 0, 5.0] * (mesh.vertex_body == 0)[:, None] - [0, 0, 3.0] * (mesh.vertex_body == 1)[:, None]
-    end = start - [0, 0, 6.0] * (mesh.vertex_body == 1)[:, None]  # through the one that was put at -5
-    pipeline, moving = ccd.CollisionPipeline(mesh), mesh.moving_vertices
-    pipeline.launch(start, end)
-    pipeline.reserve(max_pairs=10_000)
-    result = pipeline.launch(start[moving], end[moving])
-    check_same(result, ccd.mesh_ccd(mesh, start, end))
-    assert result.toi.numpy()[0] == pytest.approx(0.5)
-    pipeline.reserve(vertices=mesh.vertices)
-    assert pipeline.launch(start[moving], end[moving]).toi.numpy()[0] == np.inf
-
-
 # --- what stops ---
 
 
@@ -144,38 +130,32 @@ def test_what_cannot_be_stops_its_world_alone_and_once(of, value, dtype):
     )
 
 
-@pytest.mark.parametrize("far", [1e40, 1e300])
-@pytest.mark.parametrize("count", [20, 5_000])
-def test_face_whose_box_is_infinite_in_quantized_coordinates(count, far):
-    rng = np.random.default_rng(0)
-    bodies = [soup(rng, count, 1e-3, spread=2.0), (np.eye(3), FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
-    start, end = mesh.vertices.copy(), mesh.vertices + [0, 0, 0.01]
-    pipeline = ccd.CollisionPipeline(mesh, max_pairs=60_000, max_contacts=60_000)
-    pipeline.reserve(vertices=start)
-    start[-2:] = end[-2:] = np.array([[far], [-far]])
-    result, expected = pipeline.launch(start, end).to_host(), ccd.mesh_ccd(mesh, start, end)
-    assert result.flags or (result.vertex_toi <= expected.vertex_toi).all()
-    assert ccd.collision_free_step(mesh, start, end) <= min(expected.toi, 1.0)
-
-
 # --- captures ---
 
 
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_capture_follows_a_static_body_that_is_moved(broad_phase):
-    mesh, start, end = named_cloth_and_ball()
-    pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase, max_contacts=60_000)
-    vertices_t0, vertices_t1 = array(start), array(end)
-    result = pipeline.launch(vertices_t0, vertices_t1)
-    with wp.ScopedCapture() as capture:
-        pipeline.launch(vertices_t0, vertices_t1)
-    for shift in (0.05, 0.6, 0.6, 3.0, 0.0):
-        a, b = (x + [shift, 0, 0] * mesh.static[mesh.vertex_body][:, None] for x in (start, end))
-        vertices_t0.assign(a)
-        vertices_t1.assign(b)
-        wp.capture_launch(capture.graph)
-        check_same(result, ccd.mesh_ccd(mesh, a, b))
+def test_graphs_and_launches_of_what_moves_follow_a_static_body_and_its_radius(broad_phase):
+    mesh, start, end = falling(static=[0], radius=0.0)
+    pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase)
+    whole, moving = ([array(x[rows]) for x in (start, end)] for rows in (slice(None), mesh.moving_vertices))
+    result, graphs = pipeline.launch(*whole), []
+    for frames in (whole, moving):
+        with wp.ScopedCapture() as capture:
+            pipeline.launch(*frames)
+        graphs.append(capture.graph)
+    replays = [lambda graph=graph: wp.capture_launch(graph) for graph in graphs]  # the first one puts the static body
+    for shift, radius in ((0.0, 0.75), (-0.5, 0.0), (0.25, 0.625), (-3.0, 0.125), (0.5, 0.0)):
+        for of_frame, x in zip(whole, (start, end), strict=True):
+            of_frame.assign(x + [0, 0, shift] * (mesh.vertex_body == 0)[:, None])
+        pipeline.radius.assign([radius] * 3 + [0.0] * 3)
+        toi = (1.0 - shift - radius) / 2 if shift > -1 else np.inf
+        for replay in (*replays, lambda: pipeline.launch(*moving)):
+            replay()
+            assert result.toi.numpy()[0] == pytest.approx(toi, rel=1e-12)
+    pipeline.reserve(max_pairs=10_000)  # which lets static bodies stay where they are
+    assert pipeline.launch(*moving).toi.numpy()[0] == pytest.approx(toi)
+    pipeline.reserve(vertices=mesh.vertices)
+    assert pipeline.launch(*moving).toi.numpy()[0] == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("options", [{}, {"static": [0]}, {"body_pairs": ~np.eye(2, dtype=bool), "exclusion_rings": 2}])

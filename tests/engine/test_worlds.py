@@ -50,22 +50,18 @@ def test_every_call_takes_positions_with_an_axis_of_worlds_and_launches_write_th
     expected = ccd.mesh_ccd(mesh, *flat)
     assert expected.world_toi.tolist() == [alone.toi, alone.toi, np.inf, np.inf] and alone.hit
     assert expected.first.world == 0 and expected.first.body_names == tuple(f"{n}[0]" for n in alone.first.body_names)
-    assert np.bincount(expected.contacts.world).tolist() == [len(alone.contacts)] * 2
     for t1 in (end, end[:, :25]):  # all, or the cloths alone
         assert np.array_equal(ccd.mesh_ccd(mesh, array(start), array(t1)).vertex_toi, expected.vertex_toi)
     searched = ccd.line_search(mesh, array(start), array(end), per="world").vertices
     assert np.array_equal(searched, ccd.line_search(mesh, *flat, per="world").vertices)
     if make == "list":
         return  # launches take arrays alone
-    pipeline = ccd.CollisionPipeline(mesh)
+    pipeline, wished = ccd.CollisionPipeline(mesh), array(end)
     pipeline.reserve(vertices=start)
-    result = pipeline.launch(array(start), array(end)).to_host()
-    assert np.array_equal(result.world_toi, expected.world_toi)
-    assert np.array_equal(result.contacts.points, expected.contacts.points)
-    assert np.array_equal(pipeline.launch(array(start), array(end[:, :25])).world_toi.numpy(), expected.world_toi)
+    for t1 in (end, end[:, :25]):
+        assert np.array_equal(pipeline.launch(array(start), array(t1)).world_toi.numpy(), expected.world_toi)
     moved = pipeline.launch(array(start), displacements=array(end - start)).world_toi.numpy()
     assert np.isfinite(moved).tolist() == [True, True, False, False]
-    wished = array(end)
     pipeline.launch_line_search(array(start), wished, per="world")
     shortened = (wished.numpy() if isinstance(wished, wp.array) else wished).reshape(end.shape)
     assert (shortened[:2, :25, 2] > end[:2, :25, 2]).all() and np.array_equal(shortened[2:], end[2:])
@@ -80,12 +76,8 @@ def test_copies_of_several_worlds_have_an_axis_of_copies_and_worlds_of_different
     twice = cloth_and_ball_in_worlds(2)[1].replicate(3)
     for blocks in (6, 3, 2, 1):
         assert np.array_equal(twice.frame(twice.vertices.reshape(blocks, -1, 3)), twice.vertices)
-    for of, x, message in (
-        (mesh, mesh.vertices.reshape(7, 3, 3), r"\(7, 3, 3\); expected .*, or \(3, 7, 3\), with an axis"),
-        (one, one.vertices[:, None], r"\(7, 1, 3\); expected \(7, 3\) one row a vertex"),
-    ):
-        with pytest.raises(ValueError, match=rf"vertices_t0 has shape {message}"):
-            of.frame(x)
+    with pytest.raises(ValueError, match=r"vertices_t0 has shape \(7, 1, 3\); expected \(7, 3\) one row a vertex"):
+        one.frame(one.vertices[:, None])
 
 
 # --- in quantized coordinates ---

@@ -138,8 +138,6 @@ OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 STL = "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
 BASE = {"ply": PLY, "off": OFF, "obj": OBJ, "stl": STL, "xdmf": XDMF, "dae": "<COLLADA>?</COLLADA>"}
 MALFORMED = [  # of a format: what stands in place of what, and what the message says
-    ("ply", "element face 6", "element face 7", "holds 6 rows of the element 'face', and its h.* 7"),
-    ("ply", "3 6 7 8", "4 6 7 8", "line 26 says 4 corners and holds 3 numbers behind that"),
     ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds '7\.5'; expected an integer"),
     ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
@@ -173,7 +171,6 @@ def gltf(change):
 @pytest.mark.parametrize(
     "name, damage, message",
     [
-        ("binary.stl", lambda data: data[:-50], "has 334 bytes, but its header says 6 faces, which take 384"),
         ("binary.ply", lambda data: data + b"\n", "holds 1 bytes more than its header says"),
         # A row of three corners that says one, and one that takes a number of the next row.
         ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "is a triangle of 1 corners"),
@@ -237,18 +234,16 @@ def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name):
 
 def test_archive_that_states_less_than_it_holds_is_refused(tmp_path):
     """Packed by bzip2 or LZMA, Python unpacks all that there is, whatever size is stated: here a thousand bytes."""
-    cases = [(zipfile.ZIP_DEFLATED, "a.zip", "a.ply", r"a\.zip: cannot be unpacked")]
-    for method, name, member in (
-        (zipfile.ZIP_BZIP2, "a.3mf", "3D/3dmodel.model"),
-        (zipfile.ZIP_LZMA, "a.npz", "a.npy"),
+    for method, name, member, message in (
+        (zipfile.ZIP_DEFLATED, "a.zip", "a.ply", "cannot be unpacked"),
+        (zipfile.ZIP_BZIP2, "a.3mf", "3D/3dmodel.model", ".*3D/3dmodel.model is packed in a way that is not read"),
+        (zipfile.ZIP_LZMA, "a.npz", "a.npy", ".*a.npy is packed in a way that is not read"),
     ):
-        cases.append((method, name, member, f"{name}: .*{member} is packed in a way that is not read"))
-    for method, name, member, message in cases:
         packed = bytearray(zipped({member: bytes(3_000_000)}, method))
         for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
             at = packed.index(signature) + offset
             packed[at : at + 4] = (1000).to_bytes(4, "little")
-        refused(tmp_path / name, bytes(packed), message)
+        refused(tmp_path / name, bytes(packed), f"{name}: {message}")
 
 
 @pytest.mark.parametrize("name", ["a.zip", "a.npz"])
