@@ -4,8 +4,7 @@ A Warp kernel evaluates the intermediate quantities of each step by calling the 
 reference computes them from the input points alone. The search climbs with the reference in extended precision, which
 is fast and eleven bits better than float64; what it ends with is judged in exact rational arithmetic. A ratio of 1 or
 more breaks the guarantee; one that stays below 0.1 says that the bound is lazy.
-
-The largest ratios are printed with `pytest -s`, and recorded as properties of the tests.
+The largest ratios are recorded as properties of the tests.
 """
 
 from fractions import Fraction
@@ -24,6 +23,8 @@ from exact import exact_distance_tois, exact_tois
 from hard_cases import FAMILIES
 from numpy.lib.recfunctions import structured_to_unstructured
 from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, exactly
+
+POINTS = wp.array2d[wp.vec3d]
 
 
 def struct(name: str, fields: list):
@@ -61,16 +62,9 @@ def make_probe(real):
     Found = struct("Found", [*fields, ("restricted separation_offset", Hull)])
 
     @wp.kernel(module=module)
-    def probe(
-        kind: int,
-        vertices_t0: wp.array2d[wp.vec3d],
-        vertices_t1: wp.array2d[wp.vec3d],
-        options: Options,
-        given: wp.array[Given],
-        out: wp.array[Found],
-    ):
+    def probe(kind: int, x0: POINTS, x1: POINTS, options: Options, given: wp.array[Given], out: wp.array[Found]):
         i = wp.tid()
-        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
+        n = normalise(kind, row_points(x0, i), row_points(x1, i), options)
         start, end = n.patch.t0, n.patch.t1
         f, separation, error = n.problem.volume, n.problem.separation, n.problem.error
         g = given[i]
@@ -124,7 +118,7 @@ def make_probe(real):
 
 # ---- The reference, in any arithmetic --------------------------------------------------------------------------------
 
-_SLACK = 1.001  # of steps 2 and 3
+_SLACK, ENDS = 1.001, ("vertices_t0", "vertices_t1")  # the slack of steps 2 and 3
 
 
 def extended(values: np.ndarray) -> np.ndarray:
@@ -158,10 +152,9 @@ class Sample:
         self.u = convert(np.array(unit_roundoff))[()]
         self.constant = lambda x: convert(np.array(x))[()]
         self.found = lambda name: convert(plain(out[name]))
-        self.d, self.margin, self.h = (convert(inputs[name]) for name in ("d", "margin", "h"))
+        self.d, self.margin, self.h, *points = (convert(inputs[x]) for x in ("d", "margin", "h", *ENDS))
         self.weights = [convert(inputs[name])[:, None] for name in ("u", "v", "t", "x")]
         unit, self.m = self.found("unit"), self.found("size")
-        points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
         # (corner, side) as in kernels/pair/patch.py, from the definition of each pair kind
         self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in (*CORNERS[kind], (0, 3))[:4]] for p in points]
         self.sides = [[(p[:, i] - p[:, j]) / unit for i, j in SIDES[kind]] for p in points]
@@ -328,7 +321,7 @@ def evaluated(kind: str, inputs: dict, real: str, separation: float) -> np.ndarr
     given = np.zeros(len(inputs["vertices_t0"]), dtype=Given.numpy_dtype())
     for field in given.dtype.names:
         given[field] = inputs.get(field, 0)
-    x = [wp.array(inputs[f"vertices_{end}"], dtype=wp.vec3d) for end in ("t0", "t1")]
+    x = [wp.array(inputs[name], dtype=wp.vec3d) for name in ENDS]
     out = wp.zeros(len(given), dtype=Found)
     wp.launch(probe, len(given), [KINDS[kind], *x, options, wp.array(given, dtype=Given)], outputs=[out])
     return out.numpy()
@@ -349,15 +342,13 @@ def searched(kind: str, real: str, name: str, *, samples: int, generations: int,
         child = as_taken(mutated(parents, real, rng), real)
         found = ratios(child, extended)
         for field, values in child.items():
-            better = (found > best).reshape(-1, *[1] * (values.ndim - 1))
-            parents[field] = np.where(better, values, parents[field])
+            parents[field][found > best] = values[found > best]
         best = np.maximum(found, best)
         if generation % 10 == 9:
             # the worse half starts again from the better one
             order, half = np.argsort(best), samples // 2
-            for values in parents.values():
+            for values in (*parents.values(), best):
                 values[order[:half]] = values[order[-half:]]
-            best[order[:half]] = best[order[-half:]]
     top = np.argsort(best)[-6:]
     return float(ratios({field: values[top] for field, values in parents.items()}, exactly).max())
 
@@ -366,7 +357,6 @@ def searched(kind: str, real: str, name: str, *, samples: int, generations: int,
 @pytest.mark.parametrize("name", STEPS)
 def test_bound_holds_and_is_not_lazy(name, real, record_property):
     ratios = {kind: searched(kind, real, name, samples=192, generations=24, seed=41) for kind in KINDS}
-    print(f"\n{name}, {real}: {ratios}")
     record_property("largest_ratio", ratios)
     assert (0.0 if name == "step_9_separation" else 0.1) < max(ratios.values()) < 1
 
@@ -381,7 +371,7 @@ every_kind, every_real = pytest.mark.parametrize("kind", KINDS), pytest.mark.par
 
 def clip_times(kind: str, points: tuple, real: str, separation: float, **given) -> tuple[np.ndarray, np.ndarray]:
     """Times that each clip reports, and the normalised unit of each axis."""
-    out = evaluated(kind, {"vertices_t0": points[0], "vertices_t1": points[1], **given}, real, separation)
+    out = evaluated(kind, dict(zip(ENDS, points, strict=True)) | given, real, separation)
     return out["clips"].astype(np.float64), out["unit"]
 
 
