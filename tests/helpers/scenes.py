@@ -59,16 +59,6 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1):
     return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
 
 
-def all_in_one_place(seed, num_faces=60, num_particles=200):
-    """All boxes hold the origin, those of a moving body, a static body, cables and particles."""
-    rng = np.random.default_rng(seed)
-    bodies = [(*soup(rng, num_faces, 0.2, spread=0.0), []) for _ in range(2)]
-    particles = 0.01 * rng.standard_normal((num_particles, 3))
-    cables = np.arange(num_particles // 2).reshape(-1, 2)
-    mesh = ccd.CollisionMesh.from_arrays([*bodies, (particles, [], cables)], static=[0], codimensional_points=True)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
-
-
 def random_pairs(kind, count=200, seed=0, dimension=3):
     """Points of pairs at both ends of a step, [count, 4, 3] or as the kind has it, in which some touch."""
     start = np.random.default_rng(seed).uniform(-1, 1, (count, CORNERS[kind], dimension))

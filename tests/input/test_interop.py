@@ -1,9 +1,7 @@
 """Arrays of other libraries in and out, in the same memory: the pointers say that nothing was copied.
 
-What a library is asked for while a stream is captured is tested by a stand-in for its array, which keeps the rules of
-``__dlpack__`` as the three libraries have them (PyTorch ``torch/_tensor.py``, CuPy ``cupy/_core/core.pyx``, JAX
-``jaxlib/dlpack.cc``): a stream that is not the library's own waits for an event of the library's stream, and CUDA ends
-a capture on a stream that is told to wait for an event from outside it.
+A stand-in keeps the rules of ``__dlpack__`` as PyTorch, CuPy and JAX have them: a stream that is not the library's own
+waits for an event of the library's stream, and CUDA ends a capture on a stream that is told to wait for such an event.
 """
 
 from types import SimpleNamespace
@@ -22,56 +20,42 @@ START = np.concatenate([BULLET, WALL])
 END = np.concatenate([BULLET + [2.0, 0, 0], WALL])
 MESH = ccd.CollisionMesh.from_arrays([(BULLET, [[0, 1, 2]]), (WALL, [[0, 1, 2]])])
 PAIR = [np.stack([x[[0, 3, 4, 5]]]) for x in (START, END)]
-
-
-@pytest.fixture
-def pipeline():
-    return ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")  # where these arrays are
-
-
-class Library:
-    """NumPy, or a library beside it: how to make an array, to find where it is, and to read an array of Warp."""
-
-    def __init__(self, name):
-        self.name = name
-        self.module = np if name == "numpy" else pytest.importorskip(name)
-        if name == "jax":
-            self.module.config.update("jax_enable_x64", True)
-        made = {"numpy": np.array, "torch": lambda x: self.module.from_numpy(np.array(x))}
-        self.array = made.get(name) or self.module.numpy.array
-        self.from_warp = (self.module.dlpack if name == "jax" else self.module).from_dlpack
-
-    def pointer(self, array):
-        if self.name == "numpy":
-            return array.ctypes.data
-        return array.data_ptr() if self.name == "torch" else array.unsafe_buffer_pointer()
+ON_CPU = ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu")  # where these arrays are
 
 
 @pytest.fixture(params=["numpy", "torch", "jax"])
 def library(request):
-    return Library(request.param)
+    """NumPy, or a library beside it: how to make an array, to find where it is, and to read an array of Warp."""
+    name = request.param
+    module = np if name == "numpy" else pytest.importorskip(name)
+    if name == "jax":
+        module.config.update("jax_enable_x64", True)
+    array, pointer, read = {
+        "numpy": lambda: (np.array, lambda x: x.ctypes.data, np.from_dlpack),
+        "torch": lambda: (lambda x: module.from_numpy(np.array(x)), lambda x: x.data_ptr(), module.from_dlpack),
+        "jax": lambda: (module.numpy.array, lambda x: x.unsafe_buffer_pointer(), module.dlpack.from_dlpack),
+    }[name]()
+    return SimpleNamespace(name=name, array=array, pointer=pointer, from_warp=read)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
-def test_launch_reads_where_it_is_and_results_go_out_where_they_are(library, dtype, pipeline):
+def test_launch_reads_where_it_is_and_results_go_out_where_they_are(library, dtype):
     start, end = library.array(START.astype(dtype)), library.array(END.astype(dtype))
-    result = pipeline.launch(start, end)
+    result = ON_CPU.launch(start, end)
     expected = ccd.mesh_ccd(MESH, START.astype(dtype), END.astype(dtype), length_scale=1.0)
     assert ccd.mesh_ccd(MESH, start, end, length_scale=1.0).toi == expected.toi < np.inf
     np.testing.assert_array_equal(MESH.frames(start, end)[1], END.astype(dtype))
     of_warp = wp.array(START, dtype=wp.vec3d, device="cpu")
     assert MESH.frames(of_warp, of_warp)[0].ctypes.data == of_warp.ptr
     np.testing.assert_array_equal(result.vertex_toi.numpy(), expected.vertex_toi)
-    for name in ("toi", "vertex_toi", "body_toi", "world_toi", "flags"):
-        array = getattr(result, name)
+    for array in (result.toi, result.vertex_toi, result.body_toi, result.world_toi, result.flags):
         theirs = library.from_warp(array)
         assert library.pointer(theirs) == array.ptr
         np.testing.assert_array_equal(np.asarray(theirs), array.numpy())
     assert np.asarray(library.from_warp(result.contacts.normal)).shape == (len(result.contacts.kind), 3)
     if library.name != "jax":  # whose arrays do not change
         points = result.contacts.points.numpy()[: len(expected.contacts)].copy()
-        for array in (start, end):
-            array[:] += 1.0
+        start[:], end[:] = start + 1.0, end + 1.0
         is_copied = library.name == "numpy" or dtype is np.float32  # so few positions, or converted by the kernel
         moved = result.contacts.points.numpy()[: len(points)] - points
         np.testing.assert_allclose(moved, 0.0 if is_copied else 1.0, atol=1e-6)
@@ -93,65 +77,54 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
     assert np.asarray(toi)[0] == pytest.approx(0.5, abs=1e-12)
 
 
-def test_line_search_writes_where_it_is(library, pipeline):
-    start, wished = library.array(START), library.array(END)
-    if library.name == "jax":
-        with pytest.raises(ValueError, match="vertices_t1 is an array of JAX, which does not change"):
-            pipeline.launch_line_search(start, wished)
-        return
-    pipeline.launch_line_search(start, wished, safety=0.9)
-    assert np.asarray(wished)[:3, 0].max() == pytest.approx(0.1 + 0.9 * 0.9)
-    if library.name == "numpy":
+def test_line_search_writes_where_it_is(library):
+    start, wished, is_numpy = library.array(START), library.array(END), library.name == "numpy"
+    if library.name != "jax":
+        ON_CPU.launch_line_search(start, wished, safety=0.9)
+        assert np.asarray(wished)[:3, 0].max() == pytest.approx(0.1 + 0.9 * 0.9)
+    if is_numpy:
         wished.flags.writeable = False
-        with pytest.raises(ValueError, match="vertices_t1 is read-only; expected an array that can be written to"):
-            pipeline.launch_line_search(start, wished)
+    if library.name != "torch":
+        message = (
+            "read-only; expected an array that can be written to" if is_numpy else "an array of JAX, which does not"
+        )
+        with pytest.raises(ValueError, match=f"vertices_t1 is {message}"):
+            ON_CPU.launch_line_search(start, wished)
 
 
 # ---- What cannot be read ---------------------------------------------------------------------------------------------
 
 
-def foreign(name, device=(1, 0), **members):
+def foreign(name, device=(1, 0), error=None, **members):
     """An array of six positions that cannot be shared, on a device or one that it does not tell."""
 
     def refuse(*_, **__):
-        raise BufferError("not now")
+        raise error or BufferError("not now")
 
     def where(_):
-        if isinstance(device, Exception):
-            raise device
-        return device
+        return refuse() if device is None else device
 
-    return type(name, (), {"shape": (6, 3), "__dlpack__": refuse, "__dlpack_device__": where} | members)()
-
-
-def _grad(*_, **__):
-    raise RuntimeError("Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead.")
+    of_array = {"shape": (6, 3), "__dlpack__": refuse, "__dlpack_device__": where}
+    return type(name, (), of_array | dict.fromkeys(members, refuse))()
 
 
-OF_GRAD, SILENT = foreign("Grad", __array__=_grad, __dlpack__=_grad), foreign("Silent", TypeError("deleted"))
-FAR, CANNOT = foreign("Far", (2, 99)), "is a Grad that cannot be shared: .*detach.*; expected one that can"
+NO_NUMPY = "Can't call numpy() on Tensor that requires grad. Use tensor.detach().numpy() instead."
+OF_GRAD = foreign("Grad", error=RuntimeError(NO_NUMPY), __array__=True)
+SILENT, FAR = foreign("Silent", None, TypeError("deleted")), foreign("Far", (2, 99))
+CANNOT, DELETED = "is a Grad that cannot be shared: .*detach.*; expected one that can", "cannot be shared: deleted"
 
 
-def of_step(start, end):
-    return ccd.mesh_ccd(MESH, start, end)
+of_step, of_launch = ON_CPU.mesh_ccd, ON_CPU.launch
+REFUSED = [
+    (of_step, (START, FAR), "vertices_t1 is a Far on a GPU; expected an array on the host"),
+    (of_launch, (FAR, END), "vertices_t0 is a Far on cuda:99; expected it on one of cpu"),
+    *((call, (SILENT, END), f"vertices_t0 is a Silent that {DELETED}") for call in (of_step, of_launch)),
+    *((call, (START, OF_GRAD), f"vertices_t1 {CANNOT}") for call in (of_step, of_launch)),
+    (lambda x: ccd.CollisionMesh.from_arrays([(x, [[0, 1, 2]])]), (OF_GRAD,), f"vertices {CANNOT}"),
+]
 
 
-def of_launch(start, end):
-    return ccd.CollisionPipeline(MESH, length_scale=1.0, device="cpu").launch(start, end)
-
-
-@pytest.mark.parametrize(
-    ("call", "arrays", "message"),
-    [
-        (of_step, (START, FAR), "vertices_t1 is a Far on a GPU; expected an array on the host"),
-        (of_launch, (FAR, END), "vertices_t0 is a Far on cuda:99; expected it on one of cpu"),
-        (of_launch, (SILENT, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
-        (of_step, (SILENT, END), "vertices_t0 is a Silent that cannot be shared: deleted"),
-        (of_launch, (START, OF_GRAD), f"vertices_t1 {CANNOT}"),
-        (of_step, (START, OF_GRAD), f"vertices_t1 {CANNOT}"),
-        (lambda x: ccd.CollisionMesh.from_arrays([(x, [[0, 1, 2]])]), (OF_GRAD,), f"vertices {CANNOT}"),
-    ],
-)
+@pytest.mark.parametrize(("call", "arrays", "message"), REFUSED)
 def test_an_array_that_cannot_be_shared_is_named(call, arrays, message):
     with pytest.raises(ValueError, match=message):
         call(*arrays)
@@ -175,10 +148,7 @@ def test_tensors_that_cannot_be_read_are_named():
 # ---- While a stream is captured --------------------------------------------------------------------------------------
 
 STREAM, CUDA, PINNED, MANAGED = 7, 2, 3, 13
-
-
-class CaptureLost(RuntimeError):
-    """CUDA's error 905: a dependency on work outside the capture."""
+LOST = "operation would create a dependency on work outside the capture"  # CUDA's error 905
 
 
 class Array:
@@ -192,26 +162,21 @@ class Array:
 
     def __dlpack__(self, *, stream=None):
         self.asked.append(stream)
-        self.synchronize(stream)
+        assert self.may_wait(stream), LOST
         return self.values.__dlpack__()
 
-    def synchronize(self, stream):
+    def may_wait(self, stream):
         """As PyTorch and CuPy do: -1 says to do nothing, and no stream at all is the default stream."""
-        if self.kind == PINNED:
-            assert stream is None or stream == -1, "stream should be None on cpu."  # in PyTorch's words
-        elif stream != -1 and self.device.is_capturing:
-            raise CaptureLost("operation would create a dependency on work outside the capture")
+        return stream in (None, -1) if self.kind == PINNED else stream == -1 or not self.device.is_capturing
 
 
 class ArrayOfJax(Array):
     """As JAX does: any number is the address of a stream, and without one the host waits."""
 
-    def synchronize(self, stream):
-        if stream is not None and (stream != STREAM or self.device.is_capturing):
-            raise CaptureLost(f"there is no stream at {stream}, or it is captured")
+    __module__ = "jaxlib._jax"
 
-
-ArrayOfJax.__module__ = "jaxlib._jax"
+    def may_wait(self, stream):
+        return stream is None or (stream == STREAM and not self.device.is_capturing)
 
 
 @pytest.fixture
@@ -223,24 +188,22 @@ def gpu(monkeypatch):
     return device
 
 
-@pytest.mark.parametrize(
-    ("make", "kind", "is_capturing", "asked"),
-    [
-        *((Array, kind, True, -1) for kind in (CUDA, MANAGED)),
-        *((ArrayOfJax, kind, True, None) for kind in (CUDA, MANAGED)),
-        *((make, CUDA, False, STREAM) for make in (Array, ArrayOfJax)),
-        *((Array, PINNED, is_capturing, None) for is_capturing in (False, True)),  # has no stream
-    ],
-)
+# The array, its memory, whether a stream is captured, and the stream that it is asked for.
+ASKED = [(make, kind, True, asked) for make, asked in ((Array, -1), (ArrayOfJax, None)) for kind in (CUDA, MANAGED)]
+ASKED += [(make, CUDA, False, STREAM) for make in (Array, ArrayOfJax)]
+ASKED += [(Array, PINNED, is_capturing, None) for is_capturing in (False, True)]  # has no stream
+
+
+@pytest.mark.parametrize(("make", "kind", "is_capturing", "asked"), ASKED)
 def test_a_capture_does_not_wait_for_another_library_and_the_stream_of_warp_does(gpu, make, kind, is_capturing, asked):
     theirs = make(np.arange(12.0).reshape(4, 3), gpu, kind)
     gpu.is_capturing = is_capturing
     assert as_warp(theirs, "vertices_t0").ptr == theirs.values.ctypes.data and theirs.asked == [asked]
 
 
-def test_a_launch_and_pairs_take_arrays_of_a_library_in_a_capture(gpu, pipeline):
+def test_a_launch_and_pairs_take_arrays_of_a_library_in_a_capture(gpu):
     gpu.is_capturing = True
-    assert pipeline.launch(Array(START, gpu), Array(END, gpu)).toi.numpy()[0] == pipeline.mesh_ccd(START, END).toi
+    assert ON_CPU.launch(Array(START, gpu), Array(END, gpu)).toi.numpy()[0] == ON_CPU.mesh_ccd(START, END).toi
     pairs = ccd.vertex_face_ccd(*(Array(x, gpu) for x in PAIR), device="cpu")
     assert pairs.toi.numpy()[0] == ccd.vertex_face_ccd(*PAIR).toi[0]
 

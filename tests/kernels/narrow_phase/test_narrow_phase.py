@@ -47,7 +47,8 @@ def test_family(family, kind, precision):
 
 TOLERANCES, TIMES = (1e-1, 1e-3, 1e-9, 1e-12, 1e-300), (0.0, 1e-9, 0.1, 0.5, 1 - 2.0**-53)
 CLOSE = ("random", "lattice", "one_plane", "parallel_edges", "slivers", "touching_at_start")
-UNIT = {"length_scale": 1.0}
+OF_BISECTION = ("random", "lattice", "random_colliding", "parallel_edges", "contact_exactly_at_end")
+UNIT, BISECTION = {"length_scale": 1.0}, {"method": "bisection"}
 # Families, how many of each, a seed, and options.
 SETS = {
     "tolerance": [(("lattice", "random_colliding", "slivers"), 60, 21, {"tolerance": x}) for x in TOLERANCES],
@@ -96,11 +97,9 @@ def test_iteration_limit_is_conservative_and_monotone(kind, precision):
 
 
 @every_kind
-@pytest.mark.parametrize(
-    "family", ["random", "lattice", "random_colliding", "parallel_edges", "contact_exactly_at_end"]
-)
+@pytest.mark.parametrize("family", OF_BISECTION)
 def test_bisection_is_conservative_and_agrees(family, kind, precision):
-    points, options = drawn(kind, [family], 60, 32), {"method": "bisection", "tolerance": 1e-2}
+    points, options = drawn(kind, [family], 60, 32), BISECTION | {"tolerance": 1e-2}
     found, result, _ = failures(kind, *points, precision=precision, **options)
     capped, clipped = result.status == LIMIT, SOLVE[kind](*points, precision=precision)
     assert not [failure for failure in found if failure[1] in ("missed", "late")] and capped.mean() < 0.2
@@ -113,9 +112,14 @@ def test_bisection_is_conservative_and_agrees(family, kind, precision):
 # --- parameters ---
 
 
-def least_gaps(kind, points_t0, points_t1, result):
-    """The exact distance of each pair at its toi."""
-    return np.array([exact_distance(kind, *pair) for pair in zip(points_t0, points_t1, result.toi, strict=True)])
+def own_hits(kind, points, least, **options):
+    """Those of the pairs that touch, what the parameters name at their toi, and the exact distances there."""
+    hit = SOLVE[kind](*points, **options).hit
+    assert hit.sum() > least
+    points = [x[hit] for x in points]
+    result = SOLVE[kind](*points, **options)
+    gaps = [exact_distance(kind, *pair) for pair in zip(*points, result.toi, strict=True)]
+    return points, result.parameters, named_vector(kind, *points, result), np.array(gaps)
 
 
 def sliver_pairs(kind, aspect, rng):
@@ -147,32 +151,22 @@ def test_parameters_within_a_separation_are_of_the_closest_point(limit, kind, ma
     """Many start within the separation, where any point would do for the toi."""
     points = make(kind, shape, np.random.default_rng(5))
     options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision, **limit}
-    hit = SOLVE[kind](*points, **options).hit
-    assert hit.sum() > 20
-    points = [x[hit] for x in points]
-    result = SOLVE[kind](*points, **options)
+    points, parameters, apart, gaps = own_hits(kind, points, 20, **options)
     # a foot is a chain of about ten roundings, and corners at toi carry their own (kernels/pair/rounding.py)
     slack = 120 * UNIT_ROUNDOFF[precision] * np.abs(points).max(axis=(0, 2, 3))
-    apart = np.linalg.norm(named_vector(kind, *points, result), axis=1)
-    assert (apart <= least_gaps(kind, *points, result) + slack).all()
-    assert (result.parameters >= 0).all()
+    assert (np.linalg.norm(apart, axis=1) <= gaps + slack).all() and (parameters >= 0).all()
     # a sum of two numbers of float32 may be above 1 by a rounding
-    assert (result.parameters.sum(axis=1) <= (2 if kind == "edge-edge" else 1) + 2.0**-23).all()
+    assert (parameters.sum(axis=1) <= (2 if kind == "edge-edge" else 1) + 2.0**-23).all()
 
 
 @every_kind
-@pytest.mark.parametrize("options", [{}, {"method": "bisection", "tolerance": 1e-2}])
+@pytest.mark.parametrize("options", [{}, BISECTION | {"tolerance": 1e-2}])
 def test_parameters_name_the_point_of_contact(kind, options):
-    p0, p1 = drawn(kind, ["random_colliding"], 200, 29)
-    hit = SOLVE[kind](p0, p1, **options).hit
-    p0, p1 = p0[hit], p1[hit]
-    result = SOLVE[kind](p0, p1, **options)
-    vectors = named_vector(kind, p0, p1, result)
-    assert hit.sum() > 100
+    points, _, vectors, gaps = own_hits(kind, drawn(kind, ["random_colliding"], 200, 29), 100, **options)
     if not options:  # the tolerance, and 1e-12 for the arithmetic of this check
-        assert (np.abs(vectors).max(axis=1) <= 1e-6 * size_of(p0, p1) + 1e-12).all()
-        return
-    assert (np.linalg.norm(vectors, axis=1) <= least_gaps(kind, p0, p1, result) * (1 + 1e-12)).all()
+        assert (np.abs(vectors).max(axis=1) <= 1e-6 * size_of(*points) + 1e-12).all()
+    else:
+        assert (np.linalg.norm(vectors, axis=1) <= gaps * (1 + 1e-12)).all()
 
 
 # --- scale and lanes ---
@@ -186,38 +180,32 @@ def test_power_of_two_scale_changes_no_bit(distance, kind, precision):
     for exponent in (-900, -200, -1, 1, 10, 200, 900):
         scaled = [np.ldexp(x, exponent) for x in points]
         result = SOLVE[kind](*scaled, precision=precision, minimum_distance=np.ldexp(distance, exponent))
-        assert result.toi.tobytes() == expected.toi.tobytes()
-        assert result.parameters.tobytes() == expected.parameters.tobytes()
+        assert all(getattr(result, x).tobytes() == getattr(expected, x).tobytes() for x in ("toi", "parameters"))
 
 
 def test_a_pair_beside_one_in_a_plane_gets_the_answer_that_it_gets_among_its_like():
     """Only the pair in one plane needs the widest facet, which must not choose a point for the other."""
-    names = ["touching_at_start", "double_root", "grazing_vertex", "one_ulp_neighbours", "lattice"]
-    names += ["random_colliding", "one_plane", "slivers", "needle_against_needle"]
+    names = "touching_at_start double_root grazing_vertex one_ulp_neighbours lattice random_colliding one_plane slivers"
     rng = np.random.default_rng(0)
     for seed in (17, 29, 100):
-        like = drawn("vertex-face", names, 30, seed)
+        like = drawn("vertex-face", [*names.split(), "needle_against_needle"], 30, seed)
         rows = rng.permutation(len(like[0]))
         # a separation of the size of the rounding error: then pairs in space do without facets
-        alike, mixed = (
-            ccd.vertex_face_ccd(*points, precision="float32", minimum_separation=3e-6)
-            for points in (like, [x[rows] for x in like])
-        )
+        both, options = (like, [x[rows] for x in like]), {"precision": "float32", "minimum_separation": 3e-6}
+        alike, mixed = (ccd.vertex_face_ccd(*points, **options) for points in both)
         for name, values in vars(mixed).items():
             assert values.tobytes() == getattr(alike, name)[rows].tobytes(), name
 
 
-def test_kernels_are_compiled_anew_when_an_operator_changes(monkeypatch):
+def test_one_kernel_solves_the_pairs_of_all_calls_and_is_compiled_anew_when_an_operator_changes(monkeypatch):
     """Warp does not look for operators in a function, so the names of the modules tell."""
     from ccd_warp.kernels.pair import simd
     from ccd_warp.kernels.search import search_types
 
-    modules = [
-        specialised("narrow_phase.narrow_phase").solve_pairs.module.name,
-        specialised("search.search_trees", end=search_types.CULL).search_trees.module.name,
-    ]
+    solver, search = specialised("narrow_phase.narrow_phase"), specialised("search.search_trees", end=search_types.CULL)
     before, source = simd.fingerprint(), simd.inspect.getsource
-    assert all(before in name for name in modules)
+    assert [x for x in vars(solver).values() if isinstance(x, wp.Kernel)] == [solver.solve_pairs]
+    assert before in solver.solve_pairs.module.name and before in search.search_trees.module.name
     monkeypatch.setattr(simd.inspect, "getsource", lambda module: source(module).replace("lanes(a) +", "lanes(a) -"))
     assert simd.fingerprint() != before
 
@@ -238,7 +226,7 @@ EDGES = np.array([[[-0.25, 0, 1], [0.75, 0, 1], [0, -0.5, 0], [0, 0.5, 0]]])
 CLOSE_START, HALF = {"minimum_separation": 0.1, "length_scale": 1.0}, {"start_gap_fraction": 0.5}
 # near overflow: the points are 1.05e308 apart after three quarters of the step, give or take the tolerance
 APART = [np.array([[[0, 0, 0], [x, 0, 0]]]) for x in (1.5e308, 0.9e308)]
-BULLET, BISECTION = [np.array([[[x, 3.5], [5.0, 1.0], [5.0, 6.0]]]) for x in (0.5, 9.5)], {"method": "bisection"}
+BULLET = [np.array([[[x, 3.5], [5.0, 1.0], [5.0, 6.0]]]) for x in (0.5, 9.5)]
 CROSSED = (EDGES, EDGES - [[[0, 0, 2.0]] * 2 + [[0, 0, 0]] * 2])
 # Kind, points at both ends, options; the toi or its range, and parameters.
 VALUES = [
@@ -277,12 +265,10 @@ def test_promised_values(kind, points, options, toi, parameters, precision):
 
 
 def test_side_along_an_axis_that_nearly_vanishes():
-    # one axis of 2^30 beside axes of 2^-443 and 2^-163, thin beside the separation: the sides are almost along y, so
-    # their facets stand as well as the axis does, for an instant
-    a, b, c = 2.0**-443, 2.0**29, 2.0**-163
+    """One axis of 2^30 beside thin ones: the facets of sides along it stand as well as it does, for an instant."""
+    a, b, c, near = 2.0**-443, 2.0**29, 2.0**-163, 2.0**30 - 2.0**-21
     p0 = [[[0, 3 * b, 2 * c], [0, 3 * b, 3 * c], [1.5 * a, b, 0], [a, 0, c]]]
-    nearly = float.fromhex("0x1.ffffffffffffcp+29"), float.fromhex("0x1.8000000000002p-162")
-    p1 = [[[a / 2, b, c], [1.5 * a, 2 * b, c], [0, nearly[0], 0], [0, 0, nearly[1]]]]
+    p1 = [[[a / 2, b, c], [1.5 * a, 2 * b, c], [0, near, 0], [0, 0, float.fromhex("0x1.8000000000002p-162")]]]
     result = ccd.edge_edge_ccd(p0, p1, minimum_separation=0.0820116453693335, length_scale=1.0)
     assert result.status[0] == ccd.CCDStatus.COLLISION and result.iterations[0] < 10
     assert 2 / 3 - 1e-9 <= result.toi[0] <= 2 / 3
@@ -297,68 +283,56 @@ def test_vertex_leaves_a_face_whose_squares_underflow_in_float32():
 
 @pytest.mark.parametrize("length_scale", [1e10, 1e12, 1e300])
 def test_a_tolerance_far_larger_than_the_pair_leaves_the_parameters_finite(length_scale, precision):
-    p0, p1 = falling_vertex(0.5, -0.5)
-    result = ccd.vertex_face_ccd(p0, p1, precision=precision, tolerance=0.01, length_scale=length_scale)
-    assert result.hit.all() and np.isfinite(result.parameters).all() and np.isfinite(result.gap).all()
+    options = {"precision": precision, "tolerance": 0.01, "length_scale": length_scale}
+    result = ccd.vertex_face_ccd(*falling_vertex(0.5, -0.5), **options)
+    assert result.hit.all() and np.isfinite([result.gap[0], *result.parameters[0]]).all()
     assert (result.parameters >= 0).all() and result.parameters.sum() <= 1
 
 
-def test_the_parameters_of_a_contact_in_one_plane_are_those_of_the_point_that_touches():
-    """Everything moves on one line, up to rounding; the point claimed lies where the parameters say."""
-    start = [
-        [-0.6388516524392863, 0.08148762364207655, 0.2996502385100188],
-        [-5.2522414168966804, 0.6699406177846453, 2.463538108729795],
-        [6.281232994246804, -0.8011918675717764, -2.9461815668196465],
-        [13.380664300267673, -1.7067476120954232, -6.276135045116664],
-    ]
-    end = [
-        [11.999530110510184, -1.5305794174392684, -5.628320818407084],
-        [10.521515742135986, -1.3420538371616775, -4.935065419322945],
-        [6.281232994246804, -0.8011918675717764, -2.9461815668196465],
-        [-6.633375606654168, 0.8461088124407997, 3.111352335439374],
-    ]
-    points = np.array([[start], [end]])
-    for limit in (3, 4, 12, 10_000):
-        result = ccd.vertex_face_ccd(*points, precision="float32", t_max=0.5, max_iterations=limit)
-        assert np.abs(named_vector("vertex-face", *points, result)).max() <= result.gap[0] + 1e-12
+# Everything moves on one line, up to rounding: the four points where the step starts, then where it ends.
+ON_A_LINE = """
+-0.6388516524392863 0.08148762364207655 0.2996502385100188 -5.2522414168966804 0.6699406177846453 2.463538108729795
+6.281232994246804 -0.8011918675717764 -2.9461815668196465 13.380664300267673 -1.7067476120954232 -6.276135045116664
+11.999530110510184 -1.5305794174392684 -5.628320818407084 10.521515742135986 -1.3420538371616775 -4.935065419322945
+6.281232994246804 -0.8011918675717764 -2.9461815668196465 -6.633375606654168 0.8461088124407997 3.111352335439374
+"""
 
 
-# of two points in one any share is right; where they are f1 and f2, the sum is 1/2
-@pytest.mark.parametrize(("face", "share"), [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])])
-def test_vertex_falls_on_the_middle_of_a_face_with_two_corners_in_one(face, share, precision):
-    p0 = np.array([[(0, 0, 1), *((x, 0, 0) for x in face)]], dtype=float)
-    result = ccd.vertex_face_ccd(p0, p0 * [1, 1, -1], minimum_separation=0.1, precision=precision)
-    assert result.parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
+@pytest.mark.parametrize("limit", [3, 4, 12, 10_000])
+def test_the_parameters_of_a_contact_in_one_plane_are_those_of_the_point_that_touches(limit):
+    points = np.array(ON_A_LINE.split(), dtype=float).reshape(2, 1, 4, 3)
+    result = ccd.vertex_face_ccd(*points, precision="float32", t_max=0.5, max_iterations=limit)
+    assert np.abs(named_vector("vertex-face", *points, result)).max() <= result.gap[0] + 1e-12
 
 
-def test_edge_beside_an_edge_without_length(precision):
-    points = np.array([[(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 0)]], dtype=float)
-    options = {"minimum_separation": 0.5005, "length_scale": 1.0, "precision": precision}
-    for own, order in enumerate(([0, 1, 2, 3], [2, 3, 0, 1])):
-        result = ccd.edge_edge_ccd(points[:, order], points[:, order], **options)
-        assert result.parameters[0, own] == pytest.approx(0.5, abs=1e-6)
+# Of two points in one any share is right; where those of a face are f1 and f2, the sum is 1/2. Then the edge that has a
+# length, beside one without.
+SHARES = [
+    *(("vertex-face", [(0, 0, 1), *((x, 0, 0) for x in face)], [1, 1, -1], 0.1, share)
+      for face, share in [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])]),
+    ("edge-edge", [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 0)], 1, 0.5005, [1, 0]),
+    ("edge-edge", [(1, 1, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)], 1, 0.5005, [0, 1]),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "points", "turned", "separation", "share"), SHARES)
+def test_the_middle_of_what_has_two_corners_in_one(kind, points, turned, separation, share, precision):
+    p0 = np.array([points], dtype=float)
+    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision}
+    assert SOLVE[kind](p0, p0 * turned, **options).parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
 
 
 # --- interface ---
 
 
-def test_no_pairs_lists_and_float32_arrays_are_taken():
+def test_no_pairs_have_empty_answers():
     result = ccd.vertex_face_ccd(*np.zeros((2, 0, 4, 3)))
     assert result.toi.shape == result.hit.shape == result.status.shape == (0,) and result.parameters.shape == (0, 2)
-    a = ccd.vertex_face_ccd(*(x.tolist() for x in FALL))
-    assert a.toi[0] == ccd.vertex_face_ccd(*(x.astype(np.float32) for x in FALL)).toi[0] and a.toi.dtype == np.float64
 
 
 def test_non_finite_warp_array_is_marked_and_conservative():
-    p0, p1 = (np.repeat(p, 3, axis=0) for p in FALL)
-    p0[1, 2, 1], p1[2, 0, 0] = np.nan, np.inf
-    result = ccd.vertex_face_ccd(*(wp.array(p, dtype=wp.vec3d) for p in (p0, p1)))
-    invalid = ccd.CCDStatus.INVALID
+    points, invalid = [np.repeat(p, 3, axis=0) for p in FALL], ccd.CCDStatus.INVALID
+    points[0][1, 2, 1], points[1][2, 0, 0] = np.nan, np.inf
+    result = ccd.vertex_face_ccd(*(wp.array(p, dtype=wp.vec3d) for p in points))
     assert result.status.numpy().tolist() == [ccd.CCDStatus.COLLISION, invalid, invalid]
     assert result.toi.numpy()[1:].tolist() == [0, 0]
-
-
-def test_one_kernel_of_the_cpu_solves_the_pairs_of_all_calls():
-    """So the solver is compiled once for each precision, number of lanes and norm."""
-    kernels = [each for each in vars(specialised("narrow_phase.narrow_phase")).values() if isinstance(each, wp.Kernel)]
-    assert [kernel.func.__name__ for kernel in kernels] == ["solve_pairs"]

@@ -4,8 +4,7 @@ A Warp kernel evaluates the intermediate quantities of each step by calling the 
 reference computes them from the input points alone. The search climbs with the reference in extended precision, which
 is fast and eleven bits better than float64; what it ends with is judged in exact rational arithmetic. A ratio of 1 or
 more breaks the guarantee; one that stays below 0.1 says that the bound is lazy.
-
-The largest ratios are printed with `pytest -s`, and recorded as properties of the tests.
+The largest ratios are recorded as properties of the tests.
 """
 
 from fractions import Fraction
@@ -25,107 +24,73 @@ from hard_cases import FAMILIES
 from numpy.lib.recfunctions import structured_to_unstructured
 from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, exactly
 
+POINTS = wp.array2d[wp.vec3d]
+
+
+def struct(name: str, fields: list):
+    """A struct of fields, whose names are given by type."""
+    annotations = {field: kind for names, kind in fields for field in names.split()}
+    return wp.struct(type(name, (), {"__annotations__": annotations}))
+
 
 @cache
 def make_probe(real):
     """A kernel that writes the intermediate quantities of the solver, and when the clips that it is built of end."""
-    vec3, vec4 = (wp.types.vector(length=n, dtype=real) for n in (3, 4))
-    patch = specialised("pair.patch", real=real)
-    Corners, corners_at = patch.Corners, patch.corners_at
-    Options = specialised("pair.query", real=real).Options
-    normalise = specialised("pair.solver", real=real).normalise
-    sub_corners = specialised("pair.sub_patch", real=real).sub_corners
-    # the functions for one lane; the laws compare those for several with them
-    inclusion = specialised("pair.inclusion", real=real)
+    vec3, vec4, vec14 = (wp.types.vector(length=n, dtype=real) for n in (3, 4, 14))
+    # of inclusion, the functions for one lane; the laws compare those for several with them
+    patch, query, solver, sub_patch, inclusion, volume, advance, moving_clip, facets = (
+        specialised(f"pair.{name}", real=real)
+        for name in "patch query solver sub_patch inclusion volume advance moving_clip facets".split()
+    )
+    Options, Corners, corners_at, Hull = query.Options, patch.Corners, patch.corners_at, volume.Hull
+    normalise, sub_corners, fall = solver.normalise, sub_patch.sub_corners, moving_clip.fall
     clip, clip_corner, offset = inclusion.clip, inclusion.clip_corner, inclusion.offset
-    volume = specialised("pair.volume", real=real)
-    Hull, hull_fall, restrict, separation_offset = volume.Hull, volume.fall, volume.restrict, volume.separation_offset
-    advance_volume = specialised("pair.advance", real=real).advance_volume
-    fall = specialised("pair.moving_clip", real=real).fall
-    facets = specialised("pair.facets", real=real)
-    direction, clip_facet = facets.direction, facets.clip_facet
+    hull_fall, restrict, separation_offset = volume.fall, volume.restrict, volume.separation_offset
+    advance_volume, direction, clip_facet = advance.advance_volume, facets.direction, facets.clip_facet
     half, num_clips = wp.constant(real(0.5)), wp.constant(12)
     module = wp.get_module(f"test_rounding.{real.__name__}")
     # the options of the solver's own module
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
-
-    @wp.struct
-    class Given:
-        d: vec3  # a direction
-        margin: vec3
-        h: vec4  # control points
-        u: real
-        v: real
-        t: real
-        x: real
-        facet: wp.vec2i  # side, axis
-
-    @wp.struct
-    class Found:
-        unit: wp.vec3d
-        size: vec3
-        corners_t0: Corners  # of the root at both ends of the step
-        corners_t1: Corners
-        sub_t0: vec3  # corner (u, v) of the sub-patch at both ends, and at time t
-        sub_t1: vec3
-        sub_at: vec3
-        root_dot: real
-        sub_dot: real
-        offset: real
-        clip: real
-        volume: vec4
-        restricted: Hull
-        volume_bound: real
-        normal_t0: vec3
-        normal_mid: vec3
-        normal_t1: vec3
-        separation: vec3
-        separation_offset: Hull
-        hull: real
-        zero: real
-        d_t: vec3  # direction of a moving facet at times t and x
-        d_x: vec3
-        moving: vec3  # Bernstein coefficients of its product with corner w00
-        clips: wp.types.vector(length=14, dtype=real)  # along d from t on, by the volume, by each facet
+    # a direction d, control points h; a facet is its side and axis
+    Given = struct("Given", [("d margin", vec3), ("h", vec4), ("u v t x", real), ("facet", wp.vec2i)])
+    # Corners of the root at both ends of the step; corner (u, v) of the sub-patch at both ends, and at time t; of a
+    # moving facet the directions at times t and x, and the Bernstein coefficients of its product with corner w00; where
+    # clips end: along d from t on, by the volume, by each facet.
+    fields = [("unit", wp.vec3d), ("corners_t0 corners_t1", Corners), ("size sub_t0 sub_t1 sub_at", vec3)]
+    fields += [("root_dot sub_dot offset clip volume_bound hull zero", real), ("volume", vec4), ("clips", vec14)]
+    fields += [("normal_t0 normal_mid normal_t1 separation d_t d_x moving", vec3)]
+    Found = struct("Found", [*fields, ("restricted separation_offset", Hull)])
 
     @wp.kernel(module=module)
-    def probe(
-        # in
-        kind: int,
-        vertices_t0: wp.array2d[wp.vec3d],
-        vertices_t1: wp.array2d[wp.vec3d],
-        options: Options,
-        given: wp.array[Given],
-        # out
-        out: wp.array[Found],
-    ):
+    def probe(kind: int, x0: POINTS, x1: POINTS, options: Options, given: wp.array[Given], out: wp.array[Found]):
         i = wp.tid()
-        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
+        n = normalise(kind, row_points(x0, i), row_points(x1, i), options)
+        start, end = n.patch.t0, n.patch.t1
+        f, separation, error = n.problem.volume, n.problem.separation, n.problem.error
         g = given[i]
         h = g.h
         s = Found()
         s.unit = n.unit
         s.size = n.size
-        s.corners_t0 = n.patch.t0
-        s.corners_t1 = n.patch.t1
-        sub_t0 = sub_corners(n.patch.t0, g.u, g.u, g.v, g.v)
-        sub_t1 = sub_corners(n.patch.t1, g.u, g.u, g.v, g.v)
+        s.corners_t0 = start
+        s.corners_t1 = end
+        sub_t0 = sub_corners(start, g.u, g.u, g.v, g.v)
+        sub_t1 = sub_corners(end, g.u, g.u, g.v, g.v)
         s.sub_t0 = sub_t0.w00
         s.sub_t1 = sub_t1.w00
         s.sub_at = corners_at(sub_t0, sub_t1, g.t).w00
-        s.root_dot = wp.dot(g.d, n.patch.t0.w00)
+        s.root_dot = wp.dot(g.d, start.w00)
         s.sub_dot = wp.dot(g.d, sub_t0.w00)
         s.offset = offset(g.d, g.margin)
         s.clip = clip_corner(h[0], h[1], h[2], real(0.0))
-        f = n.problem.volume
         s.volume = vec4(f.b0, f.b1, f.b2, f.b3)
         s.restricted = restrict(f, g.t, g.x)
         s.volume_bound = f.bound
         s.normal_t0 = f.normal_t0
         s.normal_mid = f.normal_mid
         s.normal_t1 = f.normal_t1
-        s.separation = n.problem.separation
-        s.separation_offset = separation_offset(f, n.problem.separation, g.t, g.x)
+        s.separation = separation
+        s.separation_offset = separation_offset(f, separation, g.t, g.x)
         hull = Hull()
         hull.c0 = h[0]
         hull.c1 = h[1]
@@ -133,8 +98,8 @@ def make_probe(real):
         hull.c3 = h[3]
         s.hull = hull_fall(hull)
         s.zero = fall(h[0], h[1], h[2])
-        c_t = corners_at(n.patch.t0, n.patch.t1, g.t)
-        c_x = corners_at(n.patch.t0, n.patch.t1, g.x)
+        c_t = corners_at(start, end, g.t)
+        c_x = corners_at(start, end, g.x)
         number = real(3 * g.facet[0] + 3 + g.facet[1])
         d_t = direction(number, c_t)
         d_x = direction(number, c_x)
@@ -142,13 +107,10 @@ def make_probe(real):
         s.d_x = d_x
         mixed = half * (wp.dot(d_t, c_x.w00) + wp.dot(d_x, c_t.w00))
         s.moving = vec3(wp.dot(d_t, c_t.w00), mixed, wp.dot(d_x, c_x.w00))
-        separation, error = n.problem.separation, n.problem.error
-        s.clips[0] = clip(g.d, error + separation, g.t, n.patch.t0, n.patch.t1, n.patch.is_triangle)
+        s.clips[0] = clip(g.d, error + separation, g.t, start, end, n.patch.is_triangle)
         s.clips[1] = advance_volume(n.problem, real(0.0), real(1.0))
         for k in range(12):
-            s.clips[2 + k] = clip_facet(
-                n.patch.t0, n.patch.t1, separation, error, real(k), real(0.0), real(1.0), num_clips
-            )
+            s.clips[2 + k] = clip_facet(start, end, separation, error, real(k), real(0.0), real(1.0), num_clips)
         out[i] = s
 
     return Options, Given, Found, probe
@@ -156,7 +118,7 @@ def make_probe(real):
 
 # ---- The reference, in any arithmetic --------------------------------------------------------------------------------
 
-_SLACK = 1.001  # of steps 2 and 3
+_SLACK, ENDS = 1.001, ("vertices_t0", "vertices_t1")  # the slack of steps 2 and 3
 
 
 def extended(values: np.ndarray) -> np.ndarray:
@@ -169,8 +131,8 @@ def dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def permanent_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Sum of the magnitudes of the products of a cross product."""
-    turn = [(1, 2), (2, 0), (0, 1)]
-    return np.stack([abs(a[..., i] * b[..., j]) + abs(a[..., j] * b[..., i]) for i, j in turn], axis=-1)
+    turned = [abs(a[..., i] * b[..., j]) + abs(a[..., j] * b[..., i]) for i, j in ((1, 2), (2, 0), (0, 1))]
+    return np.stack(turned, axis=-1)
 
 
 def blossom(b: list, parameters: tuple) -> np.ndarray:
@@ -190,10 +152,9 @@ class Sample:
         self.u = convert(np.array(unit_roundoff))[()]
         self.constant = lambda x: convert(np.array(x))[()]
         self.found = lambda name: convert(plain(out[name]))
-        self.d, self.margin, self.h = (convert(inputs[name]) for name in ("d", "margin", "h"))
+        self.d, self.margin, self.h, *points = (convert(inputs[x]) for x in ("d", "margin", "h", *ENDS))
         self.weights = [convert(inputs[name])[:, None] for name in ("u", "v", "t", "x")]
         unit, self.m = self.found("unit"), self.found("size")
-        points = [convert(inputs[name]) for name in ("vertices_t0", "vertices_t1")]
         # (corner, side) as in kernels/pair/patch.py, from the definition of each pair kind
         self.corners = [[(p[:, i] - p[:, j]) / unit for i, j in (*CORNERS[kind], (0, 3))[:4]] for p in points]
         self.sides = [[(p[:, i] - p[:, j]) / unit for i, j in SIDES[kind]] for p in points]
@@ -211,12 +172,8 @@ class Sample:
         """Bernstein coefficients of P·(Q×R)."""
         (p0, *_), (p1, *_) = self.corners
         n0, mixed, n1 = self.normals()
-        return [
-            dot(p0, n0),
-            (dot(p1, n0) + 2 * dot(p0, mixed)) / 3,
-            (dot(p0, n1) + 2 * dot(p1, mixed)) / 3,
-            dot(p1, n1),
-        ]
+        inner = dot(p1, n0) + 2 * dot(p0, mixed), dot(p0, n1) + 2 * dot(p1, mixed)
+        return [dot(p0, n0), *(x / 3 for x in inner), dot(p1, n1)]
 
     def normals(self) -> list[np.ndarray]:
         (q0, r0), (q1, r1) = self.sides
@@ -339,10 +296,8 @@ def as_taken(inputs: dict, real: str) -> dict:
 
 def mutated(inputs: dict, real: str, rng: np.random.Generator) -> dict:
     """A child of each sample: a few numbers with mantissa bits turned, signs turned, or drawn anew."""
-    n = len(inputs["u"])
+    n, bits, child = len(inputs["u"]), 52 if real == "float64" else 23, {}
     fresh = drawn(n, rng)
-    bits = 52 if real == "float64" else 23
-    child = {}
     for name, old in inputs.items():
         each = (n, *[1] * (old.ndim - 1))
         pick = rng.random(old.shape) < 2.0 ** -rng.integers(1, 6, each)
@@ -366,7 +321,7 @@ def evaluated(kind: str, inputs: dict, real: str, separation: float) -> np.ndarr
     given = np.zeros(len(inputs["vertices_t0"]), dtype=Given.numpy_dtype())
     for field in given.dtype.names:
         given[field] = inputs.get(field, 0)
-    x = [wp.array(inputs[f"vertices_{end}"], dtype=wp.vec3d) for end in ("t0", "t1")]
+    x = [wp.array(inputs[name], dtype=wp.vec3d) for name in ENDS]
     out = wp.zeros(len(given), dtype=Found)
     wp.launch(probe, len(given), [KINDS[kind], *x, options, wp.array(given, dtype=Given)], outputs=[out])
     return out.numpy()
@@ -387,15 +342,13 @@ def searched(kind: str, real: str, name: str, *, samples: int, generations: int,
         child = as_taken(mutated(parents, real, rng), real)
         found = ratios(child, extended)
         for field, values in child.items():
-            better = (found > best).reshape(-1, *[1] * (values.ndim - 1))
-            parents[field] = np.where(better, values, parents[field])
+            parents[field][found > best] = values[found > best]
         best = np.maximum(found, best)
         if generation % 10 == 9:
             # the worse half starts again from the better one
             order, half = np.argsort(best), samples // 2
-            for values in parents.values():
+            for values in (*parents.values(), best):
                 values[order[:half]] = values[order[-half:]]
-            best[order[:half]] = best[order[-half:]]
     top = np.argsort(best)[-6:]
     return float(ratios({field: values[top] for field, values in parents.items()}, exactly).max())
 
@@ -404,7 +357,6 @@ def searched(kind: str, real: str, name: str, *, samples: int, generations: int,
 @pytest.mark.parametrize("name", STEPS)
 def test_bound_holds_and_is_not_lazy(name, real, record_property):
     ratios = {kind: searched(kind, real, name, samples=192, generations=24, seed=41) for kind in KINDS}
-    print(f"\n{name}, {real}: {ratios}")
     record_property("largest_ratio", ratios)
     assert (0.0 if name == "step_9_separation" else 0.1) < max(ratios.values()) < 1
 
@@ -414,18 +366,20 @@ def test_bound_holds_and_is_not_lazy(name, real, record_property):
 _CLIP_FAMILIES = ("random_colliding", "lattice", "slivers", "tiny_motion", "mixed_axis_scales", "one_ulp_neighbours")
 
 
+every_kind, every_real = pytest.mark.parametrize("kind", KINDS), pytest.mark.parametrize("real", REALS)
+
+
 def clip_times(kind: str, points: tuple, real: str, separation: float, **given) -> tuple[np.ndarray, np.ndarray]:
     """Times that each clip reports, and the normalised unit of each axis."""
-    out = evaluated(kind, {"vertices_t0": points[0], "vertices_t1": points[1], **given}, real, separation)
+    out = evaluated(kind, dict(zip(ENDS, points, strict=True)) | given, real, separation)
     return out["clips"].astype(np.float64), out["unit"]
 
 
-@pytest.mark.parametrize("real", REALS)
-@pytest.mark.parametrize("kind", KINDS)
+@every_real
+@every_kind
 @pytest.mark.parametrize("separation", [0.0, 2.0**-10])
 def test_clip_is_a_lower_bound(separation, kind, real):
-    rng = np.random.default_rng(42)
-    clipped_some = 0
+    rng, clipped_some = np.random.default_rng(42), 0
     for family in _CLIP_FAMILIES:
         points = FAMILIES[family](kind, 60, rng)
         start, end = ([p[:, i] - p[:, j] for i, j in CORNERS[kind]] for p in points)
@@ -443,20 +397,18 @@ def test_clip_is_a_lower_bound(separation, kind, real):
             for a, b in CORNERS[kind]:
                 # linear in time, so both ends of [t, s] tell; at s itself d may just cease to separate
                 w0, w1 = x0[i, a] - x0[i, b], x1[i, a] - x1[i, b]
-                ends = [Fraction(float(t[i])), Fraction(min(times[i, 0], 1.0))]
+                ends = Fraction(float(t[i])), Fraction(min(times[i, 0], 1.0))
                 first, last = (sum(exact_d[i] * (w0 + s * (w1 - w0)) / exact_unit[i]) for s in ends)
-                assert first > beyond
-                assert last > beyond or (times[i, 0] < 2 and last == beyond)
+                assert first > beyond and (last > beyond or (times[i, 0] < 2 and last == beyond))
     assert clipped_some > 60
 
 
 # Powers of two by which the axes are scaled: exact, but products of such lengths underflow and overflow.
-@pytest.mark.parametrize("real", REALS)
-@pytest.mark.parametrize("kind", KINDS)
+@every_real
+@every_kind
 @pytest.mark.parametrize(("separation", "scale"), [(0.0, 0), (2.0**-10, 0), (0.0, -900), (0.0, (700, -537, -530))])
 def test_volume_and_facets_clip_no_contact(separation, scale, kind, real):
-    rng = np.random.default_rng(43)
-    advanced = 0
+    rng, advanced = np.random.default_rng(43), 0
     for family in _CLIP_FAMILIES:
         points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 30, rng)]
         times = clip_times(kind, points, real, separation)[0][:, 1:]
@@ -472,21 +424,18 @@ _CULLS = [(False, 0, 0.0), (False, 0, 2.0**-10), (False, -900, 0.0), (False, (70
 _CULLS += [(True, scale, share) for scale in (0, -100, -300, 100, 300) for share in (1e-3, 0.2)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@every_kind
 @pytest.mark.parametrize("t_end", [1.0, 0.3])
 @pytest.mark.parametrize(("is_euclidean", "scale", "share"), _CULLS)
 @pytest.mark.parametrize("test", ["volume", "sides", "both"])
 def test_cull_drops_no_contact(test, is_euclidean, scale, share, t_end, kind):
-    rng = np.random.default_rng(44)
-    num_dropped = 0
+    rng, num_dropped = np.random.default_rng(44), 0
     others = ("cloth_like", "slivers", "mixed_axis_scales") if is_euclidean else _CLIP_FAMILIES
     for family in ("random", "one_plane", "parallel_edges", *others):
         points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 100, rng)]
         distance = share * float(np.median(np.abs(points[0]).max(axis=(1, 2))))
-        narrow, *wider = (
-            culled(kind, *points, width, separation=distance, is_euclidean=is_euclidean, t_end=t_end, test=test)
-            for width in WIDTHS
-        )
+        options = {"separation": distance, "is_euclidean": is_euclidean, "t_end": t_end, "test": test}
+        narrow, *wider = (culled(kind, *points, width, **options) for width in WIDTHS)
         assert all(np.array_equal(narrow, each) for each in wider)
         tois = exact_distance_tois if is_euclidean else exact_tois
         assert not any(truth.hit for truth in tois(kind, *(p[narrow] for p in points), distance, t_end))
@@ -494,7 +443,7 @@ def test_cull_drops_no_contact(test, is_euclidean, scale, share, t_end, kind):
     assert num_dropped > 10 or scale != 0 or share > 0.1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@every_kind
 def test_sides_leave_a_point_on_a_side_open(kind):
     """A point at two fifths of a side touches it; the projections across the side are nothing but rounding."""
     rng = np.random.default_rng(45)
@@ -503,8 +452,7 @@ def test_sides_leave_a_point_on_a_side_open(kind):
     on_side, side = p0 + 2 * g, [p0, p0 + 5 * g]
     points = [on_side, *side, far] if kind == "vertex-face" else [on_side, far, *side]
     x = np.stack(points, axis=1).astype(np.float64)
-    for width in WIDTHS:
-        assert not culled(kind, x, x, width, test="sides").any()
+    assert not any(culled(kind, x, x, width, test="sides").any() for width in WIDTHS)
 
 
 @wp.kernel(module="unique", enable_backward=False)
@@ -517,8 +465,7 @@ def write_end_boxes(a: wp.array[wp.vec3d], b: wp.array[wp.vec3d], t: wp.array[wp
 
 @pytest.mark.parametrize("exponent", [0, 1000, -1070])
 def test_box_at_the_end_of_a_shorter_step_holds_the_point(exponent):
-    rng = np.random.default_rng(46)
-    n = 3000
+    rng, n = np.random.default_rng(46), 3000
     a, b = (np.ldexp(rng.standard_normal((n, 3)), exponent) for _ in range(2))
     b[::3] = np.nextafter(a[::3], np.inf)
     a[1::7] *= 1e-9

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from laws.outputs import different, outputs_of
 from laws.truth import Pairs, candidates
 from published import requires_data, simulation_boxes, simulation_scenes, simulation_step
-from scenes import NO_FACES, all_in_one_place, sheet, single, soup, with_static_at_rest
+from scenes import NO_FACES, sheet, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh import body_groups
@@ -45,8 +45,8 @@ def at_random(rng, size=0.05, count=60):
 
 
 def of_many_sizes(rng, spread):
-    size = 10.0 ** -rng.uniform(0, spread, (60, 1, 1)) * rng.normal(size=(60, 3, 3))
-    place = 10.0 ** -rng.uniform(0, spread, (60, 1, 1)) * rng.random((60, 1, 3))
+    sizes, places = (10.0 ** -rng.uniform(0, spread, (60, 1, 1)) for _ in range(2))
+    size, place = sizes * rng.normal(size=(60, 3, 3)), places * rng.random((60, 1, 3))
     return (place + size).reshape(-1, 3), (place + 1.5 * size).reshape(-1, 3)
 
 
@@ -65,8 +65,7 @@ def on_cells(rng, sides):
 
 def scaled(rng, scale):
     start = at_random(rng)
-    ends = start, start + 0.05 * rng.standard_normal(start.shape)
-    return [np.clip(2 * x - 1, -1, 1) * scale for x in ends]
+    return [np.clip(2 * x - 1, -1, 1) * scale for x in (start, start + 0.05 * rng.standard_normal(start.shape))]
 
 
 def around(rng, offset):
@@ -152,15 +151,11 @@ def test_bodies_that_may_not_meet_in_one_place(most_rows, monkeypatch):
         same, of_worlds = team[:, None] == team, np.repeat(rng.permutation(count) // 2, [len(x) for x, _ in bodies])
         may = (same, ~same | (team == 2), may | may.T, np.ones_like(may))[kind]
         roles = rng.choice(3, count, p=[0.5, 0.2, 0.3])
-        mesh = ccd.CollisionMesh.from_arrays(
-            bodies,
-            static=np.flatnonzero(roles == 1).tolist(),
-            kinematic=np.flatnonzero(roles == 2).tolist(),
-            body_pairs=may | may.T,
-            vertex_world=of_worlds if kind == 3 else None,
-            exclude_pairs={"bodies": rng.integers(0, count, (count // 3, 2))},
-            self_collision=(rng.random(count) < 0.5).tolist(),
-        )
+        options = {name: np.flatnonzero(roles == k + 1).tolist() for k, name in enumerate(("static", "kinematic"))}
+        options |= {"body_pairs": may | may.T, "vertex_world": of_worlds if kind == 3 else None}
+        options["exclude_pairs"] = {"bodies": rng.integers(0, count, (count // 3, 2))}
+        options["self_collision"] = (rng.random(count) < 0.5).tolist()
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
         end = mesh.vertices + 0.1 * rng.standard_normal(mesh.vertices.shape)
         found += check(mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end))
     assert found > 500
@@ -174,8 +169,8 @@ def test_bodies_that_may_not_meet_in_one_place_are_not_compared(name):
     def num_compared(num_bodies, each):
         may = np.arange(num_bodies)[:, None] // each == np.arange(num_bodies) // each
         mesh = ccd.CollisionMesh.from_arrays([body] * num_bodies, body_pairs=may, self_collision=each == 1)
-        topology = Topology.of(mesh, wp.get_device("cpu"))
-        topology.collision_filter.applies = 0  # so that all pairs are counted of boxes that the search compares
+        # so that all pairs are counted of boxes that the search compares
+        Topology.of(mesh, wp.get_device("cpu")).collision_filter.applies = 0
         return sum(ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, broad_phase=name).counts.num_candidates.values())
 
     for each in (1, 2):
@@ -194,8 +189,8 @@ def test_sets_that_may_not_meet_and_kinds_that_do_not_occur_are_not_searched():
 
 
 def test_a_large_mesh_is_sorted_by_several_threads_and_sampled_first():
-    upper, lower = sheet(160), sheet(120, 1.1)
-    mesh = ccd.CollisionMesh.from_arrays([(upper[0] + [0.003, 0.001, 0.05], upper[1]), lower], static=[1])
+    (upper, faces), lower = sheet(160), sheet(120, 1.1)
+    mesh = ccd.CollisionMesh.from_arrays([(upper + [0.003, 0.001, 0.05], faces), lower], static=[1])
     frames = mesh.vertices, mesh.vertices - [0, 0, 0.1] * (mesh.vertex_body == 0)[:, None]
     options = {}, {"broad_phase": "hash", "num_threads": 1}, {"broad_phase": "hash", "num_threads": 4}
     steps = [ccd.collision_free_step(mesh, *frames, **each) for each in options]
@@ -205,7 +200,7 @@ def test_a_large_mesh_is_sorted_by_several_threads_and_sampled_first():
 def test_many_pairs_a_query():
     """More pairs than the first guess of the capacity."""
     start, faces = soup(np.random.default_rng(16), 700, 0.0)
-    start = start * [1.0, 1e-3, 1e-3]
+    start *= [1.0, 1e-3, 1e-3]
     start[:3] = [[-1, -1, -1], [2, 2, 2], [-1, 2, -1]]
     assert check(single(start, faces), start, start) > 2000
     found = ccd.find_candidates(single(start[:600], faces[:200]), 0 * start[:600], 0 * start[:600], num_threads=2)
@@ -229,7 +224,11 @@ def test_published_pairs_are_found(scene):
 
 def test_blocks_of_boxes_that_exceed_the_memory_limit_keep_the_order():
     """The least limit holds the partners of one box a thread; a block of sixteen, which have more, is cut."""
-    mesh, *frames = all_in_one_place(2, 280, 900)
+    rng, cables = np.random.default_rng(2), np.arange(450).reshape(-1, 2)
+    bodies = [(*soup(rng, 280, 0.2, spread=0.0), []) for _ in range(2)]
+    bodies.append((0.01 * rng.standard_normal((900, 3)), [], cables))  # all boxes hold the origin
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], codimensional_points=True)
+    frames = mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
     expected = tuples_of(ccd.find_candidates(mesh, *frames, num_threads=1))
     for num_threads in (1, 3):
         with pytest.raises(ValueError, match="memory_limit is 1 bytes; expected at least") as error:
@@ -248,11 +247,11 @@ def test_candidates_keep_their_order_belong_to_the_caller_and_are_sorted_on_dema
     ends = [with_static_at_rest(mesh, start, start + s * rng.standard_normal(start.shape)) for s in (0.01, 0.1)]
     expected = [tuples_of(ccd.CollisionPipeline(mesh).find_candidates(start, end)) for end in ends]
     for order in ((0, 1, 0, 1, 1, 0), (1, 0)):
-        pipeline = ccd.CollisionPipeline(mesh)
-        found = [pipeline.find_candidates(start, ends[k]) for k in order]
+        find = ccd.CollisionPipeline(mesh).find_candidates
+        found = [find(start, ends[k]) for k in order]
         assert [tuples_of(each) for each in found] == [expected[k] for k in order]
-    for name, pairs in vars(found[-1]).items():
-        ordered = getattr(found[-1].sorted(), name)
+    before, last, in_order = (vars(x).values() for x in (found[0], found[-1], found[-1].sorted()))
+    for other, pairs, ordered in zip(before, last, in_order, strict=True):
         assert pairs.dtype == ordered.dtype == np.int32 and pairs.flags.writeable and pairs.flags.c_contiguous
-        assert not np.shares_memory(pairs, ordered) and not np.shares_memory(pairs, getattr(found[0], name))
+        assert not np.shares_memory(pairs, ordered) and not np.shares_memory(pairs, other)
         np.testing.assert_array_equal(ordered, pairs[np.lexsort(pairs.T[::-1])])
