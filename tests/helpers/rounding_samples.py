@@ -6,12 +6,19 @@ import numpy as np
 import warp as wp
 
 REALS = {"float64": wp.float64, "float32": wp.float32}
+POINTS = wp.array2d[wp.vec3d]
 FLOATS = {"float64": np.float64, "float32": np.float32}
 KINDS = {"vertex-face": 0, "edge-edge": 1}
 # the corners of a pair, from the definition of its kind
 CORNERS = {"vertex-face": ((0, 1), (0, 2), (0, 3)), "edge-edge": ((0, 2), (0, 3), (1, 2), (1, 3))}
 # its two sides, whose product is the normal
 SIDES = {"vertex-face": ((1, 2), (1, 3)), "edge-edge": ((2, 3), (1, 0))}
+
+
+def struct(name: str, fields: list):
+    """A struct of fields, whose names are given by type."""
+    annotations = {field: kind for names, kind in fields for field in names.split()}
+    return wp.struct(type(name, (), {"__annotations__": annotations}))
 
 
 def exactly(values: np.ndarray) -> np.ndarray:

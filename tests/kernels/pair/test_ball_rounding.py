@@ -13,7 +13,7 @@ from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois
 from hard_cases import FAMILIES
-from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, exactly
+from rounding_samples import CORNERS, FLOATS, KINDS, POINTS, REALS, SIDES, cross, drawn, exactly, struct
 
 # Powers of two by which the axes are scaled: with the second, products of lengths on the short axes underflow.
 SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -900), "thin": (0, -200, 0)}
@@ -22,52 +22,37 @@ SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -9
 @cache
 def make_probe(real):
     """A kernel that writes offsets, and the times to which the clips prove a pair free."""
-    vec3 = wp.types.vector(length=3, dtype=real)
-    Options = specialised("pair.query", real=real).Options
-    normalise = specialised("pair.solver", real=real, norm=EUCLIDEAN_NORM).normalise
-    ball = specialised("pair.ball", real=real)
-    offset, turn_of_side, clip_turn = ball.offset, ball.turn_of_side, ball.clip_turn
-    with_largest_one = ball.with_largest_one
-    clip_beyond = specialised("pair.inclusion", real=real).clip_beyond
-    volume = specialised("pair.volume", real=real, norm=EUCLIDEAN_NORM)
-    Hull, separation_offset = volume.Hull, volume.separation_offset
-    advance_volume = specialised("pair.advance", real=real, norm=EUCLIDEAN_NORM).advance_volume
+    vec3, vec5 = (wp.types.vector(length=n, dtype=real) for n in (3, 5))
+    vecs, reals = wp.array[vec3], wp.array[real]
+    solver, volume, advance = (
+        specialised(f"pair.{x}", real=real, norm=EUCLIDEAN_NORM) for x in ("solver", "volume", "advance")
+    )
+    query, ball, inclusion = (specialised(f"pair.{x}", real=real) for x in ("query", "ball", "inclusion"))
+    Options, normalise, advance_volume = query.Options, solver.normalise, advance.advance_volume
+    offset, turn_of_side, clip_turn, with_largest_one = (
+        getattr(ball, x) for x in ("offset", "turn_of_side", "clip_turn", "with_largest_one")
+    )
+    clip_beyond, separation_offset = inclusion.clip_beyond, volume.separation_offset
     module = wp.get_module(f"test_ball_rounding.{real.__name__}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 
-    @wp.struct
-    class Found:
-        unit: wp.vec3d
-        error: vec3
-        separation: vec3
-        offset: real
-        of_volume: Hull  # the offset of the volume at a time
-        bound: real
-        clips: wp.types.vector(length=5, dtype=real)  # with the direction, with the volume, turning with each side
+    # the offset of the volume at a time; clips with the direction, with the volume, turning with each side
+    fields = [("unit", wp.vec3d), ("error separation", vec3), ("offset bound", real), ("of_volume", volume.Hull)]
+    Found = struct("Found", [*fields, ("clips", vec5)])
 
     @wp.kernel(module=module)
-    def probe(
-        # in
-        kind: int,
-        vertices_t0: wp.array2d[wp.vec3d],
-        vertices_t1: wp.array2d[wp.vec3d],
-        options: Options,
-        directions: wp.array[vec3],
-        times: wp.array[real],
-        # out
-        out: wp.array[Found],
-    ):
+    def probe(kind: int, x0: POINTS, x1: POINTS, options: Options, d: vecs, times: reals, out: wp.array[Found]):
         i = wp.tid()
-        n = normalise(kind, row_points(vertices_t0, i), row_points(vertices_t1, i), options)
+        n = normalise(kind, row_points(x0, i), row_points(x1, i), options)
         error, separation, zero, one = n.problem.error, n.problem.separation, real(0.0), real(1.0)
         s = Found()
         s.unit = n.unit
         s.error = error
         s.separation = separation
-        s.offset = offset(directions[i], error, separation)
+        s.offset = offset(d[i], error, separation)
         s.of_volume = separation_offset(n.problem.volume, separation, times[i], times[i])
         s.bound = n.problem.volume.bound
-        a = with_largest_one(directions[i])
+        a = with_largest_one(d[i])
         beyond = offset(a, error, separation)
         s.clips[0] = clip_beyond(a, beyond, zero, n.patch.t0, n.patch.t1, n.patch.is_triangle)
         s.clips[1] = advance_volume(n.problem, zero, one)

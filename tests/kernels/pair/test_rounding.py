@@ -22,15 +22,7 @@ from cull_probe import WIDTHS, culled
 from exact import exact_distance_tois, exact_tois
 from hard_cases import FAMILIES
 from numpy.lib.recfunctions import structured_to_unstructured
-from rounding_samples import CORNERS, FLOATS, KINDS, REALS, SIDES, cross, drawn, exactly
-
-POINTS = wp.array2d[wp.vec3d]
-
-
-def struct(name: str, fields: list):
-    """A struct of fields, whose names are given by type."""
-    annotations = {field: kind for names, kind in fields for field in names.split()}
-    return wp.struct(type(name, (), {"__annotations__": annotations}))
+from rounding_samples import CORNERS, FLOATS, KINDS, POINTS, REALS, SIDES, cross, drawn, exactly, struct
 
 
 @cache
