@@ -240,9 +240,9 @@ def run_bench(arguments: argparse.Namespace) -> int:
     if has_picture:
         draw(rows, title, folder / "bench.png")
     tell(f"wrote bench.csv{' and bench.png' * has_picture} in {folder}")
-    for name, what in (("ipctk", "it stand beside ours"), ("matplotlib", "the picture be drawn")):
-        if find_spec(name) is None:
-            tell(f"{name} is not installed, which would let {what}; install with: pip install 'ccd-warp[bench]'")
+    for is_present, what in ((has_peer, "ipctk, to stand beside ours"), (has_picture, "matplotlib, for the picture")):
+        if not is_present:
+            tell(f"not installed: {what}; install with: pip install 'ccd-warp[bench]'")
     of_ours = [row for row in rows if row["method"].startswith("ours")]
     wrong = [sum(row[fault] for row in of_ours) for fault in ("missed", "late")]
     tell(f"{sum(row['queries'] for row in of_ours):,} answers of ours: {wrong[0]} missed, {wrong[1]} late")

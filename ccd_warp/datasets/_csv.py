@@ -87,7 +87,7 @@ def _blocks(path: Path, advance: Callable[[int], object]) -> Iterator[tuple[int,
             if not rows:  # empty lines are refused where a row comes after them; at the end of the file they are not
                 num_empty += num_ends
                 continue
-            rows = b"\n" * num_empty + rows
+            rows = b"\n" * min(num_empty, 1) + rows  # the first of them is the one that is named
             yield line, rows
             line += rows.count(b"\n") + 1
             num_empty = max(num_ends - 1, 0)

@@ -76,7 +76,7 @@ def write_step(start_path: str | Path, end_path: str | Path, step: SimulationSte
     for name, path in (("start_path", start), ("end_path", end)):
         if path.suffix.lower() != ".ply":
             raise ValueError(f"{name} is {path}; expected a name that ends in .ply")
-    if start == end:
+    if start.resolve() == end.resolve():
         raise ValueError(f"end_path is {end}, as start_path is; expected another file")
     frames: list[np.ndarray] = []
     for name in ("vertices_t0", "vertices_t1"):
