@@ -223,6 +223,7 @@ BAD = np.where(np.arange(36).reshape(3, 4, 3) == 18, np.nan, 0.0)
     [
         ("queries", (BAD, ZERO), r"points_t0\[1, 2, 0\] is nan; expected finite coordinates"),
         ("step", ("vf.ply", STEP), r"end_path is .*vf\.ply, as start_path is; expected another file"),
+        ("step", ("x/../vf.ply", STEP), r"end_path is .*x/\.\./vf\.ply, as start_path is; expected another file"),
     ],
 )
 def test_what_is_no_data_is_not_written(tmp_path, write, given, message):
