@@ -103,8 +103,5 @@ def precision(request) -> str:
     return request.param
 
 
-@pytest.fixture(scope="session")
-def python():
-    """Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output."""
-    with programs() as run:
-        yield run
+# Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output.
+python = pytest.fixture(scope="session", name="python")(programs)
