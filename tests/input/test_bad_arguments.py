@@ -9,6 +9,7 @@ import inspect
 import pickle
 import re
 from dataclasses import is_dataclass
+from pathlib import Path
 
 import every_call as of
 import hostile
@@ -128,13 +129,14 @@ ARGUMENTS = {
 
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
-    """Nothing is drawn, no window opened."""
+    """Nothing is drawn, no window opened, and what is written to a name alone goes where the calls' files are."""
 
     def draw(*_):
         raise of.Drawn
 
     for module, name in ((viz, "drawn"), (viz, "import_pyvista"), (viz._export, "import_pyvista")):
         monkeypatch.setattr(module, name, draw)
+    monkeypatch.chdir(of.FOLDER.name)
 
 
 def check_refusal(error, words, phrase=""):
@@ -187,10 +189,7 @@ IS_PATH = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path"
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
 @pytest.mark.parametrize(("call", "argument"), EVERY)
-def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(
-    call, argument, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
+def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(call, argument):
     function, arguments = CALLS[call]
     phrase, wrong, right = ARGUMENTS.get(f"{argument} of {call}") or ARGUMENTS[argument]
     expected = run(function, arguments)
@@ -228,7 +227,7 @@ ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of Collis
 
 
 @pytest.mark.parametrize(("call", "argument"), ARRAYS)
-def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument, tmp_path):
+def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument):
     function, arguments = CALLS[call]
     array, is_on_device = arguments[argument], any(word in call for word in ON_DEVICE)
     may_refuse, own = is_on_device or call in WRITTEN, {NAMES.get(argument, argument)}
@@ -250,7 +249,7 @@ def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_num
             if call != "edges_by_max":  # has the dtype of its argument
                 check_same(arrays_of(result) if is_on_device else result, expected)
 
-    for made in hostile.same(array, tmp_path):
+    for made in hostile.same(array, Path(of.FOLDER.name)):
         check(made)
     for made, word in hostile.hidden(array):
         is_number = type(made) is np.ndarray and made.dtype in (np.float32, np.float64)
@@ -297,12 +296,16 @@ TOGETHER = {
     ],
     **{
         call: [
-            (MOVED, r"vertex 0 of body 1, which is static, by 1.* kinematic="),
+            (MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1.7.* kinematic=\['ball'\] in place of static="),
+            (MOVED | {"vertices_t1": put(END, (5, 1), np.nextafter(3, 4))}, r"vertex 2 of body 1 \(ball\), .* by 4"),
+            (MOVED | {"vertices_t0": put(END, 5, np.nan)}, r"vertices_t0 holds nan in row 5 \(vertex 2 of ball\); exp"),
+            (MOVED | {"vertices_t1": put(END, 2, np.nan)}, r"vertices_t1 holds nan in row 2 \(vertex 2 of cloth\)"),
+            (MOVED | {"vertices_t1": END[:4]}, r"vertices_t1 has shape \(4, 3\); expected \(6, 3\) .* or \(3, 3\)"),
             (THICK_FRAMES | {"minimum_separation": 0.1}, "minimum_separation is 0.1 and the mesh has a radius of"),
         ]
         for call in ("mesh_ccd beside a static body", "collision_free_step", "is_step_collision_free", "line_search")
     },
-    "find_candidates": [(MOVED, "vertex 0 of body 1, which is static, by 1.* kinematic=")],
+    "find_candidates": [(MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1")],
     "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
     **{
         call: [
@@ -382,6 +385,7 @@ MESHES = [
             (ccd.HalfSpace([0, 0, 0], [0, 0, 1]), "bodies holds half-spaces alone", "at least one body with vertices"),
         ]
     ),
+    ([EYE, (np.eye(3), [[0, 1, 7]])], {"names": ["cloth", "ball"]}, r"faces of body 1 \(ball\) holds index 7"),
     ([(SEGMENT, EDGE), EYE], {}, "body 1 has 3 columns and those of body 0 2; expected all"),
     ([EYE] * 3 + [FLOOR], {"rigid": [3]}, "rigid holds body 3, a half-space"),
     ([EYE, FLOOR], {"radius": [0.1, 0.2]}, r"radius holds 0.2 for body 1; expected 0, as a half-space has no"),
