@@ -108,6 +108,7 @@ def test_least_memory_limit_that_is_named_works_and_one_byte_less_does_not():
 
 
 @requires_status
+@pytest.mark.filterwarnings("ignore:[0-9,]* pairs of:RuntimeWarning")
 def test_stack_of_faces_within_little_memory():
     """Over 13 million pairs of overlapping boxes: batches, and a peak that the limit bounds."""
     scene = leaning_stack(1_500, 1e-5)

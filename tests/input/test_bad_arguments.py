@@ -278,6 +278,7 @@ def put(array, index, value):
     return array
 
 
+TWO, WORLDS, MATRICES = np.tile(np.eye(7)[6], (2, 1)), np.tile(np.eye(7)[6], (3, 2, 1)), np.tile(np.eye(4), (2, 1, 1))
 REST, LIFTED, FLOOR = [0.0, 0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0, 1], ccd.HalfSpace([0.0, 0, 0], [0.0, 0, 1])
 BARS = ccd.CollisionMesh.from_arrays([([[0.0, 0], [1, 0]], [[0, 1]])] * 2, rigid=[0, 1])
 COPIES = MESH.replicate(3)
@@ -328,10 +329,43 @@ TOGETHER = {
     "RigidMotion": [
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
+        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
+        *(
+            ({"poses_t0": start, "poses_t1": end}, message)
+            for start, end, message in [
+                (np.eye(4), TWO, r"poses_t0 has shape \(4, 4\); expected shape .* or \(B, 4, 4\)"),
+                (WORLDS, WORLDS[:2], "poses_t1 is of 2 bodies in each of 2 worlds; expected 2 bodies in each of 3 wor"),
+                (WORLDS, TWO, "poses_t1 is of 2 bodies; expected 2 bodies in each of 3 worlds like poses_t0"),
+                (WORLDS, put(WORLDS, (2, 1, 5), -np.inf), "poses_t1 holds -inf for body 1 of world 2; expected finite"),
+                (TWO, put(MATRICES, (1, 3, 0), 0.5), r"poses_t1 has the bottom row \[0.5, 0.0, 0.0, 1.0\] for body 1"),
+                (TWO, put(MATRICES, (1, 0, 0), 1.01), "holds no rotation for body 1: .* 0.0201 .* at most 1e-06"),
+                (put(MATRICES, (1, 0, 1), 2e-6), TWO, "poses_t0 holds no rotation for body 1: .* are 2e-06 from"),
+                (put(MATRICES, (0, 0, 0), 1e200), TWO, "poses_t0 holds no rotation for body 0: .* are inf from"),
+                (put(MATRICES, (1, 0, 0), -1), TWO, "poses_t0 holds a reflection for body 1, with determinant -1"),
+                (*(put(TWO, (1, 0), x) for x in (-1.7e308, 1.7e308)), "velocity of the motion holds .* for body 1"),
+            ]
+        ),
+    ],
+    "RigidMotion.from_scalar_first": [
+        ({"poses_t0": MATRICES}, r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"),
+        ({"poses_t1": put(TWO, (1, 6), 0)}, "0 for body 1; .*w x y z, scalar first"),
+        (
+            {"poses_t1": None, "twist": put(np.zeros((2, 6)), (0, 4), 1e6)},
+            "twist turns body 0 by 1e.06 rad; .*divide it",
+        ),
     ],
     "RigidMotion of a twist": [
         ({"twist": [REST[:6]]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
         ({"twist": put(np.zeros((2, 6)), (1, 5), -1e6)}, "twist turns body 1 by 1e.06 rad; expected less than 1e.06"),
+        *(
+            ({"poses_t0": start, "poses_t1": end, "twist": put(np.zeros((*start.shape[:-1], 6)), at, value)}, message)
+            for start, end, at, value, message in [
+                (TWO, TWO, (1, 0), 0.5, "ends 0.5 and 0 rad away from poses_t1 for body 1; expected the same pose"),
+                (WORLDS, WORLDS, (2, 0, 4), 3e-6, "ends 0 and 3e-06 rad .* body 0 of world 2"),
+                (WORLDS, None, (2, 1, slice(3, 6)), 1.7e308, "turns body 1 of world 2 by inf rad"),
+                (put(TWO, (0, 0), 1.7e308), None, (0, 0), 1.7e308, "the end of twist holds inf for"),
+            ]
+        ),
     ],
     "CollisionMesh.from_arrays": [
         ({"kinematic": [1]}, r"static and kinematic both hold body 1 \(cable\); expected it in one of them"),
@@ -448,6 +482,8 @@ ASKED = [
     *((f.__name__, lambda f=f: f(PIPELINE), "CollisionPipeline cannot be copied or pickled; copy or") for f in COPIERS),
     ("pickle", lambda: pickle.dumps(LAUNCHED), r"LaunchResult cannot be copied or pickled; .* to_host\(\) returns"),
     ("copy", lambda: copy.copy(LAUNCHED.contacts), "DeviceContacts cannot be copied or pickled"),
+    ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at([0.5]), r"\(1,\); .* fractions of shape \(2,\) or \(3, 2\)"),
+    ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at(np.full((3, 2), 2.0)), "t is 2.0 for body 0 of world 0"),
     ("t_max", lambda: SHORT.line_search(START, END), r"t_max is 0\.5; expected 1"),
     ("bounds", lambda: SEPARATED.displacement_bounds(START, 0.1), NO_BOUNDS),
     ("gradient", lambda: ccd.vertex_face_ccd(PAIR, PAIR).toi_gradient(PAIR, PAIR), "gradients of NumPy arrays"),

@@ -15,7 +15,7 @@ SCRIPT = """
     from cuda_modules import cuda_modules
 
     wp.init()
-    modules = {name: module for name, module in cuda_modules().items() if "float64" in name}
+    modules = {name: module for name, module in cuda_modules(reals=(wp.float64,)).items() if "float64" in name}
 
 
     def names():
