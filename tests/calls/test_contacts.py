@@ -119,12 +119,6 @@ def test_points_lie_halfway_between_both_surfaces(make, minimum_distance):
 # --- what a response uses: each place once, and its normal ---
 
 
-def turned(rng):
-    """A rotation at random."""
-    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return q * np.sign(np.linalg.det(q))
-
-
 def box(lower, upper):
     """A box between two corners: vertices and faces."""
     mesh = trimesh.creation.box(bounds=[lower, upper])
@@ -142,7 +136,7 @@ ROOF = (np.array([[-1, 0, 0], [1, 0, 0], [1, 1, -1], [-1, 1, -1], [-1, -1, -1], 
 ROOF += ([[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 5, 1]],)
 TIP = np.array([[0, 0, 0], [0.3, 0.1, 0.5], [-0.2, 0.4, 0.6], [-0.1, -0.3, 0.4]]), [[0, 1, 2], [0, 2, 3], [0, 3, 1]]
 _SPHERE = trimesh.creation.icosphere(2, 0.3)
-_TURNED = np.array(_SPHERE.vertices) @ turned(np.random.default_rng(3))
+_TURNED = np.array(_SPHERE.vertices) @ np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
 BALL = _TURNED - _TURNED[np.argmin(_TURNED[:, 2])], np.array(_SPHERE.faces)  # a single vertex of which is lowest
 PARTICLE = np.array([[0, 0, 0.1]]), NO_FACES  # of radius 0.1
 # what stands on what, and in how many places
@@ -168,7 +162,8 @@ def test_what_lands_touches_once_in_each_place_with_the_normal_of_the_ground(nam
     cases = [(1.0, {}), (1e3, {}), (1e-3, {"precision": "float32"}), (1.0, {"minimum_distance": 0.02})]
     for motion in ([0.0, 0.0, -1.0], [0.6, 0.3, -1.0]):
         for scale, options in cases:
-            distance, frame, move = options.get("minimum_distance", 0.0), turned(rng), np.array(motion)
+            distance, move = options.get("minimum_distance", 0.0), np.array(motion)
+            frame = np.linalg.qr(rng.standard_normal((3, 3)))[0]
             above = upper + [0, 0, distance] - 0.5 * move
             bodies = [(scale * above @ frame.T, upper_faces), (scale * np.array(lower) @ frame.T, lower_faces)]
             thick = {"codimensional_points": True, "radius": [0.1 * scale, 0.0]} if is_ball else {}

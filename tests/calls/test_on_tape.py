@@ -7,7 +7,6 @@ from scenes import FACE, TRIANGLE, falling
 from toi_scenes import array, taped
 
 import ccd_warp as ccd
-from ccd_warp._engine.device.step import DeviceStep
 
 PER = ("scene", "world", "body", "vertex")
 
@@ -126,23 +125,6 @@ def test_line_searches_change_as_their_gradients_say(per):
     late, early = (shortened(*(x + s * dx for x, dx in zip(values, moves, strict=True))) for s in (1, -1))
     change = 2.0 * sum((g * dx).sum() for g, dx in zip(found, moves, strict=True))
     assert change == pytest.approx((weights * (late - early)).sum(), rel=1e-6)
-
-
-def test_the_order_of_contacts_changes_no_bit(monkeypatch):
-    (mesh, start, end), launch, found = scene(), DeviceStep.launch, []
-
-    def launch_in_another_order(step, prepared):
-        launch(step, prepared)
-        contacts = step.result.contacts
-        rows = np.random.default_rng(len(found)).permutation(int(contacts.count.numpy()[0]))
-        for name in ("kind", "primitives", "toi", "status", "normal"):
-            values = getattr(contacts, name).numpy()
-            values[: len(rows)] = values[rows]
-
-    for own_launch in (launch, launch_in_another_order, launch_in_another_order):
-        monkeypatch.setattr(DeviceStep, "launch", own_launch)
-        found.append(gradients(pipeline_of(mesh), [array(start), array(end)]))
-    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])
 
 
 def test_equal_tois_pass_their_gradient_to_the_first_contact():

@@ -285,6 +285,9 @@ COPIES = MESH.replicate(3)
 OF_COPIES = ccd.mesh_ccd(COPIES, COPIES.vertices, COPIES.vertices)
 THICK = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE, FACE)], radius=0.1)
 THICK_FRAMES = {"mesh": THICK, "vertices_t0": THICK.vertices, "vertices_t1": THICK.vertices}
+BOXES, FIXED = (ccd.CollisionMesh.from_trimesh([trimesh.creation.box()] * 2, rigid=[0, 1], static=x) for x in ([], [0]))
+OF_WORLDS = dict.fromkeys(["vertices_t0", "vertices_t1"], BOXES.vertices)
+OF_WORLDS["motion"] = ccd.RigidMotion(np.tile(REST, (7, 2, 1)), twist=np.ones((7, 2, 6)))
 MOVED = {"mesh": of.MESH_AND_STATIC, "vertices_t1": END + 1}
 PAIR, LAUNCHED = wp.zeros((1, 4), dtype=wp.vec3d), PIPELINE.launch(START, END)
 # Arguments that do not fit each other, or a mesh: by the call what is changed, and the message.
@@ -294,6 +297,10 @@ TOGETHER = {
         ({"minimum_distance": 1.0, "minimum_separation": 0.1}, "minimum_distance is 1.0 and minimum_separation is 0.1"),
         ({"memory_limit": 1}, r"memory_limit is 1 bytes; expected at least \d+"),
         ({"motion": of.MOTION}, "no body of the mesh is rigid"),
+        (OF_WORLDS | {"mesh": FIXED}, "motion moves body 0 in world 0, which is static"),
+        (OF_WORLDS | {"mesh": BOXES, "vertices_t1": BOXES.vertices + 1e-3}, "vertices_t1 has another row for vertex 0"),
+        (OF_WORLDS | {"mesh": BOXES, "check_start": True}, r"check_start is True .*replicate\(7\)"),
+        (OF_WORLDS | {"mesh": BOXES, "method": "bisection"}, "method is 'bisection'"),
     ],
     **{
         call: [
@@ -420,6 +427,17 @@ MESHES = [
         ]
     ),
     ([EYE, (np.eye(3), [[0, 1, 7]])], {"names": ["cloth", "ball"]}, r"faces of body 1 \(ball\) holds index 7"),
+    *(
+        ([(np.eye(8, 3), {kind: cells})], {}, message)
+        for kind, cells, message in [
+            ("tetra", [[0, 1, 2, 3], [1, 0, 2, 3]], "holds two cells of the vertices"),
+            ("tetra", [[0, 1, 2, k] for k in (4, 5, 6)], r"has 3 cells at the side \[0, 2, 1, 1\]; expected at most"),
+            ("tetra", [[0, 1, 2, 300]], r"holds index 300; expected indices in \[0, 8\)"),
+            ("tetra", np.zeros((0, 4), dtype=int), "cells in place of faces of body 0 are none"),
+            ("tetra", [[0.0, 1.0, 2.0, 3.0]], "expected integers"),
+            ("tetra14", np.zeros((1, 14), dtype=int), "holds the type 'tetra14'; expected cells by type"),
+        ]
+    ),
     ([(SEGMENT, EDGE), EYE], {}, "body 1 has 3 columns and those of body 0 2; expected all"),
     ([EYE] * 3 + [FLOOR], {"rigid": [3]}, "rigid holds body 3, a half-space"),
     ([EYE, FLOOR], {"radius": [0.1, 0.2]}, r"radius holds 0.2 for body 1; expected 0, as a half-space has no"),
@@ -482,6 +500,7 @@ ASKED = [
     *((f.__name__, lambda f=f: f(PIPELINE), "CollisionPipeline cannot be copied or pickled; copy or") for f in COPIERS),
     ("pickle", lambda: pickle.dumps(LAUNCHED), r"LaunchResult cannot be copied or pickled; .* to_host\(\) returns"),
     ("copy", lambda: copy.copy(LAUNCHED.contacts), "DeviceContacts cannot be copied or pickled"),
+    ("motion", lambda: ccd.line_search(BOXES, **OF_WORLDS), r"14 rows .* mesh.replicate\(7\)"),
     ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at([0.5]), r"\(1,\); .* fractions of shape \(2,\) or \(3, 2\)"),
     ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at(np.full((3, 2), 2.0)), "t is 2.0 for body 0 of world 0"),
     ("t_max", lambda: SHORT.line_search(START, END), r"t_max is 0\.5; expected 1"),
@@ -495,6 +514,37 @@ ASKED = [
 def test_what_is_asked_of_an_object_that_does_not_have_it_is_refused(what, ask, message):
     kind = IndexError if what == "contact" else TypeError if "index" in message or "copied" in message else ValueError
     with pytest.raises(kind, match=message):
+        ask()
+
+
+def many_pairs(call):
+    """A pair function of NumPy's points, of which a graph would hold the values that they have now."""
+    function, arguments = CALLS[call]
+    return function(*(np.repeat(arguments[end], 100, axis=0) for end in ("points_t0", "points_t1")))
+
+
+FRESH, ON_DEVICE_T0 = ccd.CollisionPipeline(MESH), wp.array(START, dtype=wp.vec3d)
+NEAR = PIPELINE.launch_proximity(ON_DEVICE_T0, 0.1)
+# What a graph that is being captured cannot hold, and the message.
+IN_CAPTURE = [
+    (lambda: FRESH.launch(ON_DEVICE_T0, ON_DEVICE_T0), r"call reserve\(\) before the capture"),
+    (lambda: FRESH.launch_proximity(ON_DEVICE_T0, 0.1), "^a graph is being captured, and this launch was not called"),
+    (lambda: FRESH.reserve(), "a graph is being captured"),
+    (lambda: PIPELINE.mesh_ccd(START, END), "a graph is being captured"),
+    (lambda: ccd.collision_free_step(MESH, START, END), "a graph is being captured"),
+    (lambda: ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)])), "a graph is being captured"),
+    *(
+        (lambda call=call: many_pairs(call), "(?i)captur.*(warp|device)")
+        for call in CALLS
+        if re.fullmatch("[a-z]+_[a-z]+_ccd", call)
+    ),
+    (lambda: NEAR.unique(), r"ask for proximities\.unique once before"),
+]
+
+
+@pytest.mark.parametrize(("ask", "message"), IN_CAPTURE)
+def test_what_a_graph_cannot_hold_is_refused_while_it_is_captured(ask, message):
+    with pytest.raises(RuntimeError, match=message), wp.ScopedCapture():
         ask()
 
 

@@ -6,7 +6,8 @@ import warp as wp
 from ccd_warp.kernels.template import specialised
 from distance_oracle import exact_distance
 from distance_queries import KINDS as EVERY_KIND
-from distance_queries import SOLVE, UNIT_ROUNDOFF, failures, named_vector, size_of
+from distance_queries import SOLVE, failures, named_vector, size_of
+from exact import exact_distance_tois
 from hard_cases import FAMILIES
 from published import all_queries, requires_data
 
@@ -102,6 +103,46 @@ def test_bisection_is_conservative_and_agrees(family, kind, precision):
     assert (result.toi[both] <= clipped.toi[both] + 1e-5).all()
 
 
+# --- at a distance ---
+
+
+def grazing(kind, n, rng, dimension, distance):
+    """Random queries scaled so that the least distance of the step is the given one, up to rounding."""
+    points_t0, points_t1 = FAMILIES["random"](kind, n, rng, dimension=dimension)
+    for start, end in zip(points_t0, points_t1, strict=True):
+        least = exact_distance(kind, start, end, 0.0)
+        low, high = 0.0, 1.0
+        for _ in range(8):
+            times = np.linspace(low, high, 9)
+            at = [exact_distance(kind, start, end, t) for t in times.tolist()]
+            k = int(np.argmin(at))
+            least = min(least, at[k])
+            low, high = times[max(k - 1, 0)], times[min(k + 1, 8)]
+        if least > 0.0:
+            start *= distance / least
+            end *= distance / least
+    return points_t0, points_t1
+
+
+@every_kind
+def test_pairs_that_graze_the_distance(kind, dimension, precision):
+    points = grazing(kind, 12, np.random.default_rng(62), dimension, 0.25)
+    options = {"precision": precision, "tolerance": 1e-9, "length_scale": 1.0, "minimum_distance": 0.25}
+    assert not failures(kind, *points, checks_gap=True, **options)[0]
+
+
+@every_kind
+def test_lengths_and_distances_near_the_ends_of_the_range_are_never_late(kind, dimension, precision):
+    points = FAMILIES["random_colliding"](kind, 20, np.random.default_rng(68), dimension=dimension)
+    lengths = [(exponent, float(np.ldexp(0.125, exponent))) for exponent in (-1070, -1000, 1000, 1020)]
+    for exponent, distance in [*lengths, *((0, x) for x in (1e-320, 1e-200, 1e200, 1.7e308))]:
+        scaled = [np.ldexp(x, exponent) for x in points]
+        exact = exact_distance_tois(kind, *scaled, distance)
+        tois = SOLVE[kind](*scaled, minimum_distance=distance, precision=precision).toi
+        assert not any(truth.late(toi) for truth, toi in zip(exact, tois.tolist(), strict=True))
+        assert exponent or (tois == 0).all() == (distance > 1)
+
+
 # --- parameters ---
 
 
@@ -113,43 +154,6 @@ def own_hits(kind, points, least, **options):
     result = SOLVE[kind](*points, **options)
     gaps = [exact_distance(kind, *pair) for pair in zip(*points, result.toi, strict=True)]
     return points, result.parameters, named_vector(kind, *points, result), np.array(gaps)
-
-
-def sliver_pairs(kind, aspect, rng):
-    """Pairs along a line, but for a share across, the first primitive of each aside."""
-    along, across, aside = (x / np.linalg.norm(x, axis=2, keepdims=True) for x in rng.normal(size=(3, 150, 1, 3)))
-    start = rng.uniform(-1, 1, (150, 1, 3)) + rng.uniform(-1, 1, (150, 4, 1)) * along
-    start += aspect * rng.uniform(-1, 1, (150, 4, 1)) * across
-    moving = 1 if kind == "vertex-face" else 2
-    start[:, :moving] += 0.5 * aside
-    end = start.copy()
-    end[:, :moving] += rng.uniform(-1, 1, (150, 1, 3))
-    return start, end
-
-
-def pairs_in_a_box(kind, axes, rng):
-    start = rng.uniform(-1, 1, (400, 3 if kind == "point-segment" else 4, 3)) * axes
-    return start, start + rng.uniform(-0.5, 0.5, start.shape) * axes
-
-
-@pytest.mark.parametrize(
-    ("kind", "make", "shape", "separation"),
-    [
-        *((kind, sliver_pairs, x, 0.2) for kind in KINDS for x in (0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2)),
-        *((k, pairs_in_a_box, x, 0.3) for k in (*KINDS, "point-segment") for x in ((1.0, 1.0, 1.0), (1.0, 0.05, 20.0))),
-    ],
-)
-@pytest.mark.parametrize("limit", [{}, {"max_iterations": 1}], ids=["within_the_separation", "at_the_limit"])
-def test_parameters_within_a_separation_are_of_the_closest_point(limit, kind, make, shape, separation, precision):
-    """Many start within the separation, where any point would do for the toi."""
-    points = make(kind, shape, np.random.default_rng(5))
-    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision, **limit}
-    points, parameters, apart, gaps = own_hits(kind, points, 20, **options)
-    # a foot is a chain of about ten roundings, and corners at toi carry their own (kernels/pair/rounding.py)
-    slack = 120 * UNIT_ROUNDOFF[precision] * np.abs(points).max(axis=(0, 2, 3))
-    assert (np.linalg.norm(apart, axis=1) <= gaps + slack).all() and (parameters >= 0).all()
-    # a sum of two numbers of float32 may be above 1 by a rounding
-    assert (parameters.sum(axis=1) <= (2 if kind == "edge-edge" else 1) + 2.0**-23).all()
 
 
 @of_four_points
@@ -282,23 +286,6 @@ def test_the_parameters_of_a_contact_in_one_plane_are_those_of_the_point_that_to
     points = np.array(ON_A_LINE.split(), dtype=float).reshape(2, 1, 4, 3)
     result = ccd.vertex_face_ccd(*points, precision="float32", t_max=0.5, max_iterations=limit)
     assert np.abs(named_vector("vertex-face", *points, result)).max() <= result.gap[0] + 1e-12
-
-
-# Of two points in one any share is right; where those of a face are f1 and f2, the sum is 1/2. Then the edge that has a
-# length, beside one without.
-SHARES = [
-    *(("vertex-face", [(0, 0, 1), *((x, 0, 0) for x in face)], [1, 1, -1], 0.1, share)
-      for face, share in [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])]),
-    ("edge-edge", [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 0)], 1, 0.5005, [1, 0]),
-    ("edge-edge", [(1, 1, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)], 1, 0.5005, [0, 1]),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("kind", "points", "turned", "separation", "share"), SHARES)
-def test_the_middle_of_what_has_two_corners_in_one(kind, points, turned, separation, share, precision):
-    p0 = np.array([points], dtype=float)
-    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision}
-    assert SOLVE[kind](p0, p0 * turned, **options).parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
 
 
 # --- interface ---

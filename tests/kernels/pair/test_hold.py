@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-import trimesh
 import warp as wp
 from oracle import exact_gap
-from scenes import FACE, TRIANGLE, sheet
+from scenes import FACE, NO_FACES, TRIANGLE, sheet
 from slides import FACES, GROUND, slides_of
 
 import ccd_warp as ccd
@@ -18,7 +17,6 @@ NORMS = {
 # In sizes of a pair, whose coordinates are no larger here: what a search may lose is a third of it.
 LOST = 400 * 2.0**-53
 EVERY_PER = ("scene", "world", "body", "vertex")
-NO_FACES = np.zeros((0, 3), dtype=int)
 every_norm = pytest.mark.parametrize("norm", NORMS)
 
 
@@ -172,31 +170,6 @@ def test_cable_slides_from_one_cable_to_the_next_without_losing_height(norm):
     end = mesh.vertices + [1.0, 0.1, 0.0] * (mesh.vertex_body == 2)[:, None]
     pipeline = ccd.CollisionPipeline(mesh, **NORMS[norm])
     check_reached(pipeline, mesh.vertices, end, end)
-
-
-@pytest.mark.parametrize("frames", [20, pytest.param(300, marks=pytest.mark.long)])
-@pytest.mark.parametrize("thickness", ["radius", "minimum_distance"])
-def test_a_rope_is_pulled_through_a_ring_as_narrow_as_itself_as_if_nothing_were_near(thickness, frames):
-    for seed, share in enumerate((1.0, 0.3) if frames < 300 else (1.0, 0.999, 0.3)):
-        rng = np.random.default_rng(seed)
-        turn, origin = np.linalg.qr(rng.normal(size=(3, 3)))[0], rng.normal(size=3)
-        inner = share * DISTANCE / np.cos(np.pi / 24)  # the middles of its inner edges are nearer than its vertices
-        ring = trimesh.creation.torus(0.1 + inner, 0.1, major_sections=24, minor_sections=12)
-        rope = np.linspace(-5.5, 0.5, 61)[:, None] * turn[0] + origin
-        links = np.stack([np.arange(60), np.arange(1, 61)], axis=1)
-        bodies = [(ring.vertices[:, [2, 0, 1]] @ turn + origin, ring.faces), (rope, NO_FACES, links)]
-        options = {"radius": [0.0, DISTANCE]} if thickness == "radius" else {}
-        mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], **options)
-        capacities = {"max_pairs": 1 << 17, "max_contacts": 1 << 15}
-        pipeline = ccd.CollisionPipeline(mesh, **capacities, **({} if options else NORMS["ball"]))
-        x = mesh.vertices
-        for way in np.diff(4.0 * np.linspace(0.0, 1.0, frames + 1) ** 2):
-            y = x + way * turn[0] * (mesh.vertex_body == 1)[:, None]
-            for per in ("scene", "vertex"):
-                np.testing.assert_array_equal(pipeline.line_search(x, y, per=per).vertices, y)
-            np.testing.assert_array_equal(shortened_by_launch(pipeline, x, y, per="scene"), y)
-            x = y
-        assert pipeline.find_proximity(x, 0.0).distance.min(initial=DISTANCE) > share * DISTANCE - 1e-12
 
 
 # ---- Half-spaces -----------------------------------------------------------------------------------------------------

@@ -127,11 +127,6 @@ def test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one(axis):
         assert found.point_segment.tolist() == [[40, 0]]
 
 
-def test_boxes_are_rounded_outward():
-    x = np.array([[0.0, 0, 0]] * 3 + [[0.2, 0, 0]] * 3)
-    assert all(check(single(x, [[0, 1, 2], [3, 4, 5]]), x, x, reach) for reach in (0.1, np.nextafter(0.1, 0)))
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=36, max_size=108))
 def test_any_finite_numbers(values):
