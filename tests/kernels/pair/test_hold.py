@@ -90,14 +90,6 @@ def test_tilted_triangle_that_float32_cannot_tell_from_its_distance_is_lifted(no
     check_reached(pipeline, x, end, end)
 
 
-def test_none_stays_strict_and_a_number_shrinks_the_gap():
-    strict, start = two_triangles(0.5 * DISTANCE, start_gap_fraction=None, **NORMS["ball"])
-    end = of_second(start, [0.3, 0.0, 0.01])
-    check_reached(strict, start, end, start)
-    half, _ = two_triangles(0.5 * DISTANCE, start_gap_fraction=0.5, **NORMS["ball"])
-    assert np.array_equal(half.line_search(start, end).vertices, end) and half.mesh_ccd(start, end).toi == np.inf
-
-
 @pytest.mark.parametrize("is_static", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_patch_slides_over_a_mesh_with_parallel_edges_in_any_direction_without_losing_height(is_static):
     ground, patch = sheet(40), sheet(5, 0.125)  # of sides of one length
