@@ -47,20 +47,6 @@ NORMALS = [[0, 0, 1], [0, -1e-320, 0], [1e308, 1e308, -1e308], [5e-324, 0, 5e-32
 NORMALS += [[1, 1, 1], [-3, 4, 0], [0.3, -1.1, 0.7], [-2.3, 0.1, 0.01], [1.9, -0.4, -1.2]]
 
 
-def hostile(rng):
-    """Points on, beside and along planes, of sizes that overflow and underflow, and normals that lose bits."""
-    planes, points = [], [[0, 0, 0], [1e308, -1e308, 1e308], [5e-324, 5e-324, -5e-324], [1, 2, 3]]
-    for k, normal in enumerate(NORMALS):
-        scale = [1.0, 1e-310, 1e308, 1e-200, 1e150, 1e-5][k % 6]
-        x = scale * np.round(rng.uniform(-1, 1, 3), k % 3)
-        planes.append(ccd.HalfSpace(x, normal))
-        along = np.cross(normal / np.max(np.abs(normal)), rng.standard_normal(3))
-        along *= max(np.abs(x).max(), 5e-324) / np.abs(along).max()
-        points += [x, np.nextafter(x, np.inf), np.nextafter(x, -np.inf), 0.5 * x + 0.5 * along, 0.3 * x]
-    points = np.array(points)
-    return points, planes, points[rng.permutation(len(points))]
-
-
 def values(mesh, positions):
     """(x - point)·normal of every vertex and plane, exactly."""
     own = mesh.planes.vertices[:, None]
@@ -91,8 +77,18 @@ def check(mesh, start, end, distance=0.0, is_euclidean=False):
 
 @pytest.mark.parametrize("seed", range(3))
 def test_hostile_vertices_and_planes_are_never_late(seed):
+    """Points on, beside and along planes, of sizes that overflow and underflow, and normals that lose bits."""
     rng = np.random.default_rng(seed)
-    start, planes, end = hostile(rng)
+    planes, points = [], [[0, 0, 0], [1e308, -1e308, 1e308], [5e-324, 5e-324, -5e-324], [1, 2, 3]]
+    for k, normal in enumerate(NORMALS):
+        scale = [1.0, 1e-310, 1e308, 1e-200, 1e150, 1e-5][k % 6]
+        x = scale * np.round(rng.uniform(-1, 1, 3), k % 3)
+        planes.append(ccd.HalfSpace(x, normal))
+        along = np.cross(normal / np.max(np.abs(normal)), rng.standard_normal(3))
+        along *= max(np.abs(x).max(), 5e-324) / np.abs(along).max()
+        points += [x, np.nextafter(x, np.inf), np.nextafter(x, -np.inf), 0.5 * x + 0.5 * along, 0.3 * x]
+    start = np.array(points)
+    end = start[rng.permutation(len(start))]
     mesh = particles(start, *planes)
     assert check(mesh, start, end) > 300
     for distance in (1e-323, 1e-5, 1e200, 1.7e308):

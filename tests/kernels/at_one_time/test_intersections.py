@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 import trimesh
 from laws.truth import Pairs, intersections
-from scenes import single
+from scenes import FACE, NO_FACES, single
 
 import ccd_warp as ccd
 
 KIND = ccd.IntersectionKind
-FACE, NO_FACES = [[0, 1, 2]], np.zeros((0, 3), int)
 TRIANGLE = [[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]
 THROUGH = [[1, 1, -1], [1, 1, 1], [9, 9, 0.5]]
 
