@@ -104,7 +104,7 @@ def test_offset_is_above_the_exact_one_and_not_lazy(distance, real):
         ):
             radius = rational(distance) / unit[0]
             if fmpq(1, 2**100) < radius < far:
-                assert radius * (1 + 13 * u) < separation[0] <= radius * (1 + (SLACK + 3) * u)
+                assert radius * (1 + 13 * u) < separation[0] <= radius * (1 + rational(SLACK + 3) * u)
             exact = sum(abs(direction) * error) + radius * root_down(sum(direction * direction))
             assert offset > exact or radius > far
             if radius < far:
