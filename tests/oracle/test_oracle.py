@@ -15,7 +15,7 @@ from distance_oracle import exact_distance, exact_distance_tois, is_within
 from distance_queries import KINDS
 from flint import fmpq, fmpq_mat
 from hard_cases import FAMILIES, POINTS
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import exact_gap, exact_toi, exact_tois
 from oracle_corners import CORNERS
@@ -116,6 +116,7 @@ def product(factors):
 rationals = st.fractions(-1, 2, max_denominator=10**6) | st.sampled_from([0, 1, Fraction(1, 3), 1 - Fraction(1, 2**70)])
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(rationals.map(Fraction), min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
 def test_all_rational_roots_are_found_in_order(values, scale):
     roots = unit_roots(product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
@@ -131,7 +132,7 @@ def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
     assert [Fraction(r.numerator, r.denominator) for r in roots] == [Fraction(1, 3), Fraction(2**300 + 1, 3 * 2**300)]
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=4), st.integers(0, 500))
 def test_refinement_keeps_the_root(poly, bits):
     roots = unit_roots(tuple(poly)) if any(poly) else []
