@@ -64,6 +64,14 @@ def test_the_pairs_are_those_of_exact_linear_programs(family):
     assert total > 50
 
 
+def test_two_edges_pass_through_a_face_by_the_last_bit_of_the_last_bits():
+    """Volumes of one unit, which a shear of determinant 1 leaves as they are."""
+    small, shear = np.array([[0, 1, 0], [1, 2, 2], [1, 0, 1], [0, 1, 1], [1, 1, 1], [0, 9, 0]]), np.tri(3)
+    shear = shear + 9998 * np.tri(3, k=-1)
+    found = found_in(single(1.0 + 2.0**-52 * small @ (shear @ shear.T), [[0, 1, 2], [3, 4, 5]]))
+    assert found.kind.tolist() == [int(KIND.EDGE_FACE)] * 2
+
+
 def exact_parameters(x):
     """(u, v) of an edge through a face, and the place on the edge, rational, of vertices e0, e1, f0, f1, f2."""
     e0, e1, a, b, c = np.vectorize(Fraction, otypes=[object])(x)
