@@ -8,6 +8,7 @@ import pytest
 import trimesh
 import warp as wp
 from expected_warnings import OF_STRAIGHT_MOTION
+from laws.calls import PRECISIONS, on_device
 from scenes import FACE, NO_FACES, TRIANGLE, crowd_in_plane, crowd_of_all_kinds, named_cloth_and_ball, sheet
 
 import ccd_warp as ccd
@@ -118,12 +119,6 @@ def test_points_lie_halfway_between_both_surfaces(make, minimum_distance):
 # --- what a response uses: each place once, and its normal ---
 
 
-def turned(rng):
-    """A rotation at random."""
-    q, _ = np.linalg.qr(rng.standard_normal((3, 3)))
-    return q * np.sign(np.linalg.det(q))
-
-
 def box(lower, upper):
     """A box between two corners: vertices and faces."""
     mesh = trimesh.creation.box(bounds=[lower, upper])
@@ -141,7 +136,7 @@ ROOF = (np.array([[-1, 0, 0], [1, 0, 0], [1, 1, -1], [-1, 1, -1], [-1, -1, -1], 
 ROOF += ([[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 5, 1]],)
 TIP = np.array([[0, 0, 0], [0.3, 0.1, 0.5], [-0.2, 0.4, 0.6], [-0.1, -0.3, 0.4]]), [[0, 1, 2], [0, 2, 3], [0, 3, 1]]
 _SPHERE = trimesh.creation.icosphere(2, 0.3)
-_TURNED = np.array(_SPHERE.vertices) @ turned(np.random.default_rng(3))
+_TURNED = np.array(_SPHERE.vertices) @ np.linalg.qr(np.random.default_rng(3).standard_normal((3, 3)))[0]
 BALL = _TURNED - _TURNED[np.argmin(_TURNED[:, 2])], np.array(_SPHERE.faces)  # a single vertex of which is lowest
 PARTICLE = np.array([[0, 0, 0.1]]), NO_FACES  # of radius 0.1
 # what stands on what, and in how many places
@@ -167,7 +162,8 @@ def test_what_lands_touches_once_in_each_place_with_the_normal_of_the_ground(nam
     cases = [(1.0, {}), (1e3, {}), (1e-3, {"precision": "float32"}), (1.0, {"minimum_distance": 0.02})]
     for motion in ([0.0, 0.0, -1.0], [0.6, 0.3, -1.0]):
         for scale, options in cases:
-            distance, frame, move = options.get("minimum_distance", 0.0), turned(rng), np.array(motion)
+            distance, move = options.get("minimum_distance", 0.0), np.array(motion)
+            frame = np.linalg.qr(rng.standard_normal((3, 3)))[0]
             above = upper + [0, 0, distance] - 0.5 * move
             bodies = [(scale * above @ frame.T, upper_faces), (scale * np.array(lower) @ frame.T, lower_faces)]
             thick = {"codimensional_points": True, "radius": [0.1 * scale, 0.0]} if is_ball else {}
@@ -212,11 +208,6 @@ def test_unique_of_worlds_of_a_launch_of_a_motion_and_in_the_plane_is_that_of_on
 # --- of a launch, asked where they are ---
 
 
-def array(x, dtype=wp.vec3d):
-    """Positions as an array of Warp."""
-    return wp.array(np.asarray(x).reshape(-1, 3), dtype=dtype)
-
-
 def check(result, *positions):
     """All that the contacts say on the device is what they say on the host, bit for bit, in the order by toi."""
     expected = result.contacts.to_host(*positions).sorted_by_toi()
@@ -233,18 +224,18 @@ def check(result, *positions):
 
 
 @pytest.mark.parametrize("radius", [None, np.random.default_rng(1).uniform(0, 0.02, 169 + 162)], ids=["thin", "thick"])
-@pytest.mark.parametrize("dtype", [wp.vec3d, wp.vec3f], ids=["float64", "float32"])
+@pytest.mark.parametrize("dtype", PRECISIONS)
 def test_contacts_on_the_device_say_what_those_on_the_host_say(radius, dtype):
     mesh, start, end = named_cloth_and_ball()
     bodies = [(start[mesh.vertex_body == b], mesh.faces[mesh.face_body == b] - 169 * b) for b in (0, 1)]
     pipeline = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays(bodies, static=[1], radius=radius))
-    x, y, above = array(start, dtype), array(end, dtype), [0.0, 0.0, 1.0]
-    assert len(check(pipeline.launch(x, displacements=array(end - start, dtype)))) > 1000
+    x, y, above = on_device(start, dtype), on_device(end, dtype), [0.0, 0.0, 1.0]
+    assert len(check(pipeline.launch(x, displacements=on_device(end - start, dtype)))) > 1000
     result = pipeline.launch(x, y)
     assert len(check(result)) > 1000
     # at other positions, whole or of the moving vertices, in another array
-    there = check(result, array(start + above, dtype), array((end + above)[mesh.moving_vertices], dtype))
-    assert np.allclose(there.points, check(result).points + above, atol=1e-12 if dtype is wp.vec3d else 1e-6)
+    there = check(result, on_device(start + above, dtype), on_device((end + above)[mesh.moving_vertices], dtype))
+    assert np.allclose(there.points, check(result).points + above, atol=1e-12 if dtype == "float64" else 1e-6)
     assert result.contacts.points_at(x, y) is result.contacts.points_at(x, y)
     x.zero_()
     y.zero_()
@@ -265,7 +256,7 @@ def test_nothing_is_made_for_those_who_do_not_ask_and_once_for_those_who_do(step
     assert result.contacts.points is result.contacts.points and made == [567]
     # those beyond the capacity are left out
     assert result.contacts.count.numpy()[0] > 567 == len(check(result)) == len(result.contacts.points)
-    x, y = array(step[1]), array(step[2])
+    x, y = on_device(step[1]), on_device(step[2])
     contacts = ccd.CollisionPipeline(step[0]).launch(x, y).contacts
     questions = {name: lambda name=name: getattr(contacts, name) for name in NAMES}
     questions |= {"order_by_toi": contacts.order_by_toi, "points_at": lambda: contacts.points_at(x, y)}

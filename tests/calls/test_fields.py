@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import FACE, NO_FACES, TRIANGLE
+from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
 
@@ -85,28 +85,3 @@ def test_a_line_search_says_how_far_each_vertex_goes_and_what_keeps_it():
     assert found.vertex_fraction.tolist() == [1, 1, 1, 0, 1, 1, 1, 1, 1] and found.fraction == 0.0
     (foot,) = found.touching[found.touching.kind == ccd.PairKind.VERTEX_FACE]
     assert np.allclose(foot.point, [0.1, 0.2, 0.0], atol=1e-15) and foot.body_names == ("leg", "floor")
-
-
-def test_the_fraction_of_a_body_is_that_of_its_turn():
-    """A blade turns by a quarter, to a point that it would meet halfway."""
-    blade, point = [[0.5, 0, 0], [2, 0, 0], [2, 0, 0.5]], [[np.sqrt(0.5), np.sqrt(0.5), 0.1]]
-    options = {"codimensional_points": True, "static": [0], "rigid": [1]}
-    mesh = ccd.CollisionMesh.from_arrays([(point, NO_FACES), (blade, FACE)], **options)
-    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0, 0, 0, 0, 0, np.pi / 2]])
-    x = mesh.vertices
-    found = ccd.CollisionPipeline(mesh).launch_line_search(x, x.copy(), safety=0.5, motion=motion)
-    fraction = found.to_host().body_fraction
-    assert np.allclose(fraction, [1.0, 0.25], atol=1e-12) and (found.body_fraction.numpy() == fraction).all()
-    assert np.allclose(found.motion.poses_t1, motion.at(fraction[1]), atol=1e-15)
-
-
-def test_an_edge_through_a_face_is_where_its_parameters_say_and_bounds_are_half_of_what_is_between():
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), ([[0.1, 0.2, -1.0], [0.1, 0.2, 3.0]], NO_FACES, [[0, 1]])])
-    found = ccd.find_intersections(mesh, mesh.vertices)
-    assert found.is_crossing.tolist() == [True] and found.vertices.tolist() == [[3, 4, 0, 1, 2]]
-    assert np.allclose(found.points, [[0.1, 0.2, 0.0]]) and np.allclose(found.edge_parameter, [0.25])
-    (u, v), (f0, f1, f2) = found.parameters[0], TRIANGLE
-    assert np.allclose(f0 + u * (f1 - f0) + v * (f2 - f0), found.points[0], atol=1e-6)
-    mesh = ccd.CollisionMesh.from_arrays([([[0.0, 0, 0], [0.5, 0, 0]], NO_FACES)], codimensional_points=True)
-    bounds = ccd.CollisionPipeline(mesh).launch_displacement_bounds(mesh.vertices, 1.0).bounds.numpy()
-    assert np.allclose(bounds, 0.25, rtol=1e-12) and (bounds <= 0.25).all()

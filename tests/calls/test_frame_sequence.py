@@ -12,7 +12,7 @@ import ccd_warp as ccd
 from ccd_warp._cli.command import main
 from ccd_warp._files.frames import write_mesh
 
-NUM_FRAMES = 100
+NUM_FRAMES = 50
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def flag(tmp_path_factory) -> Path:
     nodes, index = np.unique((cubes[:, None] + corners).reshape(-1, 3), axis=0, return_inverse=True)
     nodes, entries = nodes * [2.0 / 6, 1.0 / 3, 0.05], []
     for k in range(NUM_FRAMES):
-        displacement = np.outer(0.9 * np.sin(np.pi * k / 66) * (nodes[:, 0] / 2.0) ** 2, [0, 0, 1])
+        displacement = np.outer(0.9 * np.sin(np.pi * k / 33) * (nodes[:, 0] / 2.0) ** 2, [0, 0, 1])
         mesh = meshio.Mesh(nodes, [("hexahedron", index.reshape(-1, 8))], point_data={"U": displacement})
         mesh.write(folder / f"flag_{k}.vtu")
         entries.append(f'<DataSet timestep="{0.01 * k:.2f}" part="0" file="flag_{k}.vtu"/>')
@@ -44,7 +44,7 @@ def sequence(flag):
     return ccd.read_sequence(flag / "flag.pvd", static=static, displacement="U", surface=True)
 
 
-def test_a_hundred_frames_give_in_python_what_the_command_gives(flag, sequence, tmp_path, capfd):
+def test_many_frames_give_in_python_what_the_command_gives(flag, sequence, tmp_path, capfd):
     """The clamped edge touches the wall in every frame, and is left out; what remains is the plate."""
     assert len(sequence) == NUM_FRAMES and sequence.times.tolist() == [round(0.01 * k, 2) for k in range(NUM_FRAMES)]
     assert sequence.mesh.names == ("flag.pvd", "wall.ply", "plate.ply") and len(sequence.mesh.inner_vertices) == 10
@@ -60,7 +60,7 @@ def test_a_hundred_frames_give_in_python_what_the_command_gives(flag, sequence, 
     assert [float(row["toi"]) for row in rows] == [result.toi for result in results]
     assert [int(row["contacts"]) for row in rows] == [len(result.contacts) for result in results]
     bad = [row for row in rows if np.isfinite(float(row["toi"]))]
-    assert 0 < len(bad) < 40 and {row[f"body_{k}"] for row in bad for k in (0, 1)} == {"flag.pvd", "plate.ply"}
+    assert 0 < len(bad) < 20 and {row[f"body_{k}"] for row in bad for k in (0, 1)} == {"flag.pvd", "plate.ply"}
     left_out = f"left out  pairs of static bodies; {len(contacts)} pairs that touch in the first frame (--ignore-"
     assert left_out in capfd.readouterr().out
 
@@ -76,12 +76,16 @@ def test_frames_are_read_when_asked_for_and_each_once(flag, sequence, monkeypatc
     assert {id(step.mesh) for step in sequence.steps()} == {id(sequence.mesh)}
     assert np.array_equal(sequence[-1], sequence.step(-1).vertices_t1)
     assert [x.tolist() for x in sequence[3:7:2]] == [sequence[3].tolist(), sequence[5].tolist()]
-    for ask, k in ((sequence.__getitem__, NUM_FRAMES), (sequence.__getitem__, ~NUM_FRAMES), (sequence.step, 99)):
+    for ask, k in (
+        (sequence.__getitem__, NUM_FRAMES),
+        (sequence.__getitem__, ~NUM_FRAMES),
+        (sequence.step, NUM_FRAMES - 1),
+    ):
         with pytest.raises(IndexError):
             ask(k)
     with pytest.raises(ValueError, match="the times of the bodies differ"):
         ccd.read_sequence([flag / "flag.pvd", flag / "late.pvd"], surface=True)
-    assert repr(sequence).startswith("FrameSequence(100 frames of CollisionMesh(3 bodies (flag.pvd, wall.ply, plate.pl")
+    assert repr(sequence).startswith("FrameSequence(50 frames of CollisionMesh(3 bodies (flag.pvd, wall.ply, plate.pl")
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from toi_scenes import FACE, TRIANGLE, random_scene
+from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
 
@@ -48,9 +48,16 @@ def library(request):
 
 
 def thrown():
-    """Tetrahedra that are thrown into each other: a pipeline, and both ends."""
-    mesh, start, end, options = random_scene(1)
-    return ccd.CollisionPipeline(mesh, tolerance=1e-12, **options), start, end
+    """Tetrahedra that are thrown into each other and deform: a pipeline, and both ends."""
+    rng = np.random.default_rng(1)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    places = 1.5 * rng.standard_normal((5, 3))
+    bodies = [(corners + 0.2 * rng.standard_normal((4, 3)) + place, faces) for place in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
+    throws = -0.8 * places + 0.3 * rng.standard_normal((5, 3))
+    end = mesh.vertices + throws[mesh.vertex_body] + 0.1 * rng.standard_normal(mesh.vertices.shape)
+    return ccd.CollisionPipeline(mesh, tolerance=1e-12, minimum_distance=0.02), mesh.vertices.copy(), end
 
 
 def worlds():

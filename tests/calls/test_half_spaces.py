@@ -1,13 +1,13 @@
 """Half-spaces as bodies, static and as they are told to move: numbers that overflow, and what is said of them."""
 
 import pickle
-from fractions import Fraction
 
 import numpy as np
 import pytest
+from exact import rows
 from expected_warnings import OF_ROUNDING
 from laws.truth import Pairs, plane_value
-from oracles import rows
+from rounding_samples import exactly, rational
 from scenes import FACE, NO_FACES, TRIANGLE, sheet
 
 import ccd_warp as ccd
@@ -47,8 +47,38 @@ NORMALS = [[0, 0, 1], [0, -1e-320, 0], [1e308, 1e308, -1e308], [5e-324, 0, 5e-32
 NORMALS += [[1, 1, 1], [-3, 4, 0], [0.3, -1.1, 0.7], [-2.3, 0.1, 0.01], [1.9, -0.4, -1.2]]
 
 
-def hostile(rng):
+def values(mesh, positions):
+    """(x - point)·normal of every vertex and plane, exactly."""
+    own = mesh.planes.vertices[:, None]
+    points = exactly(np.where(own < 0, mesh.planes.points, positions[own[:, 0]]))
+    return ((exactly(positions)[:, None] - points) * exactly(mesh.planes.normals)).sum(axis=2)
+
+
+def check(mesh, start, end, distance=0.0, is_euclidean=False):
+    """Each vertex meets each plane in time, and where its gap says; returns how many do."""
+    options = {"minimum_distance": distance} if is_euclidean else {"minimum_separation": distance, "length_scale": 1.0}
+    contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
+    found = dict(zip(rows(contacts), zip(contacts.toi.tolist(), contacts.gap.tolist(), strict=True), strict=True))
+    normals, f, g = exactly(mesh.planes.normals), values(mesh, start), values(mesh, end)
+
+    def excess(value, reach, normal):
+        if value <= 0 or not is_euclidean:
+            return value - rational(reach) * sum(abs(normal))
+        return value**2 - rational(reach) ** 2 * sum(normal**2)
+
+    for v, k in Pairs(mesh).with_planes.tolist():
+        toi, gap = found.get((VERTEX_PLANE, v, k), (np.inf, 0.0))
+        at_toi = f[v, k] + rational(min(toi, 1.0)) * (g[v, k] - f[v, k])
+        before, last = (excess(value, distance, normals[k]) for value in (f[v, k], at_toi))
+        assert toi == 0 or (before > 0 and last >= 0 and (last > 0 or toi < np.inf))
+        assert toi == np.inf or distance > 0 or excess(at_toi, gap, normals[k]) <= 0
+    return len(contacts)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hostile_vertices_and_planes_are_never_late(seed):
     """Points on, beside and along planes, of sizes that overflow and underflow, and normals that lose bits."""
+    rng = np.random.default_rng(seed)
     planes, points = [], [[0, 0, 0], [1e308, -1e308, 1e308], [5e-324, 5e-324, -5e-324], [1, 2, 3]]
     for k, normal in enumerate(NORMALS):
         scale = [1.0, 1e-310, 1e308, 1e-200, 1e150, 1e-5][k % 6]
@@ -57,46 +87,15 @@ def hostile(rng):
         along = np.cross(normal / np.max(np.abs(normal)), rng.standard_normal(3))
         along *= max(np.abs(x).max(), 5e-324) / np.abs(along).max()
         points += [x, np.nextafter(x, np.inf), np.nextafter(x, -np.inf), 0.5 * x + 0.5 * along, 0.3 * x]
-    points = np.array(points)
-    return points, planes, points[rng.permutation(len(points))]
-
-
-def check(mesh, start, end, distance=0.0, is_euclidean=False):
-    """Each vertex meets each plane in time, and where its gap says; returns how many do."""
-    options = {"minimum_distance": distance} if is_euclidean else {"minimum_separation": distance, "length_scale": 1.0}
-    contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
-    tois = rows(contacts)
-    gaps = dict(zip(tois, contacts.gap.tolist(), strict=True))
-    for v, k in Pairs(mesh).with_planes.tolist():
-        f, g = (plane_value(mesh, k, x[v], x) for x in (start, end))
-        normal = [abs(Fraction(n)) for n in mesh.planes.normals[k].tolist()]
-
-        def excess(t, more=0.0, f=f, g=g, normal=normal):
-            value, reach = f + Fraction(t) * (g - f), Fraction(distance) + Fraction(more)
-            if value <= 0 or not is_euclidean:
-                return value - reach * sum(normal)
-            return value**2 - reach**2 * sum(n**2 for n in normal)
-
-        toi = tois.get((VERTEX_PLANE, v, k), np.inf)
-        assert toi == 0 or excess(0) > 0
-        assert excess(toi) >= 0 or toi == 0 if toi < np.inf else excess(1) > 0
-        assert toi == np.inf or distance > 0 or excess(toi, gaps[VERTEX_PLANE, v, k]) <= 0
-    return len(contacts)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_hostile_vertices_and_planes_are_never_late(seed):
-    rng = np.random.default_rng(seed)
-    start, planes, end = hostile(rng)
+    start = np.array(points)
+    end = start[rng.permutation(len(start))]
     mesh = particles(start, *planes)
     assert check(mesh, start, end) > 300
     for distance in (1e-323, 1e-5, 1e200, 1.7e308):
         check(mesh, start, end, distance, bool(seed % 2))
     inside = ccd.find_intersections(mesh, start)
-    expected = [
-        pair for pair in np.ndindex(len(start), len(planes)) if plane_value(mesh, pair[1], start[pair[0]], start) <= 0
-    ]
-    assert list(map(tuple, inside.primitives.tolist())) == expected and len(expected) > 100
+    expected = np.argwhere(values(mesh, start) <= 0)
+    assert np.array_equal(inside.primitives, expected) and len(expected) > 100
     # to the point of another plane, often of another size, or by the least that float64 knows
     at, to = mesh.planes.points, mesh.planes.points[rng.permutation(len(planes))]
     to[::3] = np.nextafter(at[::3], -np.inf)

@@ -1,19 +1,11 @@
 """Many calls of one process: what it holds does not grow with them, whatever their options."""
 
-import ctypes
-import gc
-import os
-import subprocess
-import sys
-from contextlib import suppress
 from itertools import cycle
-from pathlib import Path
-
-sys.path.append(str(Path(__file__).resolve().parents[1] / "helpers"))
 
 import numpy as np
 import pytest
 import warp as wp
+from held_memory import held_bytes, requires_status
 from scenes import random_pairs, sheet_over_floor
 
 import ccd_warp as ccd
@@ -56,33 +48,13 @@ def calls():
     ]
 
 
-def held_bytes():
-    """Bytes that the process holds, without what is only kept to be used again."""
-    gc.collect()
-    with suppress(AttributeError, OSError, TypeError):  # no glibc
-        ctypes.CDLL(None).malloc_trim(0)
-    status = Path("/proc/self/status").read_text(encoding="utf-8")
-    return 1024 * next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS"))
-
-
-def growth(count):
-    """Bytes that this process has grown by in so many calls."""
-    for k, call in zip(range(_WARM_UP + count), cycle(calls())):
-        if k == _WARM_UP:
-            before = held_bytes()
-        call(k)
-    return held_bytes() - before
-
-
-@pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="tells memory as Linux does")
+@requires_status
 @pytest.mark.parametrize("count", [400, pytest.param(10_000, marks=pytest.mark.long)])
 def test_memory_stays_flat_over_calls_whose_options_change(count):
-    done = subprocess.run([sys.executable, __file__, str(count)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-3000:]
-    assert int(done.stdout) < _MOST_GROWTH, f"grew by {int(done.stdout) / 1e6:.1f} MB in {count} calls"
-
-
-if __name__ == "__main__":
-    wp.config.log_level = wp.LOG_ERROR
-    wp.set_device("cpu")  # of which the process holds the memory
-    print(growth(int(sys.argv[1])))
+    with wp.ScopedDevice("cpu"):  # of which the process holds the memory
+        for k, call in zip(range(_WARM_UP + count), cycle(calls())):
+            if k == _WARM_UP:
+                before = held_bytes()
+            call(k)
+        grown = held_bytes() - before
+    assert grown < _MOST_GROWTH, f"grew by {grown / 1e6:.1f} MB in {count} calls"

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 import warp as wp
-from toi_scenes import FACE, TRIANGLE, array, scene, taped, thick_scene
+from scenes import FACE, TRIANGLE, falling
+from toi_scenes import array, taped
 
 import ccd_warp as ccd
-from ccd_warp._engine.device.step import DeviceStep
 
 PER = ("scene", "world", "body", "vertex")
 
@@ -44,11 +44,23 @@ def searched(pipeline, given, weights, **search):
     return shortened, pulled(tape, result, given, weights), result.is_regular().numpy()
 
 
-def falling(height=1.0, **options):
-    """A triangle over another, where it is and where it would fall to."""
-    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, height], FACE)], **options)
-    end = mesh.vertices - [0, 0, 2.0 * height] * (mesh.vertex_body == 1)[:, None]
-    return mesh, mesh.vertices.copy(), end
+def scene(**options):
+    """All kinds of pairs: two bodies, one of which falls on the other and on two half-spaces, one of them moving."""
+    cables = [[-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
+    lower = np.array([*TRIANGLE, *cables])
+    upper = lower * [0.98, 1.04, 1.0] + [0.02, 0.01, 0.5] + 0.02 * np.random.default_rng(0).random(lower.shape)
+    planes = [ccd.HalfSpace([0, 0, -0.35], [0.1, 0.2, 2.0]), ccd.HalfSpace([0, 0, -0.5], [0, 0.1, 1.0])]
+    bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), *planes]
+    options = {"codimensional_points": True, "self_collision": False, "kinematic": [3]} | options
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    fall, amount = (np.array(x)[mesh.vertex_body, None] for x in ([0.3, 0.75, 0.0, -0.1], [0.05, 0.05, 0, 0]))
+    noise = np.random.default_rng(2).standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices.copy(), mesh.vertices - fall * [0, 0, 1] + amount * noise
+
+
+def thick_scene():
+    """The same with radii."""
+    return scene(radius=np.linspace(0.0, 0.02, 17))
 
 
 FORMS = {  # of positions of all vertices, by which of them move
@@ -113,23 +125,6 @@ def test_line_searches_change_as_their_gradients_say(per):
     late, early = (shortened(*(x + s * dx for x, dx in zip(values, moves, strict=True))) for s in (1, -1))
     change = 2.0 * sum((g * dx).sum() for g, dx in zip(found, moves, strict=True))
     assert change == pytest.approx((weights * (late - early)).sum(), rel=1e-6)
-
-
-def test_the_order_of_contacts_changes_no_bit(monkeypatch):
-    (mesh, start, end), launch, found = scene(), DeviceStep.launch, []
-
-    def launch_in_another_order(step, prepared):
-        launch(step, prepared)
-        contacts = step.result.contacts
-        rows = np.random.default_rng(len(found)).permutation(int(contacts.count.numpy()[0]))
-        for name in ("kind", "primitives", "toi", "status", "normal"):
-            values = getattr(contacts, name).numpy()
-            values[: len(rows)] = values[rows]
-
-    for own_launch in (launch, launch_in_another_order, launch_in_another_order):
-        monkeypatch.setattr(DeviceStep, "launch", own_launch)
-        found.append(gradients(pipeline_of(mesh), [array(start), array(end)]))
-    assert np.array_equal(found[0], found[1]) and np.array_equal(found[0], found[2])
 
 
 def test_equal_tois_pass_their_gradient_to_the_first_contact():

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.thickness import sum_up
-from exact import exact_tois
+from exact import exact_tois, rows
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from laws.truth import NAMES, Pairs
-from oracles import rows
 from scenes import FACE, NO_FACES, TRIANGLE, crowd_of_all_kinds
 
 import ccd_warp as ccd

@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from oracles import exact_contacts, num_touching
+from exact import exact_tois
+from laws.truth import NAMES, Pairs
 from scenes import FACE, TRIANGLE, stacked, triangles
 
 import ccd_warp as ccd
+from ccd_warp._pairs import pair_vertices
 
 EVERY_PER = ("scene", "world", "body", "vertex")
 every_per = pytest.mark.parametrize("per", EVERY_PER)
@@ -20,6 +22,24 @@ def launched(mesh, start, end, dtype=wp.vec3d, **options):
     of_pipeline = {name: options.pop(name) for name in ("precision", "max_pairs") if name in options}
     result = ccd.CollisionPipeline(mesh, **of_pipeline).launch_line_search(x, y, **options)
     return x.numpy().astype(np.float64), y.numpy().astype(np.float64), result.to_host()
+
+
+def exact_contacts(mesh, start, end):
+    """Pairs that may meet, have a vertex that moves, and touch: (kind, first, second), by exact arithmetic."""
+    pairs, moved = Pairs(mesh), (start != end).any(axis=1)
+    found = []
+    for kind, of_kind in enumerate(pairs.of_kinds):
+        corners = pairs.corners(kind, of_kind)
+        at = moved[corners].any(axis=1)
+        times = exact_tois(NAMES[kind], start[corners[at]], end[corners[at]]) if at.any() else []
+        found += [(kind, *pair) for pair, time in zip(of_kind[at].tolist(), times, strict=True) if time.hit]
+    return found
+
+
+def num_touching(mesh, start, end, **options):
+    """Contacts of vertices that move, by `mesh_ccd` on the host."""
+    corners = pair_vertices(mesh, ccd.mesh_ccd(mesh, start, end, **options).contacts)
+    return int((start[corners] != end[corners]).any(axis=(1, 2)).sum())
 
 
 # --- how far each unit goes ---

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scenes
 import warp as wp
-from oracles import rows
+from exact import rows
 
 import ccd_warp as ccd
 

@@ -22,10 +22,14 @@ _LARGEST = np.finfo(np.float64).max
 def test_copies_of_a_mesh_are_worlds_of_their_own():
     bodies, pairs = [(TRIANGLE, FACE), (np.eye(4, 3), NO_FACES, [[0, 1]])], ~np.eye(2, dtype=bool)
     options = {"codimensional_points": [False, True], "self_collision": [True, False], "body_pairs": pairs}
-    one = ccd.CollisionMesh.from_arrays(bodies, exclusion_rings=2, static=[1], names=["a", "b"], **options)
+    one = ccd.CollisionMesh.from_arrays(
+        bodies, exclusion_rings=2, static=[1], kinematic=["a"], names=["a", "b"], **options
+    )
     mesh, n = one.replicate(2).replicate(2), one.num_vertices
     assert mesh.num_worlds == 4 and mesh.exclusion_rings == 2 and "4 worlds" in repr(mesh)
     assert one.replicate(2).names == ("a[0]", "b[0]", "a[1]", "b[1]") and len({*mesh.names}) == 8
+    assert mesh.kinematic.tolist() == [True, False] * 4
+    assert np.array_equal(mesh.moving_vertices, np.flatnonzero(np.arange(4 * n) % n < 3))
     assert mesh.static.tolist() == [False, True] * 4 and mesh.self_collision.tolist() == [True, False] * 4
     assert np.array_equal(mesh.vertices.reshape(4, n, 3)[3], one.vertices)
     assert mesh.vertex_world.tolist() == np.repeat(range(4), n).tolist()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+from functools import cache
 from itertools import product
 from typing import Any
 
@@ -19,7 +20,8 @@ _FILES = [
 ]
 
 
-def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
+@cache
+def cuda_modules(with_distances: bool = False, reals: tuple[type, ...] = (wp.float64, wp.float32)) -> dict[str, Any]:
     """The modules of the files, and those of templates for a precision, a dimension or an end of the search.
 
     With ``with_distances`` also those that only scenes with a ``minimum_distance`` launch, or with radii or bodies that
@@ -35,7 +37,7 @@ def cuda_modules(with_distances: bool = False) -> dict[str, Any]:
     for name in _FILES:
         module = importlib.import_module(f"ccd_warp.kernels.{name}")
         modules[name.partition(".")[2]] = wp.get_module(module.__name__)
-    for real in (wp.float64, wp.float32):
+    for real in reals:
         for dimension in (2, 3):
             name = f"{real.__name__} {dimension}"
             parameters = {"real": real, "dimension": dimension}

@@ -13,7 +13,6 @@ A query fails if it is
 import numpy as np
 from distance_oracle import exact_distance
 from exact import exact_distance_tois, exact_tois
-from hard_cases import FAMILIES
 from oracle import exact_gap
 
 import ccd_warp as ccd
@@ -25,7 +24,6 @@ UNIT_ROUNDOFF = {"float64": 2.0**-53, "float32": 2.0**-24}
 KINDS = (("vertex-face", 3), ("edge-edge", 3))
 KINDS += tuple((kind, dimension) for kind in ("point-segment", "point-point") for dimension in (2, 3))
 LIMITS = (ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT)
-BATCH = 50
 
 
 def size_of(points_t0, points_t1):
@@ -88,42 +86,3 @@ def failures(kind, points_t0, points_t1, *, checks_gap=False, **options):
         if checks_gap and gap > reported[i] and result.width[i] == 0.0:
             found.append((i, "gap", toi, gap, reported[i]))
     return found, result, exact
-
-
-def grazing(kind, n, rng, dimension, distance):
-    """Random queries scaled so that the least distance of the step is the given one, up to rounding."""
-    points_t0, points_t1 = FAMILIES["random"](kind, n, rng, dimension=dimension)
-    for start, end in zip(points_t0, points_t1, strict=True):
-        least = exact_distance(kind, start, end, 0.0)
-        low, high = 0.0, 1.0
-        for _ in range(8):
-            times = np.linspace(low, high, 9)
-            at = [exact_distance(kind, start, end, t) for t in times.tolist()]
-            k = int(np.argmin(at))
-            least = min(least, at[k])
-            low, high = times[max(k - 1, 0)], times[min(k + 1, 8)]
-        if least > 0.0:
-            start *= distance / least
-            end *= distance / least
-    return points_t0, points_t1
-
-
-def drawn_batches(names, total, seed, **options):
-    """Batches of all kinds in turn: name, kind, points and options, with distances and tolerances of any size.
-
-    Every fifth one of hostile families grazes its distance.
-    """
-    rng = np.random.default_rng(seed)
-    for number in range(-(-total // BATCH)):
-        kind, dimension = KINDS[number % len(KINDS)]
-        name, n = names[(number // len(KINDS)) % len(names)], min(BATCH, total - number * BATCH)
-        points = FAMILIES[name](kind, n, rng, dimension=dimension)
-        size = float(np.median(size_of(*points)))
-        distance = size * float(10.0 ** rng.uniform(-6, 0) if rng.random() < 0.8 else 10.0 ** rng.uniform(-16, 1))
-        drawn = {"precision": str(rng.choice(["float64", "float32"])), "tolerance": float(10.0 ** rng.uniform(-9, -3))}
-        if len(names) > 2 and number % 5 == 4:
-            name, points = "grazing", grazing(kind, n, rng, dimension, distance)
-        if rng.random() < 0.2:
-            drawn["t_max"] = float(rng.random())
-        if 0.0 < distance < np.inf:
-            yield name, kind, points, drawn | {"minimum_distance": distance, "num_threads": 1} | options

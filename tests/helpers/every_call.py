@@ -17,7 +17,8 @@ TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 FACE = np.array([[0, 1, 2]])
 CABLE = np.array([[1.0, 1, 5], [2, 1, 5], [3, 3, 9]])
 MESH = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, FACE[:0], [[0, 1]])], codimensional_points=True)
-MESH_AND_STATIC = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (CABLE, FACE[:0])], static=[1])
+BODIES = [(TRIANGLE, FACE), (CABLE, FACE[:0])]
+MESH_AND_STATIC = ccd.CollisionMesh.from_arrays(BODIES, static=[1], names=["cloth", "ball"])
 START = np.concatenate([TRIANGLE, CABLE])
 END = START + np.repeat([[0.0, 0, 8], [0, 0, 0]], 3, axis=0)
 POINTS_T0 = np.concatenate([CABLE[:1], TRIANGLE])[None]
@@ -39,7 +40,7 @@ VALUES = {
     **{"mesh": MESH, "vertices_t0": START, "vertices_t1": END, "positions": START, "motion": None},
     **{"inflation": 0.0, "distance": 0.1, "search_radius": 0.1, "check_start": False, "per": "scene", "safety": 0.5},
     **{"max_rounds": 16, "num_rounds": 4, "max_pairs": 4096, "max_contacts": 4096, "vertices": START, "count": 2},
-    **{"bodies": [(TRIANGLE, FACE), (CABLE, FACE[:0])], "others": [(CABLE, FACE[:0])], "cells": {"triangle": FACE}},
+    **{"bodies": BODIES, "others": [(CABLE, FACE[:0])], "cells": {"triangle": FACE}},
     **{"static": [1], "kinematic": [], "rigid": [], "self_collision": True, "codimensional_points": False},
     **{"body_pairs": None, "exclusion_rings": 1, "exclude_pairs": {"bodies": [(0, 1)]}, "names": ["face", "cable"]},
     **{"vertex_world": np.zeros(6, dtype=int), "radius": np.full(6, 0.125), "point": np.zeros(3)},
@@ -160,5 +161,5 @@ def _every_call(folder):
     return calls
 
 
-_FOLDER = tempfile.TemporaryDirectory()  # of files that calls read and write, removed at the end
-CALLS = _every_call(Path(_FOLDER.name))
+FOLDER = tempfile.TemporaryDirectory()  # of files that calls read and write, removed at the end
+CALLS = _every_call(Path(FOLDER.name))

@@ -1,9 +1,8 @@
 """Inputs with which the tests attack the rounding analysis, and arithmetic that takes floats and fractions alike."""
 
-from fractions import Fraction
-
 import numpy as np
 import warp as wp
+from flint import fmpq
 
 REALS = {"float64": wp.float64, "float32": wp.float32}
 POINTS = wp.array2d[wp.vec3d]
@@ -21,9 +20,14 @@ def struct(name: str, fields: list):
     return wp.struct(type(name, (), {"__annotations__": annotations}))
 
 
+def rational(x: float) -> fmpq:
+    """The same number as a fraction."""
+    return fmpq(*float(x).as_integer_ratio())
+
+
 def exactly(values: np.ndarray) -> np.ndarray:
     """The same numbers as fractions."""
-    flat = [Fraction(x) for x in np.asarray(values, dtype=np.float64).ravel().tolist()]
+    flat = [rational(x) for x in np.asarray(values, dtype=np.float64).ravel().tolist()]
     return np.array(flat, dtype=object).reshape(np.shape(values))
 
 

@@ -17,26 +17,6 @@ def single(vertices, faces):
     return ccd.CollisionMesh.from_arrays([(vertices, faces)])
 
 
-# A rotation or reflection whose columns lie along no axis.
-TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]]))[0]
-
-
-def tube(num=1000, shift=(0.0, 0.0, 0.0)):
-    """Needles around an axis along no axis of the coordinates: vertices, and two faces for each needle."""
-    angle = np.linspace(0, 2 * np.pi, num, endpoint=False)
-    circle = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    vertices = np.concatenate([np.column_stack([circle, np.full(num, z)]) for z in (0.0, 10.0)]) @ TURN.T
-    i, j = np.arange(num), (np.arange(num) + 1) % num
-    faces = np.concatenate([np.stack([i, j, i + num], axis=1), np.stack([j, j + num, i + num], axis=1)])
-    return vertices + shift, faces
-
-
-def squeezed(vertices, share):
-    """A tube whose far side moves towards the near one, and beyond for a share above 1."""
-    across = (vertices - vertices.mean(axis=0)) @ TURN[:, 0]
-    return vertices - share * np.outer(across, TURN[:, 0])
-
-
 # --- at random places ---
 
 
@@ -110,6 +90,12 @@ def stacked(*heights):
     """Triangles above each other, each a little aside of the one before, a body each: mesh and positions."""
     bodies = [(TRIANGLE + [0.1 * k, 0.07 * k, z], FACE) for k, z in enumerate(heights)]
     return ccd.CollisionMesh.from_arrays(bodies), np.concatenate([vertices for vertices, _ in bodies])
+
+
+def falling(height=1.0, **options):
+    """A triangle that falls through another: mesh, start and end positions."""
+    mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, height], FACE)], **options)
+    return mesh, mesh.vertices.copy(), mesh.vertices - [0, 0, 2.0 * height] * (mesh.vertex_body == 1)[:, None]
 
 
 def leaning_stack(count, gap=1e-4):

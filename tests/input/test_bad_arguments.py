@@ -9,6 +9,7 @@ import inspect
 import pickle
 import re
 from dataclasses import is_dataclass
+from pathlib import Path
 
 import every_call as of
 import hostile
@@ -128,13 +129,14 @@ ARGUMENTS = {
 
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
-    """Nothing is drawn, no window opened."""
+    """Nothing is drawn, no window opened, and what is written to a name alone goes where the calls' files are."""
 
     def draw(*_):
         raise of.Drawn
 
     for module, name in ((viz, "drawn"), (viz, "import_pyvista"), (viz._export, "import_pyvista")):
         monkeypatch.setattr(module, name, draw)
+    monkeypatch.chdir(of.FOLDER.name)
 
 
 def check_refusal(error, words, phrase=""):
@@ -187,10 +189,7 @@ IS_PATH = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path"
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
 @pytest.mark.parametrize(("call", "argument"), EVERY)
-def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(
-    call, argument, tmp_path, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
+def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(call, argument):
     function, arguments = CALLS[call]
     phrase, wrong, right = ARGUMENTS.get(f"{argument} of {call}") or ARGUMENTS[argument]
     expected = run(function, arguments)
@@ -228,7 +227,7 @@ ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of Collis
 
 
 @pytest.mark.parametrize(("call", "argument"), ARRAYS)
-def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument, tmp_path):
+def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument):
     function, arguments = CALLS[call]
     array, is_on_device = arguments[argument], any(word in call for word in ON_DEVICE)
     may_refuse, own = is_on_device or call in WRITTEN, {NAMES.get(argument, argument)}
@@ -250,7 +249,7 @@ def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_num
             if call != "edges_by_max":  # has the dtype of its argument
                 check_same(arrays_of(result) if is_on_device else result, expected)
 
-    for made in hostile.same(array, tmp_path):
+    for made in hostile.same(array, Path(of.FOLDER.name)):
         check(made)
     for made, word in hostile.hidden(array):
         is_number = type(made) is np.ndarray and made.dtype in (np.float32, np.float64)
@@ -279,12 +278,16 @@ def put(array, index, value):
     return array
 
 
+TWO, WORLDS, MATRICES = np.tile(np.eye(7)[6], (2, 1)), np.tile(np.eye(7)[6], (3, 2, 1)), np.tile(np.eye(4), (2, 1, 1))
 REST, LIFTED, FLOOR = [0.0, 0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0, 1], ccd.HalfSpace([0.0, 0, 0], [0.0, 0, 1])
 BARS = ccd.CollisionMesh.from_arrays([([[0.0, 0], [1, 0]], [[0, 1]])] * 2, rigid=[0, 1])
 COPIES = MESH.replicate(3)
 OF_COPIES = ccd.mesh_ccd(COPIES, COPIES.vertices, COPIES.vertices)
 THICK = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE, FACE)], radius=0.1)
 THICK_FRAMES = {"mesh": THICK, "vertices_t0": THICK.vertices, "vertices_t1": THICK.vertices}
+BOXES, FIXED = (ccd.CollisionMesh.from_trimesh([trimesh.creation.box()] * 2, rigid=[0, 1], static=x) for x in ([], [0]))
+OF_WORLDS = dict.fromkeys(["vertices_t0", "vertices_t1"], BOXES.vertices)
+OF_WORLDS["motion"] = ccd.RigidMotion(np.tile(REST, (7, 2, 1)), twist=np.ones((7, 2, 6)))
 MOVED = {"mesh": of.MESH_AND_STATIC, "vertices_t1": END + 1}
 PAIR, LAUNCHED = wp.zeros((1, 4), dtype=wp.vec3d), PIPELINE.launch(START, END)
 # Arguments that do not fit each other, or a mesh: by the call what is changed, and the message.
@@ -294,15 +297,23 @@ TOGETHER = {
         ({"minimum_distance": 1.0, "minimum_separation": 0.1}, "minimum_distance is 1.0 and minimum_separation is 0.1"),
         ({"memory_limit": 1}, r"memory_limit is 1 bytes; expected at least \d+"),
         ({"motion": of.MOTION}, "no body of the mesh is rigid"),
+        (OF_WORLDS | {"mesh": FIXED}, "motion moves body 0 in world 0, which is static"),
+        (OF_WORLDS | {"mesh": BOXES, "vertices_t1": BOXES.vertices + 1e-3}, "vertices_t1 has another row for vertex 0"),
+        (OF_WORLDS | {"mesh": BOXES, "check_start": True}, r"check_start is True .*replicate\(7\)"),
+        (OF_WORLDS | {"mesh": BOXES, "method": "bisection"}, "method is 'bisection'"),
     ],
     **{
         call: [
-            (MOVED, r"vertex 0 of body 1, which is static, by 1.* kinematic="),
+            (MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1.7.* kinematic=\['ball'\] in place of static="),
+            (MOVED | {"vertices_t1": put(END, (5, 1), np.nextafter(3, 4))}, r"vertex 2 of body 1 \(ball\), .* by 4"),
+            (MOVED | {"vertices_t0": put(END, 5, np.nan)}, r"vertices_t0 holds nan in row 5 \(vertex 2 of ball\); exp"),
+            (MOVED | {"vertices_t1": put(END, 2, np.nan)}, r"vertices_t1 holds nan in row 2 \(vertex 2 of cloth\)"),
+            (MOVED | {"vertices_t1": END[:4]}, r"vertices_t1 has shape \(4, 3\); expected \(6, 3\) .* or \(3, 3\)"),
             (THICK_FRAMES | {"minimum_separation": 0.1}, "minimum_separation is 0.1 and the mesh has a radius of"),
         ]
         for call in ("mesh_ccd beside a static body", "collision_free_step", "is_step_collision_free", "line_search")
     },
-    "find_candidates": [(MOVED, "vertex 0 of body 1, which is static, by 1.* kinematic=")],
+    "find_candidates": [(MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1")],
     "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
     **{
         call: [
@@ -325,10 +336,43 @@ TOGETHER = {
     "RigidMotion": [
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
+        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
+        *(
+            ({"poses_t0": start, "poses_t1": end}, message)
+            for start, end, message in [
+                (np.eye(4), TWO, r"poses_t0 has shape \(4, 4\); expected shape .* or \(B, 4, 4\)"),
+                (WORLDS, WORLDS[:2], "poses_t1 is of 2 bodies in each of 2 worlds; expected 2 bodies in each of 3 wor"),
+                (WORLDS, TWO, "poses_t1 is of 2 bodies; expected 2 bodies in each of 3 worlds like poses_t0"),
+                (WORLDS, put(WORLDS, (2, 1, 5), -np.inf), "poses_t1 holds -inf for body 1 of world 2; expected finite"),
+                (TWO, put(MATRICES, (1, 3, 0), 0.5), r"poses_t1 has the bottom row \[0.5, 0.0, 0.0, 1.0\] for body 1"),
+                (TWO, put(MATRICES, (1, 0, 0), 1.01), "holds no rotation for body 1: .* 0.0201 .* at most 1e-06"),
+                (put(MATRICES, (1, 0, 1), 2e-6), TWO, "poses_t0 holds no rotation for body 1: .* are 2e-06 from"),
+                (put(MATRICES, (0, 0, 0), 1e200), TWO, "poses_t0 holds no rotation for body 0: .* are inf from"),
+                (put(MATRICES, (1, 0, 0), -1), TWO, "poses_t0 holds a reflection for body 1, with determinant -1"),
+                (*(put(TWO, (1, 0), x) for x in (-1.7e308, 1.7e308)), "velocity of the motion holds .* for body 1"),
+            ]
+        ),
+    ],
+    "RigidMotion.from_scalar_first": [
+        ({"poses_t0": MATRICES}, r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"),
+        ({"poses_t1": put(TWO, (1, 6), 0)}, "0 for body 1; .*w x y z, scalar first"),
+        (
+            {"poses_t1": None, "twist": put(np.zeros((2, 6)), (0, 4), 1e6)},
+            "twist turns body 0 by 1e.06 rad; .*divide it",
+        ),
     ],
     "RigidMotion of a twist": [
         ({"twist": [REST[:6]]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
         ({"twist": put(np.zeros((2, 6)), (1, 5), -1e6)}, "twist turns body 1 by 1e.06 rad; expected less than 1e.06"),
+        *(
+            ({"poses_t0": start, "poses_t1": end, "twist": put(np.zeros((*start.shape[:-1], 6)), at, value)}, message)
+            for start, end, at, value, message in [
+                (TWO, TWO, (1, 0), 0.5, "ends 0.5 and 0 rad away from poses_t1 for body 1; expected the same pose"),
+                (WORLDS, WORLDS, (2, 0, 4), 3e-6, "ends 0 and 3e-06 rad .* body 0 of world 2"),
+                (WORLDS, None, (2, 1, slice(3, 6)), 1.7e308, "turns body 1 of world 2 by inf rad"),
+                (put(TWO, (0, 0), 1.7e308), None, (0, 0), 1.7e308, "the end of twist holds inf for"),
+            ]
+        ),
     ],
     "CollisionMesh.from_arrays": [
         ({"kinematic": [1]}, r"static and kinematic both hold body 1 \(cable\); expected it in one of them"),
@@ -380,6 +424,18 @@ MESHES = [
             ((SEGMENT, [], EDGE), r"body 0 is in the plane and has 3 arrays", r"a pair \(vertices, edges\)"),
             ((SEGMENT, {"tetra": [[0, 1, 1, 1]]}), r"has shape \(2, 2\)", r"\(n, 3\)"),
             (ccd.HalfSpace([0, 0, 0], [0, 0, 1]), "bodies holds half-spaces alone", "at least one body with vertices"),
+        ]
+    ),
+    ([EYE, (np.eye(3), [[0, 1, 7]])], {"names": ["cloth", "ball"]}, r"faces of body 1 \(ball\) holds index 7"),
+    *(
+        ([(np.eye(8, 3), {kind: cells})], {}, message)
+        for kind, cells, message in [
+            ("tetra", [[0, 1, 2, 3], [1, 0, 2, 3]], "holds two cells of the vertices"),
+            ("tetra", [[0, 1, 2, k] for k in (4, 5, 6)], r"has 3 cells at the side \[0, 2, 1, 1\]; expected at most"),
+            ("tetra", [[0, 1, 2, 300]], r"holds index 300; expected indices in \[0, 8\)"),
+            ("tetra", np.zeros((0, 4), dtype=int), "cells in place of faces of body 0 are none"),
+            ("tetra", [[0.0, 1.0, 2.0, 3.0]], "expected integers"),
+            ("tetra14", np.zeros((1, 14), dtype=int), "holds the type 'tetra14'; expected cells by type"),
         ]
     ),
     ([(SEGMENT, EDGE), EYE], {}, "body 1 has 3 columns and those of body 0 2; expected all"),
@@ -444,6 +500,9 @@ ASKED = [
     *((f.__name__, lambda f=f: f(PIPELINE), "CollisionPipeline cannot be copied or pickled; copy or") for f in COPIERS),
     ("pickle", lambda: pickle.dumps(LAUNCHED), r"LaunchResult cannot be copied or pickled; .* to_host\(\) returns"),
     ("copy", lambda: copy.copy(LAUNCHED.contacts), "DeviceContacts cannot be copied or pickled"),
+    ("motion", lambda: ccd.line_search(BOXES, **OF_WORLDS), r"14 rows .* mesh.replicate\(7\)"),
+    ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at([0.5]), r"\(1,\); .* fractions of shape \(2,\) or \(3, 2\)"),
+    ("t", lambda: ccd.RigidMotion(WORLDS, WORLDS).at(np.full((3, 2), 2.0)), "t is 2.0 for body 0 of world 0"),
     ("t_max", lambda: SHORT.line_search(START, END), r"t_max is 0\.5; expected 1"),
     ("bounds", lambda: SEPARATED.displacement_bounds(START, 0.1), NO_BOUNDS),
     ("gradient", lambda: ccd.vertex_face_ccd(PAIR, PAIR).toi_gradient(PAIR, PAIR), "gradients of NumPy arrays"),
@@ -455,6 +514,37 @@ ASKED = [
 def test_what_is_asked_of_an_object_that_does_not_have_it_is_refused(what, ask, message):
     kind = IndexError if what == "contact" else TypeError if "index" in message or "copied" in message else ValueError
     with pytest.raises(kind, match=message):
+        ask()
+
+
+def many_pairs(call):
+    """A pair function of NumPy's points, of which a graph would hold the values that they have now."""
+    function, arguments = CALLS[call]
+    return function(*(np.repeat(arguments[end], 100, axis=0) for end in ("points_t0", "points_t1")))
+
+
+FRESH, ON_DEVICE_T0 = ccd.CollisionPipeline(MESH), wp.array(START, dtype=wp.vec3d)
+NEAR = PIPELINE.launch_proximity(ON_DEVICE_T0, 0.1)
+# What a graph that is being captured cannot hold, and the message.
+IN_CAPTURE = [
+    (lambda: FRESH.launch(ON_DEVICE_T0, ON_DEVICE_T0), r"call reserve\(\) before the capture"),
+    (lambda: FRESH.launch_proximity(ON_DEVICE_T0, 0.1), "^a graph is being captured, and this launch was not called"),
+    (lambda: FRESH.reserve(), "a graph is being captured"),
+    (lambda: PIPELINE.mesh_ccd(START, END), "a graph is being captured"),
+    (lambda: ccd.collision_free_step(MESH, START, END), "a graph is being captured"),
+    (lambda: ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)])), "a graph is being captured"),
+    *(
+        (lambda call=call: many_pairs(call), "(?i)captur.*(warp|device)")
+        for call in CALLS
+        if re.fullmatch("[a-z]+_[a-z]+_ccd", call)
+    ),
+    (lambda: NEAR.unique(), r"ask for proximities\.unique once before"),
+]
+
+
+@pytest.mark.parametrize(("ask", "message"), IN_CAPTURE)
+def test_what_a_graph_cannot_hold_is_refused_while_it_is_captured(ask, message):
+    with pytest.raises(RuntimeError, match=message), wp.ScopedCapture():
         ask()
 
 

@@ -138,23 +138,6 @@ def test_all_nodes_go_in_and_out_and_those_inside_meet_nothing(bar):
     assert ccd.mesh_ccd(over, nodes, end).toi == np.inf and len(ccd.find_intersections(over, end)) == 0
 
 
-@pytest.mark.parametrize(
-    "cells, message",
-    [
-        ([[0, 1, 2, 3], [1, 0, 2, 3]], "holds two cells of the vertices"),
-        ([[0, 1, 2, 4], [0, 1, 2, 5], [0, 1, 2, 6]], r"has 3 cells at the side \[0, 2, 1, 1\]; expected at most two"),
-        ([[0, 1, 2, 300]], r"holds index 300; expected indices in \[0, 116\)"),
-        (np.zeros((2, 7), dtype=int), r"cells has shape \(2, 7\); expected \(n, corners\) with 4 of a tetra"),
-        ({"tetra14": np.zeros((1, 14), dtype=int)}, "holds the type 'tetra14'; expected cells by type"),
-        ({"tetra": np.zeros((0, 4), dtype=int)}, "cells in place of faces of body 0 are none"),
-        ({"tetra": [[0.0, 1.0, 2.0, 3.0]]}, "expected integers"),
-    ],
-)
-def test_cells_without_a_clear_outside_are_refused(bar, cells, message):
-    with pytest.raises(ValueError, match=message):
-        ccd.CollisionMesh.from_volume(bar[0], cells)
-
-
 # the edges of each cell in the order of the nodes in the middle of these
 _RING = [(0, 1), (1, 2), (2, 3), (3, 0)]
 _EDGES = {

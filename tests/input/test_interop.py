@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from every_call import CALLS
 
 import ccd_warp as ccd
 from ccd_warp._input.interop import as_warp
@@ -206,16 +205,3 @@ def test_a_launch_and_pairs_take_arrays_of_a_library_in_a_capture(gpu):
     assert ON_CPU.launch(Array(START, gpu), Array(END, gpu)).toi.numpy()[0] == ON_CPU.mesh_ccd(START, END).toi
     pairs = ccd.vertex_face_ccd(*(Array(x, gpu) for x in PAIR), device="cpu")
     assert pairs.toi.numpy()[0] == ccd.vertex_face_ccd(*PAIR).toi[0]
-
-
-@pytest.mark.parametrize("name", ["vertex_face_ccd", "edge_edge_ccd", "point_segment_ccd", "point_point_ccd"])
-def test_pairs_of_numpy_in_a_capture_are_refused(name):
-    """A graph would hold the values that they have now; once the capture is over they are answered."""
-    call, arguments = CALLS[name]
-    points = [np.repeat(arguments[end], 100, axis=0) for end in ("points_t0", "points_t1")]
-    with pytest.raises(RuntimeError, match=r"(?i)captur.*(warp|device)"), wp.ScopedCapture(device="cpu"):
-        call(*points, device="cpu")
-    dtype = wp.vec3d if points[0].shape[2] == 3 else wp.vec2d
-    on_device = call(*(wp.array(x, dtype=dtype, device="cpu") for x in points))
-    for field, value in vars(call(*points, device="cpu")).items():
-        np.testing.assert_array_equal(value, getattr(on_device, field).numpy(), err_msg=field)

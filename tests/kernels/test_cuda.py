@@ -1,4 +1,4 @@
-"""The CUDA side of every kernel compiles to PTX without a GPU, and holds no fused multiply-add.
+"""The CUDA side of every kernel compiles to PTX without a GPU, holds no fused multiply-add, and has one name.
 
 The modules are compiled by processes of their own, one a core: `python tests/kernels/test_cuda.py --compile NAME …`.
 """
@@ -10,6 +10,8 @@ import re
 import subprocess
 import sys
 import tempfile
+import textwrap
+from functools import cache
 from itertools import product
 from pathlib import Path
 
@@ -20,6 +22,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
 from cuda_modules import cuda_modules
+from kept import kept
 
 from ccd_warp._runtime.lanes import search_on
 
@@ -41,12 +44,24 @@ def test_every_search_that_a_scene_may_ask_for_is_listed(walk):
         assert search_on(None, walk, end, with_lists, is_cuda=True, is_thick=is_thick).module in modules
 
 
+@cache
+def sources():
+    """Those of all kernels, of which the hashes of modules are made, slowly."""
+    return [path.read_text(encoding="utf-8") for path in sorted(Path(ccd_warp.kernels.__path__[0]).rglob("*.py"))]
+
+
+def _hash_of(name):
+    module = cuda_modules(with_distances=True)[name]
+    return f"{module.name} {module.get_module_hash(module.options['block_dim']).hex()}"
+
+
+hash_of = kept(_hash_of, sys.modules[__name__], question_of=lambda name: [name, wp.__version__, sources()])
+
+
 def place_of(name):
     """The folder for the PTX of a module, which stays from one run to the next, named by all that it is made of."""
     wp.init()  # which says where kernels are kept
-    module = cuda_modules(with_distances=True)[name]
-    module_hash = module.get_module_hash(module.options["block_dim"])
-    made_of = f"{module.name} {module_hash.hex()} {ARCH} {optimization_level(name)}"
+    made_of = f"{hash_of(name)} {ARCH} {optimization_level(name)}"
     return Path(wp.config.kernel_cache_dir, "ccd_warp_ptx", hashlib.sha256(made_of.encode()).hexdigest()[:16])
 
 
@@ -99,6 +114,45 @@ def test_a_search_loads_a_box_without_a_branch_and_keeps_its_way_in_registers(en
 @pytest.mark.emulated
 def test_boxes_are_loaded_four_numbers_at_a_time(output):
     assert len(re.findall(r"\bld\.global\S*\.v4\.", _ptx("half_warp_tree", output))) >= 6
+
+
+NAMES_OF_MODULES = """
+    import warp as wp
+
+    wp.config.log_level = wp.LOG_ERROR
+    from cuda_modules import cuda_modules
+
+    wp.init()
+    modules = {name: module for name, module in cuda_modules(reals=(wp.float64,)).items() if "float64" in name}
+
+
+    def names():
+        for module in modules.values():
+            module.hashers.clear()
+        return {name: module.get_module_identifier() for name, module in modules.items()}
+
+
+    before = names()
+    for name, module in modules.items():
+        if "points_toi" in name:
+            module._run_codegen(module.resolve_options(wp.config) | {"output_arch": 90}, False)
+    after = names()
+    print(*(name for name in modules if before[name] != after[name]), sep=", ")
+"""
+
+
+@pytest.mark.emulated
+def test_what_was_built_before_does_not_change_the_name_of_a_module():
+    """Else a second run would compile modules again that the first has compiled under other names.
+
+    Warp takes a local variable of a function for a constant of that name, as its own number ``e``, until it has built
+    the function once.
+    """
+    command = [sys.executable, "-P", "-c", textwrap.dedent(NAMES_OF_MODULES)]
+    path = os.pathsep.join([str(Path(__file__).parents[1] / "helpers"), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
 
 
 def optimization_level(name):

@@ -1,4 +1,4 @@
-"""Pairs that no family foresees: mutations of hard and of published ones, against exact arithmetic."""
+"""Pairs that no family foresees: hard and published ones, and mutations of them, against exact arithmetic."""
 
 import numpy as np
 import published
@@ -8,6 +8,10 @@ from distance_queries import KINDS, failures, size_of
 from hard_cases import FAMILIES, POINTS
 
 import ccd_warp as ccd
+
+
+def as_drawn(points, other, rng):
+    return points
 
 
 def with_ulp_noise(points, other, rng):
@@ -46,7 +50,9 @@ def drawn(kind, dimension, n, rng):
 
 
 @pytest.mark.parametrize("seed", marked(range(40), range(3)))
-@pytest.mark.parametrize("mutate", [with_ulp_noise, crossed, with_scaled_axes, snapped], ids=lambda f: f.__name__)
+@pytest.mark.parametrize(
+    "mutate", [as_drawn, with_ulp_noise, crossed, with_scaled_axes, snapped], ids=lambda f: f.__name__
+)
 def test_mutated_pairs_are_never_missed_late_or_far_apart(mutate, seed, precision):
     rng = np.random.default_rng(seed)
     for kind, dimension in KINDS:
@@ -55,6 +61,14 @@ def test_mutated_pairs_are_never_missed_late_or_far_apart(mutate, seed, precisio
         options = {"tolerance": 10.0 ** rng.uniform(-9, -2), "minimum_separation": rng.choice([0.0, 1e-3])}
         options["t_max"] = rng.choice([1.0, 0.5])
         scale = float(np.median(size_of(*points))) or 1.0
-        found, result, _ = failures(kind, *points, precision=precision, length_scale=scale, **options)
+        own = np.random.default_rng([seed, POINTS[kind], dimension, len(mutate.__name__)])
+        if is_distance := own.random() < 0.4:  # of any size, in place of a separation
+            del options["minimum_separation"]
+            share = own.uniform(-6, 0) if own.random() < 0.8 else own.uniform(-16, 1)
+            options["minimum_distance"] = scale * 10.0**share
+        if own.random() < 0.2:
+            options |= {"method": "bisection", "max_iterations": 3000}
+        options |= {"precision": precision, "length_scale": scale}
+        found, result, _ = failures(kind, *points, checks_gap=is_distance, **options)
         assert not found and ((result.status == ccd.CCDStatus.NO_COLLISION) == np.isinf(result.toi)).all()
         assert not (result.toi < 0.0).any()

@@ -1,4 +1,4 @@
-"""The exact oracle against published truth, hand-computed times, and slower methods that it does not use itself."""
+"""The exact oracles against published truth, times by hand, and slower methods that they do not use themselves."""
 
 import math
 from fractions import Fraction
@@ -11,14 +11,16 @@ import published
 import pytest
 from algebraic import Root, unit_roots, value_dyadic
 from daily import marked
+from distance_oracle import exact_distance, exact_distance_tois, is_within
 from distance_queries import KINDS
 from flint import fmpq, fmpq_mat
-from hard_cases import FAMILIES
-from hypothesis import given, settings
+from hard_cases import FAMILIES, POINTS
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from oracle import exact_gap, exact_toi, exact_tois
 from oracle_corners import CORNERS
 
+every_kind = pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
 OF_KINDS = [(family, *kind) for family in FAMILIES for kind in KINDS]
 FACE, LINE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 0, 0], [1, 0, 0]]
 NEEDLE, ACROSS = [[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[-2, 2], [2, -2]]
@@ -114,6 +116,7 @@ def product(factors):
 rationals = st.fractions(-1, 2, max_denominator=10**6) | st.sampled_from([0, 1, Fraction(1, 3), 1 - Fraction(1, 2**70)])
 
 
+@settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(rationals.map(Fraction), min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
 def test_all_rational_roots_are_found_in_order(values, scale):
     roots = unit_roots(product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
@@ -129,7 +132,7 @@ def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
     assert [Fraction(r.numerator, r.denominator) for r in roots] == [Fraction(1, 3), Fraction(2**300 + 1, 3 * 2**300)]
 
 
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.integers(-(10**30), 10**30), min_size=2, max_size=4), st.integers(0, 500))
 def test_refinement_keeps_the_root(poly, bits):
     roots = unit_roots(tuple(poly)) if any(poly) else []
@@ -169,19 +172,99 @@ def test_gap_equals_the_separation_when_it_is_reached(family, kind, dimension):
         assert found[-1].lo == 0
 
 
-@pytest.mark.parametrize("kind, dimension", KINDS, ids=[f"{k}-{d}d" for k, d in KINDS])
+@every_kind
 def test_cull_scale_and_shorter_steps_change_nothing(kind, dimension, monkeypatch):
-    def answers(points, separation):
-        return [(found.hit, found.approx) for found in exact_tois(kind, *points, separation)]
+    def answers(found):
+        return [(x.hit, x.approx) for x in found]
 
     for family in ("random_colliding", "cloth_like", "lattice", "one_plane", "slivers", "mixed_axis_scales"):
         points = FAMILIES[family](kind, 20, np.random.default_rng(4), dimension)
         for separation in (0.0, 0.01):
-            plain, expected = exact_tois(kind, *points, separation), answers(points, separation)
-            assert all(answers(2.0**e * np.array(points), 2.0**e * separation) == expected for e in (-400, 400))
+            expected = answers(plain := exact_tois(kind, *points, separation))
+            for e in (-400, 400):
+                assert answers(exact_tois(kind, *np.ldexp(points, e), np.ldexp(separation, e))) == expected
             with monkeypatch.context() as patch:
                 patch.setattr(oracle, "certainly_apart", lambda kind, p0, *_: np.zeros(len(p0), dtype=bool))
-                assert answers(points, separation) == expected
+                assert answers(exact_tois(kind, *points, separation)) == expected
             for cut, full in zip(exact_tois(kind, *points, separation, t_max=0.5), plain, strict=True):
                 assert cut.hit == (full.hit and full.compare(0.5) >= 0)
                 assert not cut.hit or (cut.lo <= full.hi and full.lo <= cut.hi and cut.rational == full.rational)
+
+
+# --- of Euclidean distances ---
+
+WIDE = [[0.0, 0, 0], [3, 0, 0], [0, 3, 0]]
+# The first primitive comes down by four units from a height of two. Distance, and how far it is beside, squared.
+WITHIN_BY_HAND = [
+    ("vertex-face", [[1.0, 1, 2], *WIDE], 0.5, 0.0),
+    ("vertex-face", [[-1.0, -1, 2], *WIDE], 1 / math.sqrt(2), 2.0),  # beyond the corner at the origin, and too far
+    ("vertex-face", [[1.0, -1, 2], *WIDE], 1.25, 1.0),  # beyond the side along x
+    ("edge-edge", [[-1.0, 1, 2], [1, 1, 2], [0, 0, 0], [0, 2, 0]], 0.125, 0.0),
+    ("point-segment", [[-3.0, 0, 2], [0, 0, 0], [5, 0, 0]], 3.5, 9.0),
+    ("point-point", [[1.0, 1, 2], [0, 0, 0]], 1.5, 2.0),
+]
+
+
+@pytest.mark.parametrize(("kind", "points", "distance", "beside"), WITHIN_BY_HAND)
+def test_time_at_which_a_pair_comes_within_a_distance_by_hand(kind, points, distance, beside):
+    start = np.array([points])
+    end = start.copy()
+    end[:, : 2 if kind == "edge-edge" else 1, 2] -= 4
+    (truth,) = exact_distance_tois(kind, start, end, distance)
+    assert truth.hit == (distance**2 >= beside)
+    if truth.hit:
+        assert truth.approx == pytest.approx((2 - math.sqrt(distance**2 - beside)) / 4, rel=1e-15)
+
+
+@every_kind
+def test_distance_is_the_least_on_a_grid_and_is_reached_at_the_exact_time(kind, dimension):
+    points = np.stack(FAMILIES["random"](kind, 60, np.random.default_rng(61), dimension=dimension), axis=1)
+    w = np.linspace(0, 1, 61)
+    u, v = (grid.ravel()[:, None] for grid in np.meshgrid(w, w))
+    times = np.linspace(0, 1, 65)
+    for pair, truth in zip(points, exact_distance_tois(kind, points[:, 0], points[:, 1], 0.4), strict=True):
+        for t in (0.0, 0.3, 1.0):
+            p = pair[0] + t * (pair[1] - pair[0])
+            gaps = {"vertex-face": lambda p=p: p[0] - p[1] - v * (1 - u) * (p[2] - p[1]) - u * (p[3] - p[1])}
+            gaps["edge-edge"] = lambda p=p: p[0] + u * (p[1] - p[0]) - p[2] - v * (p[3] - p[2])
+            on_segment = p[0] - p[1] - w[:, None] * (p[-1] - p[1])
+            grid = np.linalg.norm(gaps[kind]() if kind in gaps else on_segment, axis=1).min()
+            exact = exact_distance(kind, *pair, t)
+            assert exact <= grid * (1 + 1e-12) and grid - exact < 0.15 * np.abs(pair).max()
+            assert is_within(kind, *pair, exact * (1 + 1e-12) + 1e-300, t)
+            assert not is_within(kind, *pair, exact * (1 - 1e-12), t)
+        assert all(exact_distance(kind, *pair, t) > 0.4 for t in times if t < truth.approx)
+        if truth.hit and truth.approx > 0:
+            assert exact_distance(kind, *pair, truth.approx) == pytest.approx(0.4, rel=1e-12)
+
+
+# --- what families of hard cases promise ---
+
+
+@every_kind
+def test_families_have_shapes_seeds_and_reasons(kind, dimension):
+    for name, case in FAMILIES.items():
+        assert case.name == name and case.fails and case.why == case.generate.__doc__.strip() and "\n" not in case.why
+        first, again, other = (np.stack(case(kind, 6, np.random.default_rng(seed), dimension)) for seed in (0, 0, 1))
+        assert first.shape == (2, 6, POINTS[kind], dimension) and np.isfinite(first).all()
+        assert np.array_equal(first, again) and not np.array_equal(first, other)
+
+
+@every_kind
+def test_contacts_are_where_and_when_the_families_say(kind, dimension):
+    def exact(family):
+        return exact_tois(kind, *FAMILIES[family](kind, 60, np.random.default_rng(0), dimension))
+
+    assert all(e.compare(0.0) == 0 for e in exact("touching_at_start"))
+    assert sum(e.compare(1.0) == 0 for e in exact("contact_exactly_at_end")) > 20
+    for family in ("contact_exactly_at_end", "double_root", "simultaneous_contacts", "needle_against_needle"):
+        assert all(e.hit for e in exact(family)), family
+    case = FAMILIES["separation_exactly_the_gap"]
+    separation = case.minimum_separation * case.length_scale
+    points = case(kind, 60, np.random.default_rng(0), dimension)
+    truth = exact_tois(kind, *points, separation=separation)
+    assert not any(e.hit for e in exact_tois(kind, *points, separation=np.nextafter(separation, 0.0)))
+    for start, end, e in zip(*points, truth, strict=True):
+        assert e.hit and (not e.rational or exact_gap(kind, start, end, e.lo) == separation)
+    toi = np.array([e.approx for e in truth])
+    assert (toi == 0.0).any() and (toi == 1.0).any() and ((toi > 0.0) & (toi < 1.0)).any()

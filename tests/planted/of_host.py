@@ -79,7 +79,7 @@ PLANTED = [
           ("engine/test_near_parts.py::test_many_bodies_meet_by_the_boxes_of_all_slices",)),
     Fault("the first body's vertices in every copy of it", "ccd_warp/_engine/host/part_trees.py",
           "(self._first_vertex[body] - self._origin[tree])[:, None]", "0",
-          ("calls/test_instances.py::test_copies_have_one_tree_and_others_their_own",)),
+          ("calls/test_motion_worlds.py::test_copies_have_one_tree_and_others_their_own",)),
     # --- boxes ---
     Fault("a world beyond its cell", "kernels/boxes/box_tree.py",
           "distance = inner + doublings * (_OUTER * inner)", "distance = inner + doublings * inner",

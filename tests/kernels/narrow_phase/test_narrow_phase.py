@@ -6,16 +6,17 @@ import warp as wp
 from ccd_warp.kernels.template import specialised
 from distance_oracle import exact_distance
 from distance_queries import KINDS as EVERY_KIND
-from distance_queries import SOLVE, UNIT_ROUNDOFF, failures, named_vector, size_of
+from distance_queries import SOLVE, failures, named_vector, size_of
+from exact import exact_distance_tois
 from hard_cases import FAMILIES
 from published import all_queries, requires_data
 
 import ccd_warp as ccd
 
 KINDS = ["vertex-face", "edge-edge"]
-POINT_KINDS = EVERY_KIND[2:]
 LIMIT = ccd.CCDStatus.ITERATION_LIMIT
-every_kind = pytest.mark.parametrize("kind", KINDS)
+every_kind = pytest.mark.parametrize("kind, dimension", EVERY_KIND, ids=[f"{k}-{d}d" for k, d in EVERY_KIND])
+of_four_points = pytest.mark.parametrize("kind", KINDS)
 
 
 def drawn(kind, names, n, seed, dimension=3):
@@ -37,22 +38,26 @@ def test_published_queries(queries, precision):
 
 @every_kind
 @pytest.mark.parametrize("family", FAMILIES)
-def test_family(family, kind, precision):
-    found, result, _ = failures(kind, *drawn(kind, [family], 110, 20), precision=precision)
-    assert not found
-    # no family may need the limits to come to its end, and a certain miss says so, in value and status alike
-    assert (result.status < LIMIT).all()
-    assert ((result.status == ccd.CCDStatus.NO_COLLISION) == np.isinf(result.toi)).all()
+def test_family(family, kind, dimension, precision):
+    """In the tolerance of the pairs' own size, and at the separation of the family, which its length scale is for."""
+    case, points = FAMILIES[family], drawn(kind, [family], 110, 20, dimension)
+    sharp, separation = {"tolerance": 1e-12}, case.minimum_separation
+    of_case = {"minimum_separation": separation, "length_scale": case.length_scale}
+    for options in ({}, sharp, of_case, of_case | sharp)[: 4 if separation else 2]:
+        found, result, _ = failures(kind, *points, precision=precision, **options)
+        assert not found, options
+        # no family may need the limits to come to its end, and a certain miss says so, in value and status alike
+        assert options or (result.status < LIMIT).all()
+        assert ((result.status == ccd.CCDStatus.NO_COLLISION) == np.isinf(result.toi)).all()
 
 
 TOLERANCES, TIMES = (1e-1, 1e-3, 1e-9, 1e-12, 1e-300), (0.0, 1e-9, 0.1, 0.5, 1 - 2.0**-53)
-CLOSE = ("random", "lattice", "one_plane", "parallel_edges", "slivers", "touching_at_start")
 OF_BISECTION = ("random", "lattice", "random_colliding", "parallel_edges", "contact_exactly_at_end")
 UNIT, BISECTION = {"length_scale": 1.0}, {"method": "bisection"}
 # Families, how many of each, a seed, and options.
 SETS = {
     "tolerance": [(("lattice", "random_colliding", "slivers"), 60, 21, {"tolerance": x}) for x in TOLERANCES],
-    "separation": [(CLOSE, 24, 22, UNIT | {"minimum_separation": x}) for x in (2.0**-40, 1e-3, 0.25)],
+    "separation": [(FAMILIES, 24, 22, UNIT | {"minimum_separation": x}) for x in (0.0, 2.0**-40, 1e-3, 0.3)],
     "t_max": [(("random_colliding", "lattice", "contact_exactly_at_end"), 100, 24, {"t_max": x}) for x in TIMES],
     "gap": [
         (("random_colliding", "slivers"), 60, 33, UNIT | {"checks_gap": True}),
@@ -63,26 +68,15 @@ SETS = {
 
 @every_kind
 @pytest.mark.parametrize("name", SETS)
-def test_options(name, kind, precision):
+def test_options(name, kind, dimension, precision):
     for names, n, seed, options in SETS[name]:
-        found, result, _ = failures(kind, *drawn(kind, names, n, seed), precision=precision, **options)
+        found, result, _ = failures(kind, *drawn(kind, names, n, seed, dimension), precision=precision, **options)
         assert not found, options
         assert (result.toi[result.hit] <= options.get("t_max", 1.0)).all()
         assert name != "gap" or (result.width[result.status == ccd.CCDStatus.COLLISION] == 0).all()
 
 
-@pytest.mark.parametrize(("kind", "dimension"), POINT_KINDS)
-@pytest.mark.parametrize("separation", [0.0, 1e-3, 0.3])
-def test_points_and_segments(separation, kind, dimension, precision):
-    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision}
-    found, result, _ = failures(kind, *drawn(kind, FAMILIES, 30, 34, dimension), **options)
-    assert not found
-    # rounding at the size of some families hides gaps of the unit in which the tolerance is
-    is_hidden = (result.status == ccd.CCDStatus.ROUNDING_LIMIT) & (result.toi == 0.0)
-    assert ((result.status < LIMIT) | is_hidden).all()
-
-
-@every_kind
+@of_four_points
 def test_iteration_limit_is_conservative_and_monotone(kind, precision):
     points = drawn(kind, ("one_plane", "slivers", "random_colliding"), 40, 25)
     before, capped = np.zeros(len(points[0])), 0
@@ -96,7 +90,7 @@ def test_iteration_limit_is_conservative_and_monotone(kind, precision):
     assert capped > 0 and not at_limit.any()
 
 
-@every_kind
+@of_four_points
 @pytest.mark.parametrize("family", OF_BISECTION)
 def test_bisection_is_conservative_and_agrees(family, kind, precision):
     points, options = drawn(kind, [family], 60, 32), BISECTION | {"tolerance": 1e-2}
@@ -107,6 +101,46 @@ def test_bisection_is_conservative_and_agrees(family, kind, precision):
     # the box is within the tolerance in time, too: what is reported is a lower bound of the sharper answer
     both = clipped.hit & result.hit
     assert (result.toi[both] <= clipped.toi[both] + 1e-5).all()
+
+
+# --- at a distance ---
+
+
+def grazing(kind, n, rng, dimension, distance):
+    """Random queries scaled so that the least distance of the step is the given one, up to rounding."""
+    points_t0, points_t1 = FAMILIES["random"](kind, n, rng, dimension=dimension)
+    for start, end in zip(points_t0, points_t1, strict=True):
+        least = exact_distance(kind, start, end, 0.0)
+        low, high = 0.0, 1.0
+        for _ in range(8):
+            times = np.linspace(low, high, 9)
+            at = [exact_distance(kind, start, end, t) for t in times.tolist()]
+            k = int(np.argmin(at))
+            least = min(least, at[k])
+            low, high = times[max(k - 1, 0)], times[min(k + 1, 8)]
+        if least > 0.0:
+            start *= distance / least
+            end *= distance / least
+    return points_t0, points_t1
+
+
+@every_kind
+def test_pairs_that_graze_the_distance(kind, dimension, precision):
+    points = grazing(kind, 12, np.random.default_rng(62), dimension, 0.25)
+    options = {"precision": precision, "tolerance": 1e-9, "length_scale": 1.0, "minimum_distance": 0.25}
+    assert not failures(kind, *points, checks_gap=True, **options)[0]
+
+
+@every_kind
+def test_lengths_and_distances_near_the_ends_of_the_range_are_never_late(kind, dimension, precision):
+    points = FAMILIES["random_colliding"](kind, 20, np.random.default_rng(68), dimension=dimension)
+    lengths = [(exponent, float(np.ldexp(0.125, exponent))) for exponent in (-1070, -1000, 1000, 1020)]
+    for exponent, distance in [*lengths, *((0, x) for x in (1e-320, 1e-200, 1e200, 1.7e308))]:
+        scaled = [np.ldexp(x, exponent) for x in points]
+        exact = exact_distance_tois(kind, *scaled, distance)
+        tois = SOLVE[kind](*scaled, minimum_distance=distance, precision=precision).toi
+        assert not any(truth.late(toi) for truth, toi in zip(exact, tois.tolist(), strict=True))
+        assert exponent or (tois == 0).all() == (distance > 1)
 
 
 # --- parameters ---
@@ -122,44 +156,7 @@ def own_hits(kind, points, least, **options):
     return points, result.parameters, named_vector(kind, *points, result), np.array(gaps)
 
 
-def sliver_pairs(kind, aspect, rng):
-    """Pairs along a line, but for a share across, the first primitive of each aside."""
-    along, across, aside = (x / np.linalg.norm(x, axis=2, keepdims=True) for x in rng.normal(size=(3, 150, 1, 3)))
-    start = rng.uniform(-1, 1, (150, 1, 3)) + rng.uniform(-1, 1, (150, 4, 1)) * along
-    start += aspect * rng.uniform(-1, 1, (150, 4, 1)) * across
-    moving = 1 if kind == "vertex-face" else 2
-    start[:, :moving] += 0.5 * aside
-    end = start.copy()
-    end[:, :moving] += rng.uniform(-1, 1, (150, 1, 3))
-    return start, end
-
-
-def pairs_in_a_box(kind, axes, rng):
-    start = rng.uniform(-1, 1, (400, 3 if kind == "point-segment" else 4, 3)) * axes
-    return start, start + rng.uniform(-0.5, 0.5, start.shape) * axes
-
-
-@pytest.mark.parametrize(
-    ("kind", "make", "shape", "separation"),
-    [
-        *((kind, sliver_pairs, x, 0.2) for kind in KINDS for x in (0.0, 1e-12, 1e-8, 1e-6, 1e-4, 1e-2)),
-        *((k, pairs_in_a_box, x, 0.3) for k in (*KINDS, "point-segment") for x in ((1.0, 1.0, 1.0), (1.0, 0.05, 20.0))),
-    ],
-)
-@pytest.mark.parametrize("limit", [{}, {"max_iterations": 1}], ids=["within_the_separation", "at_the_limit"])
-def test_parameters_within_a_separation_are_of_the_closest_point(limit, kind, make, shape, separation, precision):
-    """Many start within the separation, where any point would do for the toi."""
-    points = make(kind, shape, np.random.default_rng(5))
-    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision, **limit}
-    points, parameters, apart, gaps = own_hits(kind, points, 20, **options)
-    # a foot is a chain of about ten roundings, and corners at toi carry their own (kernels/pair/rounding.py)
-    slack = 120 * UNIT_ROUNDOFF[precision] * np.abs(points).max(axis=(0, 2, 3))
-    assert (np.linalg.norm(apart, axis=1) <= gaps + slack).all() and (parameters >= 0).all()
-    # a sum of two numbers of float32 may be above 1 by a rounding
-    assert (parameters.sum(axis=1) <= (2 if kind == "edge-edge" else 1) + 2.0**-23).all()
-
-
-@every_kind
+@of_four_points
 @pytest.mark.parametrize("options", [{}, BISECTION | {"tolerance": 1e-2}])
 def test_parameters_name_the_point_of_contact(kind, options):
     points, _, vectors, gaps = own_hits(kind, drawn(kind, ["random_colliding"], 200, 29), 100, **options)
@@ -172,7 +169,7 @@ def test_parameters_name_the_point_of_contact(kind, options):
 # --- scale and lanes ---
 
 
-@every_kind
+@of_four_points
 @pytest.mark.parametrize("distance", [0.0, 0.07])
 def test_power_of_two_scale_changes_no_bit(distance, kind, precision):
     points = drawn(kind, ("random_colliding", "lattice", "one_plane", "slivers"), 60, 27)
@@ -181,20 +178,6 @@ def test_power_of_two_scale_changes_no_bit(distance, kind, precision):
         scaled = [np.ldexp(x, exponent) for x in points]
         result = SOLVE[kind](*scaled, precision=precision, minimum_distance=np.ldexp(distance, exponent))
         assert all(getattr(result, x).tobytes() == getattr(expected, x).tobytes() for x in ("toi", "parameters"))
-
-
-def test_a_pair_beside_one_in_a_plane_gets_the_answer_that_it_gets_among_its_like():
-    """Only the pair in one plane needs the widest facet, which must not choose a point for the other."""
-    names = "touching_at_start double_root grazing_vertex one_ulp_neighbours lattice random_colliding one_plane slivers"
-    rng = np.random.default_rng(0)
-    for seed in (17, 29, 100):
-        like = drawn("vertex-face", [*names.split(), "needle_against_needle"], 30, seed)
-        rows = rng.permutation(len(like[0]))
-        # a separation of the size of the rounding error: then pairs in space do without facets
-        both, options = (like, [x[rows] for x in like]), {"precision": "float32", "minimum_separation": 3e-6}
-        alike, mixed = (ccd.vertex_face_ccd(*points, **options) for points in both)
-        for name, values in vars(mixed).items():
-            assert values.tobytes() == getattr(alike, name)[rows].tobytes(), name
 
 
 def test_one_kernel_solves_the_pairs_of_all_calls_and_is_compiled_anew_when_an_operator_changes(monkeypatch):
@@ -305,29 +288,7 @@ def test_the_parameters_of_a_contact_in_one_plane_are_those_of_the_point_that_to
     assert np.abs(named_vector("vertex-face", *points, result)).max() <= result.gap[0] + 1e-12
 
 
-# Of two points in one any share is right; where those of a face are f1 and f2, the sum is 1/2. Then the edge that has a
-# length, beside one without.
-SHARES = [
-    *(("vertex-face", [(0, 0, 1), *((x, 0, 0) for x in face)], [1, 1, -1], 0.1, share)
-      for face, share in [((-1, -1, 1), [0, 1]), ((-1, 1, -1), [1, 0]), ((1, -1, -1), [1, 1])]),
-    ("edge-edge", [(1, 0, 0), (0, 1, 0), (1, 1, 0), (1, 1, 0)], 1, 0.5005, [1, 0]),
-    ("edge-edge", [(1, 1, 0), (1, 1, 0), (1, 0, 0), (0, 1, 0)], 1, 0.5005, [0, 1]),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("kind", "points", "turned", "separation", "share"), SHARES)
-def test_the_middle_of_what_has_two_corners_in_one(kind, points, turned, separation, share, precision):
-    p0 = np.array([points], dtype=float)
-    options = {"minimum_separation": separation, "length_scale": 1.0, "precision": precision}
-    assert SOLVE[kind](p0, p0 * turned, **options).parameters[0] @ share == pytest.approx(0.5, abs=1e-6)
-
-
 # --- interface ---
-
-
-def test_no_pairs_have_empty_answers():
-    result = ccd.vertex_face_ccd(*np.zeros((2, 0, 4, 3)))
-    assert result.toi.shape == result.hit.shape == result.status.shape == (0,) and result.parameters.shape == (0, 2)
 
 
 def test_non_finite_warp_array_is_marked_and_conservative():

@@ -1,7 +1,6 @@
 """Attack on step 13 of `kernels/pair/rounding.py`: offsets and clips with a Euclidean distance, in exact arithmetic."""
 
 import math
-from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -12,8 +11,9 @@ from ccd_warp.kernels.pair.rounding import SLACK, SQUARE_UNDERFLOW, UNIT_ROUNDOF
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois
+from flint import fmpq
 from hard_cases import FAMILIES
-from rounding_samples import CORNERS, FLOATS, KINDS, POINTS, REALS, SIDES, cross, drawn, exactly, struct
+from rounding_samples import CORNERS, FLOATS, KINDS, POINTS, REALS, SIDES, cross, drawn, exactly, rational, struct
 
 # Powers of two by which the axes are scaled: with the second, products of lengths on the short axes underflow.
 SCALES = {"as_drawn": (0, 0, 0), "flat": (0, -20, -90), "small": (-900, -900, -900), "thin": (0, -200, 0)}
@@ -78,19 +78,18 @@ def probed(kind, points, real, distance, directions, times):
     return out.numpy()
 
 
-def root_down(x: Fraction) -> Fraction:
+def root_down(x: fmpq) -> fmpq:
     """√x, rounded down to some 200 bits."""
-    if x == 0:
-        return x
-    bits = 2 * max(0, 200 + (x.denominator.bit_length() - x.numerator.bit_length()) // 2)
-    return Fraction(math.isqrt((x.numerator << bits) // x.denominator), 1 << (bits // 2))
+    p, q = int(x.numerator), int(x.denominator)
+    bits = 2 * max(0, 200 + (q.bit_length() - p.bit_length()) // 2)
+    return fmpq(math.isqrt((p << bits) // q), 1 << (bits // 2))
 
 
 @pytest.mark.parametrize("real", REALS)
 @pytest.mark.parametrize("distance", [0.125, 1 / 3, 1e-5, 7e9, 1e-60])
 def test_offset_is_above_the_exact_one_and_not_lazy(distance, real):
     rng = np.random.default_rng(91)
-    u = Fraction(UNIT_ROUNDOFF[REALS[real]])
+    u, far = rational(UNIT_ROUNDOFF[REALS[real]]), 2**60
     least = np.inf
     for _ in range(3):
         inputs = drawn(300, rng)
@@ -103,13 +102,13 @@ def test_offset_is_above_the_exact_one_and_not_lazy(distance, real):
         for unit, error, separation, offset, direction in zip(
             *(exactly(out[k]) for k in names), exactly(d), strict=True
         ):
-            radius = Fraction(distance) / unit[0]
-            if 2**-100 < radius < 2**60:
-                assert radius * (1 + 13 * u) < separation[0] <= radius * (1 + (SLACK + 3) * u)
+            radius = rational(distance) / unit[0]
+            if fmpq(1, 2**100) < radius < far:
+                assert radius * (1 + 13 * u) < separation[0] <= radius * (1 + rational(SLACK + 3) * u)
             exact = sum(abs(direction) * error) + radius * root_down(sum(direction * direction))
-            assert offset > exact or radius > 2**60
-            if radius < 2**60:
-                lazy = radius * Fraction(math.sqrt(SQUARE_UNDERFLOW[REALS[real]]))
+            assert offset > exact or radius > far
+            if radius < far:
+                lazy = radius * rational(math.sqrt(SQUARE_UNDERFLOW[REALS[real]]))
                 assert offset < exact * (1 + 40 * u) + 2 * lazy
                 least = min(least, float((offset - exact) / (exact * u)))
     # the sum of roundings took part of the slack: what is left is counted, and no more than that
@@ -128,10 +127,10 @@ def test_offset_of_the_volume_is_above_the_exact_one_within_its_bound(kind, real
     x0, x1 = (exactly(p) for p in points)
     q, r = (((1 - t) * (x0[:, i] - x0[:, j]) + t * (x1[:, i] - x1[:, j])) / unit for i, j in SIDES[kind])
     roots = np.array([[root_down(square)] for square in (cross(q, r) ** 2).sum(axis=1)])
-    exact = Fraction(1, 8) / unit * roots
+    exact = fmpq(1, 8) / unit * roots
     for name in ("c0", "c1"):
         found = exactly(out["of_volume"][name])[:, None]
-        assert (found + bound > exact).all() and (found < exact * Fraction(1.00001) + 4 * bound).all()
+        assert (found + bound > exact).all() and (found < exact * rational(1.00001) + 4 * bound).all()
 
 
 @pytest.mark.parametrize("real", REALS)

@@ -1,6 +1,5 @@
 """The closest point of a patch of any shape, against exact rational arithmetic."""
 
-from fractions import Fraction
 from functools import cache
 
 import numpy as np
@@ -8,7 +7,9 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.template import specialised
 from distance_queries import UNIT_ROUNDOFF
+from flint import fmpq
 from oracle_corners import integer_rows
+from rounding_samples import exactly
 
 DTYPES = {"float64": np.float64, "float32": np.float32}
 
@@ -79,7 +80,7 @@ def exact_squares(patches, is_triangle):
         area, v, u = qq * rr - qr * qr, qa * rr - ra * qr, ra * qq - qa * qr
         if area and min(u, v) >= 0 and (u + v <= area if is_triangle else max(u, v) <= area):
             squares.append((_dot(a, [q[k - 2] * r[k - 1] - q[k - 1] * r[k - 2] for k in range(3)]) ** 2, area))
-        yield min(Fraction(*square) for square in squares) / row[-1] ** 2
+        yield min(fmpq(*square) for square in squares) / row[-1] ** 2
 
 
 def assert_closest(corners, is_triangle, precision):
@@ -88,9 +89,8 @@ def assert_closest(corners, is_triangle, precision):
     assert (found >= 0).all() and (found[:, :2].sum(axis=1) <= 1 + 2 * unit).all()
     size = np.linalg.norm(corners.astype(np.float64), axis=-1).max(axis=1) + POINT[precision]
     for weights, patch, length, least in zip(found, corners, size, exact_squares(corners, is_triangle), strict=True):
-        wb, wc, from_w11 = (Fraction(w) for w in weights.tolist())
-        rows = [[Fraction(x) for x in row] for row in patch.astype(np.float64)[[3 if from_w11 else 0, 1, 2]].tolist()]
-        point = [(1 - wb - wc) * x + wb * y + wc * z for x, y, z in zip(*rows, strict=True)]
+        wb, wc, from_w11 = exactly(weights)
+        point = [1 - wb - wc, wb, wc] @ exactly(patch[[3 if from_w11 else 0, 1, 2]])
         square = _dot(point, point)
         if square > least:
             assert _root(square) - _root(least) - POINT[precision] <= ROUNDINGS * length * unit, patch

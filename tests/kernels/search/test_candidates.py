@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from laws.outputs import different, outputs_of
 from laws.truth import Pairs, candidates
@@ -122,12 +122,7 @@ def test_an_edge_over_three_cells_whose_rounded_length_is_that_of_one(axis):
         assert found.point_segment.tolist() == [[40, 0]]
 
 
-def test_boxes_are_rounded_outward():
-    x = np.array([[0.0, 0, 0]] * 3 + [[0.2, 0, 0]] * 3)
-    assert all(check(single(x, [[0, 1, 2], [3, 4, 5]]), x, x, reach) for reach in (0.1, np.nextafter(0.1, 0)))
-
-
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.lists(st.floats(allow_nan=False, allow_infinity=False, width=64), min_size=36, max_size=108))
 def test_any_finite_numbers(values):
     start = np.array(values[: len(values) // 9 * 9]).reshape(-1, 3)
@@ -216,7 +211,7 @@ def test_published_pairs_are_found(scene):
     v, e, f = 0, mesh.num_vertices, mesh.num_vertices + mesh.num_edges
     for kind, pairs, sides in (("vertex-face", found.vertex_face, [v, f]), ("edge-edge", found.edge_edge, [e, e])):
         published = np.sort(simulation_boxes(scene, kind), axis=1) - sides
-        assert len(published) and {*map(tuple, pairs.tolist())} >= {*map(tuple, published.tolist())}
+        assert len(published) and np.isin(published @ [1 << 32, 1], pairs.astype(np.int64) @ [1 << 32, 1]).all()
 
 
 # --- order, and whose the arrays are ---
@@ -229,13 +224,14 @@ def test_blocks_of_boxes_that_exceed_the_memory_limit_keep_the_order():
     bodies.append((0.01 * rng.standard_normal((900, 3)), [], cables))  # all boxes hold the origin
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], codimensional_points=True)
     frames = mesh.vertices, with_static_at_rest(mesh, mesh.vertices, -mesh.vertices)
-    expected = tuples_of(ccd.find_candidates(mesh, *frames, num_threads=1))
+    expected = [*vars(ccd.find_candidates(mesh, *frames, num_threads=1)).values()]
     for num_threads in (1, 3):
         with pytest.raises(ValueError, match="memory_limit is 1 bytes; expected at least") as error:
             ccd.CollisionPipeline(mesh, memory_limit=1, num_threads=num_threads).find_candidates(*frames)
         limit = int(re.search(r"at least (\d+)", str(error.value))[1])
         pipeline = ccd.CollisionPipeline(mesh, memory_limit=limit, num_threads=num_threads)
-        assert tuples_of(pipeline.find_candidates(*frames)) == expected and pipeline.counts.num_batches > 10
+        found = vars(pipeline.find_candidates(*frames)).values()
+        assert all(map(np.array_equal, found, expected)) and pipeline.counts.num_batches > 10
 
 
 def test_candidates_keep_their_order_belong_to_the_caller_and_are_sorted_on_demand():
@@ -245,11 +241,12 @@ def test_candidates_keep_their_order_belong_to_the_caller_and_are_sorted_on_dema
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1])
     start = np.concatenate([bodies[0][0], bodies[1][0].reshape(-1, 3, 3)[rng.permutation(600)].reshape(-1, 3)])
     ends = [with_static_at_rest(mesh, start, start + s * rng.standard_normal(start.shape)) for s in (0.01, 0.1)]
-    expected = [tuples_of(ccd.CollisionPipeline(mesh).find_candidates(start, end)) for end in ends]
+    expected = [[*vars(ccd.CollisionPipeline(mesh).find_candidates(start, end)).values()] for end in ends]
     for order in ((0, 1, 0, 1, 1, 0), (1, 0)):
         find = ccd.CollisionPipeline(mesh).find_candidates
         found = [find(start, ends[k]) for k in order]
-        assert [tuples_of(each) for each in found] == [expected[k] for k in order]
+        for each, k in zip(found, order, strict=True):
+            assert all(map(np.array_equal, vars(each).values(), expected[k]))
     before, last, in_order = (vars(x).values() for x in (found[0], found[-1], found[-1].sorted()))
     for other, pairs, ordered in zip(before, last, in_order, strict=True):
         assert pairs.dtype == ordered.dtype == np.int32 and pairs.flags.writeable and pairs.flags.c_contiguous
