@@ -122,6 +122,10 @@ def test_worlds_are_as_many_motions():
             np.testing.assert_array_equal(motion.at(t)[w], alone.at(own))
         np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[w, 1], alone.at(0.5)[1])
         np.testing.assert_array_equal(motion._body_paths.velocity[3 * w : 3 * w + 3], alone._body_paths.velocity)
+        for within, own in ((0.5, [0.5] * 3), (fractions, fractions[w]), (fractions[0], fractions[0])):
+            motion = RIGID(*ENDS, pivot=pivot, within=within)
+            np.testing.assert_array_equal(motion.within[w], own)
+            np.testing.assert_array_equal(motion.shortened(0.5).within[w], own)
     np.testing.assert_array_equal(RIGID(*ENDS, pivot=np.tile(pivot, (4, 1, 1))).at(0.3), motion.at(0.3))
     check_places(motion)
 
@@ -158,6 +162,10 @@ def test_a_motion_shows_itself_in_a_line():
             "RigidMotion(3 bodies in each of 4 worlds, path='screw', turns up to 0 rad)",
         ),
         (RIGID(*ENDS)._body_paths, "BodyPaths(12)"),
+        (
+            RIGID([IDENTITY], [QUARTER_ABOUT_Z], within=0.1),
+            "RigidMotion(1 body, path='linear', turns up to 1.57 rad, within 0.1)",
+        ),
         (RIGID(np.zeros((0, 7)), np.zeros((0, 4, 4))), "RigidMotion(0 bodies, path='linear')"),
         (ccd.AffineMotion(*np.zeros((2, 1, 2, 3, 4))), "AffineMotion(2 bodies in each of 1 world)"),
     ):
@@ -216,6 +224,11 @@ BAD = [
     (twisted((0, 0), 1.7e308, _with(TWO, (0, 0), 1.7e308)), "the end of twist holds inf for"),
     *((lambda make=make: make([[0, 0, 0, 1, 0, 0, 0]], twist=[[0, 0, 0, 8e5, 6e5, 0]]), MOST)
       for make in (ccd.RigidMotion, ccd.RigidMotion.from_scalar_first)),
+    (rigid(WORLDS, WORLDS, within=[0.5]),
+     r"within has shape \(1,\); expected a finite length of at least 0, or such .* of shape \(2,\) or \(3, 2\)"),
+    (rigid(WORLDS, WORLDS, within=_with(np.zeros((3, 2)), (2, 1), -1)), "within is -1.0 for body 1 of world 2"),
+    (lambda: ccd.RigidMotion.from_scalar_first(TWO, TWO, within=[0, np.nan]), "within is nan for body 1; expected"),
+    (rigid(TWO, TWO, within=np.inf), "within is inf; expected a finite length"),
     (lambda: ccd.RigidMotion.from_scalar_first(MATRICES, MATRICES),
      r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"),
     (lambda: ccd.RigidMotion.from_scalar_first(TWO, _with(TWO, (1, 6), 0)), "0 for body 1; .*w x y z, scalar first"),
