@@ -151,13 +151,16 @@ def test_what_a_line_search_leaves_is_free_and_a_launch_leaves_as_much(seed, is_
     shares = np.append(found.vertex_fraction, 1.0)[mesh.body_vertex_range[:-1]]
     for body in np.flatnonzero(mesh.rigid):
         assert np.ptp(found.vertex_fraction[slice(*mesh.body_vertex_range[body : body + 2])]) == 0
-    left = scene.moved(found.vertices, shares)
-    starts = {key for key, (lo, _) in left.first_times(1.01 * distance + 1e-9 * left.size).items() if lo == 0}
-    for key, (_, hi) in left.first_times(0.99 * distance).items():
-        is_asked = ccd.PairKind(key[0]).name.lower() in scene.kinds
-        assert hi == np.inf or key in starts or key in tois_of(found.struck) or not is_asked, key
     written = scene.end.copy()
     launched = pipeline.launch_line_search(scene.start, written, per=per, motion=scene.motion).to_host()
+    struck = launched.contacts if launched.flags & ccd.LaunchFlag.STRUCK else launched.contacts[:0]
+    ends = (found.vertices, shares, found.struck), (written, launched.body_fraction, struck)
+    for end, fractions, struck in ends[: 1 + is_beside]:
+        left = scene.moved(end, fractions)
+        starts = {key for key, (lo, _) in left.first_times(1.01 * distance + 1e-9 * left.size).items() if lo == 0}
+        for key, (_, hi) in left.first_times(0.99 * distance).items():
+            is_asked = ccd.PairKind(key[0]).name.lower() in scene.kinds
+            assert hi == np.inf or key in starts or key in tois_of(struck) or not is_asked, key
     if found.num_rounds <= 2:  # further ones differ: those on the device are fixed
         deforms = ~mesh.rigid[mesh.vertex_body]
         assert np.array_equal(written[deforms], found.vertices[deforms])
