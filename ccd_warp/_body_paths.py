@@ -143,7 +143,7 @@ class BodyPaths(ReadOnly):
     @property
     def moves(self) -> NDArray[np.bool_]:
         """Which bodies move on their paths, shape [N]."""
-        found: NDArray[np.bool_] = self.omega.any(axis=1) | self.velocity.any(axis=1) | self.turning.any(axis=1)
+        found: NDArray[np.bool_] = np.asarray(np.column_stack([self.omega, self.velocity, self.turning]).any(axis=1))
         return found
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
