@@ -36,8 +36,6 @@ from ccd_warp._input.option_types import (
     ProximityOptions,
 )
 from ccd_warp._intersections import Intersections
-from ccd_warp._joint_motion import JointMotion
-from ccd_warp._joints import Joint
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
 from ccd_warp._one_shot import (
@@ -57,11 +55,9 @@ from ccd_warp._pose_sequence import PoseSequence, read_poses
 from ccd_warp._proximities import Proximities
 from ccd_warp._quiet import keep_warp_quiet
 from ccd_warp._results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
-from ccd_warp._robot import Robot
 from ccd_warp._sequence import FrameSequence, read_sequence
 from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._toi_gradient import ToiGradient
-from ccd_warp._urdf import read_urdf
 from ccd_warp._version import __version__
 
 keep_warp_quiet()
@@ -88,8 +84,6 @@ __all__ = [
     "IntersectionKind",
     "IntersectionOptions",
     "Intersections",
-    "Joint",
-    "JointMotion",
     "LaunchFlag",
     "LaunchResult",
     "LineSearchOptions",
@@ -104,7 +98,6 @@ __all__ = [
     "Proximities",
     "ProximityOptions",
     "RigidMotion",
-    "Robot",
     "ToiGradient",
     "__version__",
     "collision_free_step",
@@ -122,7 +115,6 @@ __all__ = [
     "read_frames",
     "read_poses",
     "read_sequence",
-    "read_urdf",
     "rigid_ccd",
     "vertex_face_ccd",
     "viz",

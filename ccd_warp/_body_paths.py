@@ -11,6 +11,11 @@ from numpy.typing import NDArray
 from ccd_warp._read_only import ReadOnly
 from ccd_warp._rotations import arc_factors, arcs, cross, normalized, norms, rotated, rotation_vectors
 
+# A length that no sum with coordinates shows.
+UNSEEN = 2.0**-1000
+# What the sum of an excess and of rounding errors loses, and the largest excess.
+_EXCESS_UP, _LARGEST = 1.0 + 2.0**-40, float(np.finfo(np.float64).max)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BodyPaths(ReadOnly):
@@ -46,6 +51,7 @@ class BodyPaths(ReadOnly):
         pivot_t0: Its place in the world at t = 0, shape [N, 3].
         velocity: Its straight displacement in the step, shape [N, 3].
         turning: The part of the velocity of the body's origin that turns with it, shape [N, 3].
+        excess: How far points of the body may be from this path at any time, a length, shape [N].
     """
 
     rotation: NDArray[np.float64]
@@ -54,6 +60,7 @@ class BodyPaths(ReadOnly):
     pivot_t0: NDArray[np.float64]
     velocity: NDArray[np.float64]
     turning: NDArray[np.float64]
+    excess: NDArray[np.float64]
 
     def __post_init__(self) -> None:
         self.__setstate__(vars(self))
@@ -115,6 +122,7 @@ class BodyPaths(ReadOnly):
             pivot_t0,
             velocity,
             none.copy() if turning is None else turning,
+            np.zeros(len(none)),
         )
 
     @property
@@ -125,6 +133,18 @@ class BodyPaths(ReadOnly):
     def rows(self, index: NDArray[np.integer]) -> BodyPaths:
         """The paths of some bodies, or of some of them several times."""
         return BodyPaths(*(getattr(self, each.name)[index] for each in fields(BodyPaths)))
+
+    def within(self, lengths: NDArray[np.float64]) -> Self:
+        """The same paths, from which points may be as far as these lengths, shape [N], rounded up."""
+        with np.errstate(over="ignore"):
+            excess = np.minimum(lengths * _EXCESS_UP, _LARGEST) + 2.0 * UNSEEN
+        return replace(self, excess=np.where(lengths > 0.0, excess, 0.0))
+
+    @property
+    def moves(self) -> NDArray[np.bool_]:
+        """Which bodies move on their paths, shape [N]."""
+        found: NDArray[np.bool_] = np.asarray(np.column_stack([self.omega, self.velocity, self.turning]).any(axis=1))
+        return found
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N]."""

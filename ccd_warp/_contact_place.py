@@ -190,7 +190,7 @@ class ContactPlace:
             none = np.zeros((0, 4, self.mesh.dimension))
             return ToiGradient(none, none, np.zeros(0), np.zeros(0, dtype=bool), contacts.vertices)
         if self.frames is not None and self.frames.paths is not None and self.frames.paths.excess.any():
-            raise ValueError("contacts are those of a JointMotion; expected a RigidMotion, or none")
+            raise ValueError("contacts are those of a motion with within; expected one whose paths are known")
         if self.frames is None or self.touch is None:
             raise ValueError(
                 "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "

@@ -118,8 +118,8 @@ class Contacts(Placed, ClosePairs):
         :meth:`ccd_warp.RigidMotion.gradient_by_poses` and ``gradient_by_twist``.
 
         Raises:
-            ValueError: If the contacts do not know their step, as those of a line search or of a ``JointMotion`` do
-                not, or with a number as ``start_gap_fraction``.
+            ValueError: If the contacts do not know their step, as those of a line search do not; or with a motion that
+                has a ``within``, or a number as ``start_gap_fraction``.
         """
         gradient: ToiGradient = self._known().toi_gradient_of(self)
         return gradient

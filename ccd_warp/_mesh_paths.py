@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._body_paths import BodyPaths
+from ccd_warp._body_paths import UNSEEN, BodyPaths
 from ccd_warp._display import counted
 from ccd_warp._input.names import body_label
 from ccd_warp._rotations import arcs, rotated
@@ -23,42 +23,40 @@ class MeshPaths(BodyPaths):
 
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
-        excess: How far points of each body may be from the path, a length, shape [B].
         active: Bodies that are searched, bool, shape [B].
         turn: Angle for whose slices the step is cut, no less than that of any body; None for the largest of them.
     """
 
     is_rigid: NDArray[np.bool_]
-    excess: NDArray[np.float64]
     active: NDArray[np.bool_]
     turn: float | None = None
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None) -> MeshPaths:
-        """The paths of the rigid bodies of a mesh, for which a motion has given a row each, and an ``excess``.
+    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
+        """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
 
         Raises:
             ValueError: If the numbers of bodies differ, a static body moves, or any leaves the plane of a mesh in it.
         """
         check_motion(mesh, given)
         check_worlds(mesh)
-        return cls.of_checked(mesh, given, excess)
+        return cls.of_checked(mesh, given)
 
     @classmethod
-    def of_checked(
-        cls, mesh: CollisionMesh, given: BodyPaths, excess: NDArray[np.float64] | None = None, **further: Any
-    ) -> MeshPaths:
-        """Those of a motion that is known to fit the mesh, with ``further`` attributes."""
+    def of_checked(cls, mesh: CollisionMesh, given: BodyPaths, **further: Any) -> MeshPaths:
+        """Those of a motion that is known to fit the mesh, with ``further`` attributes.
+
+        A body that stands on its path, and may be beside it, moves: it turns with a velocity that its excess covers, so
+        that no line search takes it for one that stays.
+        """
         bodies = np.flatnonzero(mesh.rigid)
         rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
             of_rigid = getattr(given, field.name)
-            rows[field.name] = np.zeros((mesh.num_bodies, of_rigid.shape[1]))
+            rows[field.name] = np.zeros((mesh.num_bodies, *of_rigid.shape[1:]))
             rows[field.name][bodies] = of_rigid
-        of_all = np.zeros(mesh.num_bodies)
-        if excess is not None:
-            of_all[bodies] = excess
-        rows |= {"is_rigid": mesh.rigid.copy(), "excess": of_all, "active": np.ones(mesh.num_bodies, dtype=bool)}
+        rows["turning"][bodies[(given.excess > 0.0) & ~given.moves], 0] = UNSEEN
+        rows |= {"is_rigid": mesh.rigid.copy(), "active": np.ones(mesh.num_bodies, dtype=bool)}
         return cls(**rows | further)
 
     def at(
@@ -108,8 +106,7 @@ class WorldPaths(MeshPaths):
     @classmethod
     def of_worlds(cls, mesh: CollisionMesh, given: BodyPaths) -> WorldPaths:
         """Of a motion that has a row for each rigid body, of one world after another."""
-        none = np.zeros(1)
-        return cls(**vars(given), is_rigid=mesh.rigid, excess=none, active=none == 0.0)
+        return cls(**vars(given), is_rigid=mesh.rigid, active=np.ones(1, dtype=bool))
 
     def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
         world, own = np.divmod(body, len(self.is_rigid))
@@ -229,9 +226,14 @@ def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths)
     Raises:
         ValueError: If one moves.
     """
-    moves = given.omega.any(axis=1) | given.velocity.any(axis=1) | given.turning.any(axis=1)
     num_worlds = len(given) // len(bodies)
-    for row in np.flatnonzero(moves & np.tile(mesh.static[bodies], num_worlds))[:1].tolist():
+    is_static = np.tile(mesh.static[bodies], num_worlds)
+    for row in np.flatnonzero(is_static & (given.excess > 0.0))[:1].tolist():
+        raise ValueError(
+            f"within of the motion lets {_body_of(mesh, bodies, given, row)} leave its pose, which is static; expected "
+            f"0 for it, or kinematic in place of static for a body that moves as it is told"
+        )
+    for row in np.flatnonzero(is_static & given.moves)[:1].tolist():
         raise ValueError(
             f"motion moves {_body_of(mesh, bodies, given, row)}, which is static; expected equal poses at "
             f"both ends, or kinematic in place of static for a body that moves as it is told"

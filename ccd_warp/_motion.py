@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._affine_motion import AffineMotion
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._input.arguments import check_choice, check_instance, shown
 from ccd_warp._input.poses import (
@@ -15,6 +16,7 @@ from ccd_warp._input.poses import (
     check_leading,
     check_rows_finite,
     checked_fractions,
+    checked_lengths,
     checked_pivot,
     checked_poses,
     checked_rows,
@@ -63,17 +65,26 @@ class RigidMotion(ReadOnly):
             displacement of the pivot, with "screw" the velocity of the body's origin at t = 0. A turn is below 1e6
             radians. If ``poses_t1`` is given as well, it must be the same end to 1e-6 relative, and the path is that of
             the twist.
+        within: How far any point of a body may be from its place on the path, at any time of the step, a Euclidean
+            length of at least 0: one for all bodies, or [B] or [W, B]. So a motion that is no path of this kind (a
+            spline, a measured track, a link of an arm, a body that gives way) is one that is near it; 0 of static
+            bodies.
 
     Raises:
         ValueError: If shapes do not fit, a number is not finite, a quaternion has length 0, a matrix is no rotation to
             1e-6 or has another bottom row than 0 0 0 1, a pivot is given for a screw, ``twist`` contradicts
-            ``poses_t1``, or turns a body by 1e6 radians or more. It names the argument and the body.
+            ``poses_t1``, or turns a body by 1e6 radians or more, or ``within`` is below 0. It names the argument and
+            the body.
 
     A motion of W worlds for a mesh of one moves copies of the mesh, of which only a batch is ever made: arrays of a
     result then have an axis of worlds in front. A motion does not change; its arrays are read-only.
 
     Guarantee: calls that take a motion are never late for exactly these trajectories, of the quaternions as they are
-    given, normalised without rounding; for matrices, of the quaternions of ``poses_t0`` and ``poses_t1``.
+    given, normalised without rounding; for matrices, of the quaternions of ``poses_t0`` and ``poses_t1``. With
+    ``within`` they are never late for all motions whose points are no farther from these trajectories, at the start
+    and at the end as well. A toi is then early by the time in which a pair crosses the lengths of both of its bodies;
+    what comes so near without touching may have one; and what starts within its distance and may part and slide keeps
+    what it had on the paths, less four times the lengths of both.
     """
 
     def __init__(
@@ -84,8 +95,9 @@ class RigidMotion(ReadOnly):
         path: Literal["linear", "screw"] = "linear",
         pivot: ArrayLike | None = None,
         twist: ArrayLike | None = None,
+        within: ArrayLike = 0.0,
     ) -> None:
-        self._set(poses_t0, poses_t1, path, pivot, twist, scalar_first=False)
+        self._set(poses_t0, poses_t1, path, pivot, twist, within, scalar_first=False)
 
     @classmethod
     def from_scalar_first(
@@ -96,6 +108,7 @@ class RigidMotion(ReadOnly):
         path: Literal["linear", "screw"] = "linear",
         pivot: ArrayLike | None = None,
         twist: ArrayLike | None = None,
+        within: ArrayLike = 0.0,
     ) -> RigidMotion:
         """The motion of poses whose quaternions are **w x y z, the scalar first**, as in MuJoCo, Drake and python-fcl.
 
@@ -105,6 +118,7 @@ class RigidMotion(ReadOnly):
             path: As of :class:`RigidMotion`, as all that follow.
             pivot: Points about which the bodies turn, in their own frames.
             twist: Motion in the whole step, linear part first, then angular.
+            within: How far points may be from the paths.
 
         Returns:
             The motion; its own poses are x y z w.
@@ -113,10 +127,12 @@ class RigidMotion(ReadOnly):
             ValueError: As :class:`RigidMotion` does.
         """
         motion = cls.__new__(cls)
-        motion._set(poses_t0, poses_t1, path, pivot, twist, scalar_first=True)
+        motion._set(poses_t0, poses_t1, path, pivot, twist, within, scalar_first=True)
         return motion
 
-    def _set(self, poses_t0: Any, poses_t1: Any, path: Any, pivot: Any, twist: Any, *, scalar_first: bool) -> None:
+    def _set(
+        self, poses_t0: Any, poses_t1: Any, path: Any, pivot: Any, twist: Any, within: Any, *, scalar_first: bool
+    ) -> None:
         start, leading = checked_poses(poses_t0, "poses_t0", scalar_first=scalar_first)
         end = None
         if poses_t1 is not None:
@@ -129,6 +145,7 @@ class RigidMotion(ReadOnly):
             raise ValueError(f"pivot is {shown(pivot)}; expected none with path='screw', whose axis the poses give")
         is_linear = self._path == "linear"
         pivots = checked_pivot((0.0, 0.0, 0.0) if pivot is None else pivot, leading) if is_linear else None
+        self._within = read_only(checked_lengths(within, "within", leading))
         self._leading = leading
         with np.errstate(over="ignore", invalid="ignore"):
             if twist is None:
@@ -156,6 +173,7 @@ class RigidMotion(ReadOnly):
         else:
             ends = np.hstack([end[:, :3], normalized(end[:, 3:])])  # type: ignore[index]
         self._poses_t1 = read_only(ends)
+        self._body_paths = self._body_paths.within(self._within)
 
     @property
     def num_bodies(self) -> int:
@@ -187,6 +205,11 @@ class RigidMotion(ReadOnly):
         """Angle by which each body turns in the step, radians, float64, shape [B], or [W, B] with worlds."""
         return read_only(norms(self._body_paths.omega)).reshape(self._leading)
 
+    @property
+    def within(self) -> NDArray[np.float64]:
+        """How far points of each body may be from the path, a length, float64, shape [B], or [W, B] with worlds."""
+        return self._within.reshape(self._leading)
+
     def at(self, t: ArrayLike) -> NDArray[np.float64]:
         """The poses at a fraction of the step, such as the bound of a line search.
 
@@ -212,7 +235,7 @@ class RigidMotion(ReadOnly):
             t: Fraction in [0, 1], for all bodies, or one a body, [B] or [W, B].
 
         Returns:
-            The motion that ends there, in as much time as this one.
+            The motion that ends there, in as much time as this one, with points as far from it.
 
         Raises:
             ValueError: If a fraction is not in [0, 1], or there are not as many as bodies.
@@ -281,11 +304,6 @@ class RigidMotion(ReadOnly):
             raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {count}{of_worlds}")
         return points
 
-    @property
-    def _paths_at_start(self) -> BodyPaths:
-        """Paths of all bodies, which are at the start where the motion has them."""
-        return self._body_paths
-
     def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
         """The paths of the bodies of some worlds, one world's after another's."""
         if np.array_equal(worlds, np.arange(self.num_worlds)):
@@ -303,7 +321,8 @@ class RigidMotion(ReadOnly):
     def __repr__(self) -> str:
         turns = self.turns
         turn = f", turns up to {turns.max():.3g} rad" if turns.size else ""
-        return f"RigidMotion({shown_bodies(self._leading)}, path={self._path!r}{turn})"
+        within = f", within {self._within.max():.3g}" if self._within.any() else ""
+        return f"RigidMotion({shown_bodies(self._leading)}, path={self._path!r}{turn}{within})"
 
 
 def _check_agreement(motion: RigidMotion, ends: NDArray[np.float64], given: NDArray[np.float64]) -> None:
@@ -314,3 +333,7 @@ def _check_agreement(motion: RigidMotion, ends: NDArray[np.float64], given: NDAr
     given = np.hstack([given[:, :3], normalized(given[:, 3:])])
     turns = np.maximum(norms(paths.omega), 1.0)
     check_ends(ends, given, np.column_stack([scale, turns]), motion._leading)
+
+
+# What calls on a step take.
+Motion = RigidMotion | AffineMotion

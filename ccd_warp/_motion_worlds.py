@@ -1,7 +1,7 @@
 """A mesh of one world with a motion of many: its bodies stand in memory once.
 
-Of large bodies only the parts are searched that may touch in a world (`near_worlds`, `near_search`). Other worlds go in
-batches: a batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
+Of large bodies only the parts are searched that may touch in a world (`near_worlds`). Other worlds go in batches: a
+batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
 once. A further world costs its rows of the motion, and what is found in it.
 """
 
@@ -20,7 +20,6 @@ from ccd_warp._engine.host.part_mesh import PartMesh, rows_within
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.world_results import result_of, sizes_of
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
-from ccd_warp._joint_motion import JointMotion
 from ccd_warp._mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._motion import RigidMotion
 from ccd_warp._results import Counts, MeshResult
@@ -51,7 +50,7 @@ class MotionWorlds:
         pipeline: Any,
         start: NDArray[np.float64],
         end: NDArray[np.float64],
-        motion: RigidMotion | JointMotion,
+        motion: RigidMotion,
     ) -> None:
         """Begin a search; ``start`` and ``end`` are the positions of all vertices, the same in every world.
 
@@ -63,7 +62,7 @@ class MotionWorlds:
         """
         self._pipeline, self._motion, self.num_worlds = pipeline, motion, motion.num_worlds
         mesh = self._mesh = pipeline.mesh
-        given = motion._paths_at_start
+        given = motion._body_paths
         check_motion(mesh, given, self.num_worlds)
         check_worlds(mesh)
         check_own_frames(mesh, start, end)
@@ -77,7 +76,7 @@ class MotionWorlds:
     def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
-        It gets a pipeline of the copies, positions, motion, and which of the copies it is to search.
+        It gets a pipeline of the copies, positions and paths.
         """
         count, mesh = self._num_copies, self._mesh
         copies = mesh._copies(count)
@@ -91,13 +90,11 @@ class MotionWorlds:
             worlds = np.arange(first, min(first + count, self.num_worlds))
             is_searched = np.arange(count) < len(worlds)
             of_batch = self._motion._of_worlds(np.append(worlds, np.repeat(worlds[-1:], count - len(worlds))))
-            if not isinstance(of_batch, JointMotion):
-                # as many slices for all worlds, so that batches change no bit
-                slices: dict[str, Any] = {"active": is_searched[copy_of_body], "turn": self._turn}
-                of_batch = MeshPaths.of_checked(copies, of_batch, **slices)
+            # as many slices for all worlds, so that batches change no bit
+            paths = MeshPaths.of_checked(copies, of_batch, active=is_searched[copy_of_body], turn=self._turn)
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
-                found = call(pipeline, start, end, of_batch, is_searched)
+                found = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
             yield worlds, found
 
@@ -121,11 +118,6 @@ class MotionWorlds:
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
         """The least toi of all worlds, or that of any contact, inf if there is none."""
-        near = self._near_search()
-        if near is not None:
-            result = near.result()
-            self._add(result.counts, result.timings)
-            return result.toi
 
         def least_of(tois: Iterator[float]) -> float:
             least = np.inf
@@ -151,35 +143,28 @@ class MotionWorlds:
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
-        near = self._near_search()
-        if near is not None:
-            return near.result()
         world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
         for worlds, result, of_one in self._results():
             world_toi[worlds] = result.world_toi[: len(worlds)]
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
-        frames = touch = None
-        if not isinstance(self._motion, JointMotion):
-            mesh, options = self._mesh, self._pipeline._options
-            frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
-            scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
-            touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
-        return result_of(self._mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
+        mesh, options = self._mesh, self._pipeline._options
+        frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
+        scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
+        touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
+        return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
         parts = self._near
         if parts is None:
-            call = type(self._pipeline)._contacts
-            if not isinstance(self._motion, JointMotion):
-                call = partial(call, is_ordered=False)
+            call = partial(type(self._pipeline)._contacts, is_ordered=False)
             for worlds, result in self._each(call):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
         for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts(is_ordered=False))):
-            yield worlds, result, of_parts.in_worlds(result.contacts, mesh, mesh, worlds)
+            yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
     @property
     def is_sparse(self) -> bool:
@@ -192,7 +177,7 @@ class MotionWorlds:
         """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
         mesh, pipeline = self._mesh, self._pipeline
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
-        if isinstance(self._motion, JointMotion) or mesh.num_faces < _LARGE or mesh.num_bodies > most:
+        if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
         parts = pipeline._near_parts(*self._given)
         if parts is None:
@@ -205,8 +190,7 @@ class MotionWorlds:
         """Some work on a step of a mesh of parts."""
 
         def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
-            x = parts.mesh.vertices
-            step: Step = self._pipeline._step_of(parts)(x, x, paths)
+            step: Step = self._pipeline._step_of(parts, paths)
             found = work(step)
             if "total" not in step.timings:
                 step.finish_timings()
@@ -215,18 +199,9 @@ class MotionWorlds:
 
         return on_parts
 
-    def _near_search(self) -> Any:
-        """A search that needs no copies, where links alone move, at its end; None where there has to be a mesh."""
-        if not isinstance(self._motion, JointMotion):
-            return None
-        return self._pipeline._near_search(*self._given, self._motion)
-
     def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp]) -> Contacts:
         """The contacts of a batch as those of the mesh of one world."""
         mesh = self._mesh
-        placed: dict[str, Any] = {}
-        if isinstance(self._motion, JointMotion):
-            placed = {"points": contacts.points, "relative_velocity": contacts.relative_velocity}
         is_shared = mesh.planes.vertices < 0
         planes = np.append(np.tile(np.flatnonzero(~is_shared), self._num_copies), np.flatnonzero(is_shared))
         sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
@@ -240,5 +215,5 @@ class MotionWorlds:
                 else:
                     copy[rows] = of_copies // sizes[name]
                     primitives[rows, column] -= copy[rows] * sizes[name]
-        place = ContactPlace(mesh, world=worlds[copy].astype(np.int32), **placed)
+        place = ContactPlace(mesh, world=worlds[copy].astype(np.int32))
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)

@@ -22,9 +22,8 @@ from ccd_warp._input.option_types import (
 from ccd_warp._input.options import options_of
 from ccd_warp._input.poses import shown_bodies
 from ccd_warp._intersections import Intersections
-from ccd_warp._joint_motion import Motion
 from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
+from ccd_warp._motion import Motion, RigidMotion
 from ccd_warp._pipeline import CollisionPipeline
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import MeshResult
@@ -73,9 +72,9 @@ def find_candidates(
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
         inflation: Enlargement of every box on every side, a length in the unit of the mesh, finite and not negative.
-        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. The boxes then hold their arcs, or the paths of links
-            that joints move, slice by slice where a body turns by more than 0.2 radians, and a pair whose boxes overlap
-            in a slice is found. Pairs of several slices are in lexicographic order.
+        motion: How the rigid bodies turn, as in :func:`mesh_ccd`. The boxes then hold their arcs, slice by slice where
+            a body turns by more than 0.2 radians, and a pair whose boxes overlap in a slice is found. Pairs of several
+            slices are in lexicographic order.
         **options: Options of :class:`ccd_warp.CandidateOptions`.
 
     Returns:
@@ -250,7 +249,7 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
-        motion: How rigid bodies turn, whose rows are in their own frames; with joints a world ends at a first contact.
+        motion: How rigid bodies turn, or bodies stretch, whose rows are in their own frames.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -441,9 +440,7 @@ def line_search(
             ``is_limited`` is set. Bodies and vertices with toi 0 are stopped at once where fewer than 6 rounds are
             left.
         motion: How the rigid bodies turn, as in :func:`mesh_ccd`. They stay rigid: the vertices of each share a
-            fraction of its path, and ``motion`` of the result ends with their poses. With joints all of a world shares
-            its fraction, so ``per`` is ``"scene"`` or ``"world"``, no body is kinematic, and what starts within its
-            distance touches; ``motion.configuration(1)`` of the result is where the joints end.
+            fraction of its path, and ``motion`` of the result ends with their poses.
         check_start: Whether to look for surfaces that cross at the start, too, as in :func:`mesh_ccd`: ``start`` of the
             result has the intersections. What crosses already is not kept from moving.
         **options: Options of :class:`ccd_warp.LineSearchOptions`: all options of :func:`mesh_ccd` except ``t_max``.

@@ -18,7 +18,7 @@ from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, Lau
 from ccd_warp._display import listed
 from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
-from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
+from ccd_warp._engine.host.candidates import Candidates, validated_inflation
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -40,10 +40,9 @@ from ccd_warp._input.names import body_label
 from ccd_warp._input.option_types import MeshOptions
 from ccd_warp._input.options import Options, naming, options_of, resolve_device
 from ccd_warp._intersections import Intersections
-from ccd_warp._joint_motion import JointMotion, Motion
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, check_own_frames, check_rows
-from ccd_warp._motion import RigidMotion
+from ccd_warp._motion import Motion, RigidMotion
 from ccd_warp._proximities import Proximities
 from ccd_warp._results import Contacts, Counts, MeshResult
 from ccd_warp._runtime.launch import Execution
@@ -57,9 +56,7 @@ if TYPE_CHECKING:
     from ccd_warp._engine.device.line_search import DeviceLineSearch
     from ccd_warp._engine.device.line_search_tape import TapedLineSearch
     from ccd_warp._engine.device.toi_tape import TapedLaunch
-    from ccd_warp._engine.host.joint_search import JointSearch
     from ccd_warp._engine.host.near_parts import NearParts
-    from ccd_warp._engine.host.near_search import NearSearch
     from ccd_warp._engine.host.part_mesh import PartMesh
     from ccd_warp._motion_worlds import MotionWorlds
 
@@ -193,8 +190,7 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         work: Callable[[Step], _T],
-        motion: RigidMotion | JointMotion | MeshPaths | None = None,
-        options: Options | None = None,
+        motion: RigidMotion | MeshPaths | None = None,
     ) -> _T:
         """Run ``work`` on a step and return its result."""
         paths = None if motion is None else self._paths_of(motion)
@@ -205,15 +201,13 @@ class CollisionPipeline:
                 check_own_frames(self.mesh, start, end)
             return start, end
 
-        return self._run(Step, frames, work, options, paths=paths)
+        return self._run(Step, frames, work, paths=paths)
 
     def _straightened(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
-    ) -> tuple[ArrayLike, ArrayLike, RigidMotion | JointMotion | None]:
+    ) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
         """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
         mesh = self.mesh
-        if isinstance(motion, JointMotion) and mesh.dimension == 2:
-            raise ValueError(f"motion is {shown(motion)} and the mesh is in the plane; expected a RigidMotion about z")
         if motion is None:
             self._warn_of_straight_motion()
         if not isinstance(motion, AffineMotion):
@@ -242,12 +236,11 @@ class CollisionPipeline:
         if len(mesh._moving_rigid) and self._workspace is not None:
             self._workspace.warn_once("no motion", described)
 
-    def _paths_of(self, motion: RigidMotion | JointMotion | MeshPaths) -> MeshPaths:
+    def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
         """The paths of the rigid bodies."""
         if isinstance(motion, MeshPaths):
             return motion
         check_instance("motion", motion, RigidMotion)
-        assert isinstance(motion, RigidMotion)
         check_options_on_arcs(self._options)
         return MeshPaths.of(self.mesh, motion._body_paths)
 
@@ -256,10 +249,9 @@ class CollisionPipeline:
         kind: type[_StepT],
         frames: Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]],
         work: Callable[[_StepT], _T],
-        options: Options | None = None,
         **further: Any,
     ) -> _T:
-        """Run ``work`` on a step of a kind between validated positions, with other options than those of all calls."""
+        """Run ``work`` on a step of a kind between validated positions."""
         self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
@@ -270,7 +262,7 @@ class CollisionPipeline:
             seconds = time.perf_counter() - begin
             line = CallLine()
             show = self._show_progress or line.show
-            step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
+            step = kind(workspace, (start, end), self._options, seconds, show, **further)
             with line:
                 result = work(step)
             if "total" not in step.timings:
@@ -422,8 +414,8 @@ class CollisionPipeline:
             motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
                 ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
                 arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
-                for each 0.2 radians; ``to_host()`` keeps the first. Joints are for calls on the host, and an
-                :class:`ccd_warp.AffineMotion` for rows that it has moved.
+                for each 0.2 radians; ``to_host()`` keeps the first. An :class:`ccd_warp.AffineMotion` is for rows that
+                it has moved.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
@@ -532,14 +524,11 @@ class CollisionPipeline:
         """Launch on the device step of bodies that turn, which the first such launch makes."""
         from ccd_warp._engine.device.arc_step import DeviceArcStep  # few programs need it
 
-        if isinstance(motion, JointMotion | AffineMotion):
-            instead = (
-                "a call on the host, such as line_search, which takes joints"
-                if isinstance(motion, JointMotion)
-                else "vertices_t0 and vertices_t1 at motion.positions_t0 and motion.positions_t1, between which they "
-                "move straight, and no motion"
+        if isinstance(motion, AffineMotion):
+            raise ValueError(
+                f"motion is {shown(motion)}; expected a RigidMotion for a launch, or vertices_t0 and vertices_t1 at "
+                f"motion.positions_t0 and motion.positions_t1, between which they move straight, and no motion"
             )
-            raise ValueError(f"motion is {shown(motion)}; expected a RigidMotion for a launch, or {instead}")
         paths, mesh = self._paths_of(motion), self.mesh
         step, self._arc_step = self._arc_step, None
         if step is None:
@@ -707,13 +696,7 @@ class CollisionPipeline:
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        if not isinstance(motion, JointMotion):
-            return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
-        windows = self._joint_search(*self._ends_on_joints(vertices_t0, vertices_t1, motion), motion).windows()
-        found = [
-            self._on_step(begin, end, lambda step: step.candidates(inflation), paths) for begin, end, paths in windows
-        ]
-        return found[0] if len(found) == 1 else union(found)
+        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
@@ -772,24 +755,21 @@ class CollisionPipeline:
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion | MeshPaths | None,
-        is_searched: NDArray[np.bool_] | None = None,
+        motion: RigidMotion | MeshPaths | None,
         *,
         is_ordered: bool = True,
     ) -> MeshResult:
-        """The contacts of a step, of a mechanism in the worlds that are searched alone."""
-        if isinstance(motion, JointMotion):
-            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
+        """The contacts of a step."""
         return self._on_step(vertices_t0, vertices_t1, lambda step: step.contacts(is_ordered=is_ordered), motion)
 
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
     ) -> MotionWorlds | None:
         """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
-        if not isinstance(motion, RigidMotion | JointMotion) or self.mesh.num_worlds > 1:
+        if not isinstance(motion, RigidMotion) or self.mesh.num_worlds > 1:
             return None
         is_one = motion.num_worlds == 1
-        if is_one and (isinstance(motion, JointMotion) or not self._looks_for_parts()):
+        if is_one and not self._looks_for_parts():
             return None
         from ccd_warp._motion_worlds import MotionWorlds  # few programs need it
 
@@ -811,77 +791,6 @@ class CollisionPipeline:
         is_later = kept.get("is later", False)
         kept["is later"] = True
         return self.mesh.num_faces >= _LARGE_SCENE and (is_later or vars(self.mesh).get("_is_of_instances", False))
-
-    def _joints_at(self, motion: JointMotion, t: ArrayLike) -> MeshPaths:
-        """Paths on which links stay where joints have them at a time, one for all worlds or one a world."""
-        if motion.num_worlds != self.mesh.num_worlds:
-            raise ValueError(f"motion is of {motion.num_worlds} worlds; expected {self.mesh.num_worlds} like the mesh")
-        return MeshPaths.of(self.mesh, motion._slices(t, t, np.zeros(motion.num_links))[0])
-
-    def _ends_on_joints(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Positions at both ends where joints move links, checked."""
-        check_options_on_arcs(self._options)
-        start, end = self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1))
-        self._joints_at(motion, 0.0)  # that there are as many worlds and links as in the mesh
-        check_own_frames(self.mesh, start, end)
-        return start, end
-
-    def _joint_search(
-        self, start: NDArray[np.float64], end: NDArray[np.float64], motion: JointMotion, **arguments: Any
-    ) -> JointSearch:
-        """A search where joints move links, to begin."""
-        from ccd_warp._engine.host.joint_search import JointSearch, Links  # few programs need it
-
-        mesh, t_max = self.mesh, self._options.t_max
-        span = np.zeros(mesh.num_worlds), np.full(mesh.num_worlds, t_max)
-        return JointSearch(mesh, start, end, Links.of(mesh, start, motion), span, t_max, **arguments)
-
-    def _on_joints(
-        self,
-        vertices_t0: ArrayLike,
-        vertices_t1: ArrayLike,
-        motion: JointMotion,
-        is_searched: NDArray[np.bool_] | None = None,
-    ) -> MeshResult:
-        """The first contacts of each world where joints move links, in all worlds or in some."""
-        from ccd_warp._engine.host.world_results import result_of  # few programs need it
-
-        start, end = self._ends_on_joints(vertices_t0, vertices_t1, motion)
-        near = self._near_search(start, end, motion) if is_searched is None else None
-        if near is not None:
-            result = near.result()
-            self.counts, self.timings = result.counts, result.timings
-            return result
-        of_pass = replace(self._options, t_max=1.0, length_scale=length_scale_of(self.mesh, self._options))
-
-        def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
-            return self._on_step(begin, end, Step.contacts, paths, of_pass)
-
-        search = self._joint_search(start, end, motion, is_searched=is_searched)
-        search.run(solve)
-        return result_of(self.mesh, search.world_toi, search.found, self.counts, self.timings)
-
-    def _near_search(
-        self, start: NDArray[np.float64], end: NDArray[np.float64], motion: JointMotion
-    ) -> NearSearch | None:
-        """A search of the parts of links that may touch, at its end; None where whole bodies have to be searched."""
-        from ccd_warp._engine.host.joint_search import Solve  # few programs need them
-        from ccd_warp._engine.host.near_search import NearSearch
-
-        mesh, options, parts = self.mesh, self._options, self._near_parts(start, end)
-        if parts is None:
-            return None
-
-        def solver(parts: PartMesh) -> Solve:
-            step = self._step_of(parts, t_max=1.0)
-            return lambda begin, end, paths: step(begin, end, paths).contacts()
-
-        kinds = possible_kinds(mesh, options)
-        near = NearSearch(mesh, parts, motion, options.t_max, kinds, self._execution, options.memory_limit)
-        near.run(solver, self._reach_of_parts)
-        return near
 
     def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
         """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
@@ -911,24 +820,23 @@ class CollisionPipeline:
         """A Euclidean distance beyond which parts do not come within the separation of a pair."""
         return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
 
-    def _step_of(self, parts: PartMesh, **changes: Any) -> Callable[..., Step]:
-        """What makes steps of a mesh of parts, between positions and along paths, with other options."""
-        options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
+    def _step_of(self, parts: PartMesh, paths: MeshPaths) -> Step:
+        """A step of a mesh of parts along paths."""
+        options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options))
         self._check_no_capture()
         workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
-        show = self._show_progress
-        return lambda start, end, paths: Step(workspace, (start, end), options, 0.0, show, paths=paths)
+        x = parts.mesh.vertices
+        return Step(workspace, (x, x), options, 0.0, self._show_progress, paths=paths)
 
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
         if motion is None:
             return vertices_t0
         start = self.mesh.frame(vertices_t0)
-        paths = self._joints_at(motion, 0.0) if isinstance(motion, JointMotion) else self._paths_of(motion)
-        return paths.at(self.mesh, start, start, 0.0)
+        return self._paths_of(motion).at(self.mesh, start, start, 0.0)
 
-    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | None = None) -> Intersections:
+    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:
         """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
         vertices_t0 = self._at_start(vertices_t0, motion)
         counts, timings = self.counts, self.timings
@@ -966,7 +874,7 @@ class CollisionPipeline:
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion | None,
+        motion: RigidMotion | None,
         *,
         check_start: bool,
         any_suffices: bool = False,
@@ -983,8 +891,7 @@ class CollisionPipeline:
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        motion: RigidMotion | JointMotion | MeshPaths | None = None,
-        is_searched: NDArray[np.bool_] | None = None,
+        motion: RigidMotion | MeshPaths | None = None,
         *,
         any_suffices: bool = False,
     ) -> float:
@@ -992,8 +899,6 @@ class CollisionPipeline:
 
         Where any toi suffices, what starts close is a contact.
         """
-        if isinstance(motion, JointMotion):
-            return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
         if any_suffices:
             return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
         if not self._options.holds:
@@ -1071,37 +976,9 @@ class CollisionPipeline:
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
             found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver(self._on_step), **arguments)
-        elif isinstance(motion, JointMotion):
-            found = self._search_on_joints(vertices_t0, vertices_t1, motion, arguments)
         else:
             found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
-
-    def _search_on_joints(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: JointMotion, arguments: dict[str, Any]
-    ) -> LineSearchResult:
-        """A line search in which joints move links, and a world has one time."""
-        from ccd_warp._engine.host.link_course import LinkCourse, LinkEnd  # few programs need it
-
-        mesh = self.mesh
-        if arguments["per"] not in ("scene", "world"):
-            raise ValueError(
-                f"line_search: per is {shown(arguments['per'])}; expected 'scene' or 'world' where motion is a "
-                f"JointMotion, as the links of a world share its time"
-            )
-        for body in np.flatnonzero(mesh.kinematic)[:1].tolist():
-            raise ValueError(
-                f"line_search: {body_label(body, mesh.names)} is kinematic; expected no such body where motion is a "
-                f"JointMotion, as a world ends at its first contact"
-            )
-        start, end = mesh.frames(vertices_t0, vertices_t1)
-        course = LinkCourse(mesh, start, end, motion, lambda t: self._joints_at(motion, t))
-
-        def contacts(_: Any, end: LinkEnd, *holds: Any) -> MeshResult:
-            return self._on_joints(start, end.vertices, end.motion)
-
-        found = search_step(mesh, start, end, Solver(contacts, contacts, None, self._holds), course=course, **arguments)
-        return replace(found, motion=course.shortened(found.vertex_fraction))
 
     def _search_on_arcs(
         self,

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
+EPS = 2.0**-52
 _SPLITTER = 2.0**27 + 1.0
 _NEXT, _LAST = [1, 2, 0], [2, 0, 1]
 

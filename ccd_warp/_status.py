@@ -73,7 +73,8 @@ class CCDStatus(IntEnum):
     ROUNDING_LIMIT = int(status.STATUS_ROUNDING_LIMIT)
     """Rounding at the size of the pair and its motion exceeds the tolerance and hides its gap at the start; toi is 0.
 
-    So it is where positions blow up; the pair may be far from any contact.
+    So it is where positions blow up; the pair may be far from any contact. With a motion that has a ``within``, this
+    hides gaps, too.
     """
 
 

@@ -85,7 +85,7 @@ _WORDS = [
     (rf"~numpy\.ndarray\[{_ANY}, ~numpy\.dtype\[(~?[\w.]+?)_?\]\]", r"NDArray[\1]"),
     (r"~?ccd_warp\._input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
-    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.JointMotion \| ~[\w.]+\.AffineMotion", "Motion"),
+    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.AffineMotion", "Motion"),
     (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
 ]
 # What stands for long types of attributes.
@@ -97,7 +97,7 @@ _TYPES = {
 }
 # Classes that a user calls; all others are made by calls, and their signatures say nothing.
 _CALLED = {
-    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion", "JointMotion", "Joint"),
+    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion"),
     *("DistributedMesh", "DistributedPipeline", "Queries", "SimulationStep"),
 }
 # Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that

@@ -16,10 +16,10 @@ TOLERANCE = 1e-6
 _ORDERS = {False: "quaternion x y z w, scalar last", True: "quaternion w x y z, scalar first"}
 
 
-def shown_body(row: int, leading: tuple[int, ...], kind: str = "body") -> str:
-    """A body, or what else there is one row of, in a message: "body 3", or "body 3 of world 2"."""
+def shown_body(row: int, leading: tuple[int, ...]) -> str:
+    """A body in a message: "body 3", or "body 3 of world 2"."""
     *worlds, count = leading
-    return f"{kind} {row % count} of world {row // count}" if worlds else f"{kind} {row}"
+    return f"body {row % count} of world {row // count}" if worlds else f"body {row}"
 
 
 def shown_bodies(leading: tuple[int, ...]) -> str:
@@ -107,24 +107,45 @@ def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
     return rows
 
 
-def checked_fractions(values: Any, leading: tuple[int, ...], kind: str = "body") -> NDArray[np.float64]:
-    """Fractions of the step, shape [N]: one for all bodies, or worlds, one of each, or one a body of each world.
+def checked_fractions(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
+    """Fractions of the step, shape [N]: one for all bodies, one a body, or one a body of each world.
 
     Raises:
         ValueError: If one is not in [0, 1], or there are not as many as bodies.
     """
+    return _checked_numbers(values, "t", leading, "a fraction in [0, 1], or such fractions", 1.0)
+
+
+def checked_lengths(values: Any, name: str, leading: tuple[int, ...]) -> NDArray[np.float64]:
+    """Lengths, shape [N]: one for all bodies, one a body, or one a body of each world.
+
+    Raises:
+        ValueError: If one is below 0 or not finite, or there are not as many as bodies.
+    """
+    most = float(np.finfo(np.float64).max)
+    return _checked_numbers(values, name, leading, "a finite length of at least 0, or such lengths", most)
+
+
+def _checked_numbers(
+    values: Any, name: str, leading: tuple[int, ...], expected: str, most: float
+) -> NDArray[np.float64]:
+    """Numbers of at least 0, and of at most another one, shape [N]: one for all bodies, or one of each.
+
+    Raises:
+        ValueError: If one is another number, or there are not as many as bodies.
+    """
     shapes = [leading[-1:], leading][: len(leading)]
-    expected = f"a fraction in [0, 1], or such fractions of shape {' or '.join(map(str, shapes))}"
-    array = as_any_array(read_values(values, "t"), "t", expected)
+    expected += f" of shape {' or '.join(map(str, shapes))}"
+    array = as_any_array(read_values(values, name), name, expected)
     if array.ndim == 0:
-        return np.full(math.prod(leading), check_real("t", values, expected, lambda t: 0.0 <= t <= 1.0))
+        return np.full(math.prod(leading), check_real(name, values, expected, lambda x: 0.0 <= x <= most))
     if array.shape not in shapes:
-        raise ValueError(f"t has shape {array.shape}; expected {expected}")
-    rows = np.broadcast_to(as_float64(array[None], "t", [values])[0], leading).reshape(-1)
-    wrong = ~((rows >= 0.0) & (rows <= 1.0))
+        raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
+    rows = np.broadcast_to(as_float64(array[None], name, [values])[0], leading).reshape(-1) + 0.0
+    wrong = ~((rows >= 0.0) & (rows <= most))
     if wrong.any():
         row = int(wrong.argmax())
-        raise ValueError(f"t is {rows[row]} for {shown_body(row, leading, kind)}; expected {expected}")
+        raise ValueError(f"{name} is {rows[row]} for {shown_body(row, leading)}; expected {expected}")
     return rows
 
 

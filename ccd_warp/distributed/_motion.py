@@ -50,8 +50,8 @@ class LocalPaths:
         """
         if not isinstance(motion, RigidMotion):
             raise ValueError(
-                f"motion is {shown(motion)}; expected a RigidMotion, the same on all ranks; joints move links in the "
-                f"calls of one process, and bodies that stretch move straight between rows of vertices_t0 and t1"
+                f"motion is {shown(motion)}; expected a RigidMotion, the same on all ranks; bodies that stretch move "
+                f"straight between rows of vertices_t0 and t1"
             )
         self._mesh, self.motion, self.given = mesh, motion, (start, end)
         check_motion(mesh, motion._body_paths)  # type: ignore[arg-type]
@@ -88,8 +88,8 @@ class LocalPaths:
         """How far arcs and boxes of their slices are from the boxes of both ends at most, the same on all ranks.
 
         A point on an arc is off its chord by no more than its sagitta, and than the diameter of its circle; the boxes
-        of a slice reach beyond by the sagitta of the slice. Rounded up to a power of two, so that a plan holds for some
-        more steps.
+        of a slice reach beyond by the sagitta of the slice, and by how far points may be from the arc. Rounded up to a
+        power of two, so that a plan holds for some more steps.
         """
         rows = self._searched
         bodies, x = self._mesh.bodies[rows], self.given[0][rows]
@@ -98,5 +98,6 @@ class LocalPaths:
         angle = norms(self.paths.omega[bodies])
         with np.errstate(divide="ignore", invalid="ignore"):
             off = np.fmin(0.125 * angle * turning, 2.0 * turning / angle)
+        off = off + self.paths.excess[bodies]
         largest = float(self._mesh.ranks.most(off.max(initial=0.0, keepdims=True))[0])
         return float(2.0 ** np.ceil(np.log2(2.0 * largest))) if largest > 0.0 else 0.0

@@ -146,7 +146,7 @@ def test_bodies_that_stretch_move_straight_between_the_places_of_their_maps():
 
 
 def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
-    """Of a body, its sphere in a tree of parts, and its reach on joints."""
+    """Of a body, and of its sphere in a tree of parts."""
     monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
     ball, tois = trimesh.creation.icosphere(subdivisions=2), []
     strays = [(np.vstack([[[far] * 3], ball.vertices]), ball.faces + 1) for far in (np.nan, 1e9)]
@@ -161,6 +161,85 @@ def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
         found += [pipeline.line_search(x, end, motion=motion, per="body").fraction]
         tois.append([*found, pipeline.launch(x, end, motion=motion).toi.numpy().tolist()])
     assert tois[0] == tois[1] == tois[2] and 0.5 < tois[0][0][0] < 0.7
+
+
+# --- paths that are known up to a length ---
+
+
+def approaching(within, gap=1.0, speed=2.0, other=(BOX.vertices, BOX.faces), **options):
+    """A cube that falls on another body through a gap, which may be off its path by as much as that one."""
+    mesh = ccd.CollisionMesh.from_arrays([(BOX.vertices, BOX.faces), other], **{"rigid": [0, 1]} | options)
+    poses = np.array([[0.1, 0.2, 0.5 + gap, 0, 0, 0, 1], [0, 0, -0.5, 0, 0, 0, 1]])[: mesh.rigid.sum()]
+    twist = np.eye(1, 6, 2) * [[-speed], [0.0]][: len(poses)]
+    return mesh, ccd.RigidMotion(poses, twist=twist, within=within)
+
+
+def test_bodies_that_may_be_off_their_paths_touch_as_much_earlier(precision):
+    for within, lands in ((0.0, 0.5), (0.1, 0.4), ([0.25, 0.0], 0.375), ([0.25, 0.5], 0.125), ([1.0, 1.0], 0.0)):
+        mesh, motion = approaching(within)
+        pipeline, x = ccd.CollisionPipeline(mesh, precision=precision), mesh.vertices
+        result, found = pipeline.mesh_ccd(x, x, motion=motion), pipeline.line_search(x, x, motion=motion)
+        assert result.toi == pytest.approx(lands, abs=1e-5) and result.toi <= lands
+        assert pipeline.launch(x, x.copy(), motion=motion).to_host().toi == result.toi
+        assert found.fraction == pytest.approx(0.9 * lands, abs=1e-5) and np.array_equal(
+            found.motion.within, motion.within
+        )
+        assert pipeline.mesh_ccd(x, x, motion=found.motion).toi == (np.inf if lands else 0.0)
+        worlds = ccd.RigidMotion(*2 * [np.repeat(motion.poses_t0[None], 2, axis=0)], within=[[1.0, 1.0], [0.1, 0.1]])
+        assert pipeline.mesh_ccd(x, x, motion=worlds).world_toi.tolist() == [0.0, np.inf]
+    assert "rounding, or within of the motion, up to 1, hides the gaps of" in str(result.hidden_gaps)
+    assert "rounding" not in str(pipeline.mesh_ccd(x, x, motion=approaching(0.1)[1]).hidden_gaps)
+
+
+def test_what_may_be_off_its_path_meets_planes_and_bodies_that_stand(precision):
+    for other, options in (
+        (GROUND, {"rigid": [0]}),
+        ((BOX.vertices - [0, 0, 0.5], BOX.faces), {"rigid": [0], "static": [1]}),
+    ):
+        mesh, motion = approaching(0.1, other=other, **options)
+        for distance, lands in ((0.0, 0.45), (0.2, 0.35)):
+            given = {"motion": motion, "minimum_distance": distance, "precision": precision}
+            result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **given)
+            assert result.toi == pytest.approx(lands, abs=1e-5) and result.toi <= lands
+
+
+@pytest.mark.parametrize("within", [0.24, 0.26, 1e308])
+def test_bodies_that_stand_on_their_paths_and_may_be_beside_them_are_no_stationary_pair(within):
+    """With a gap of a half; a pair of which nothing moves may touch, and a line search leaves it."""
+    mesh, motion = approaching(within, gap=0.5, speed=0.0)
+    pipeline, is_free = ccd.CollisionPipeline(mesh), within < 0.25
+    result = pipeline.launch_line_search(*step_of(mesh), per="body", motion=motion).to_host()
+    found = pipeline.line_search(*step_of(mesh), per="body", motion=motion)
+    assert pipeline.mesh_ccd(*step_of(mesh), motion=motion).toi == (np.inf if is_free else 0.0)
+    assert found.vertex_fraction.tolist() == [float(is_free)] * 16 and (len(found.touching) == 0) == is_free
+    assert result.body_fraction.tolist() == [float(is_free)] * 2
+    assert len(pipeline.find_candidates(*step_of(mesh), motion=motion).vertex_face) > 0 or is_free
+    assert (motion.poses_t1 == motion.at(0.5)).all()  # it shows nowhere
+
+
+def test_what_starts_within_its_distance_keeps_it_but_for_four_times_the_lengths():
+    for up, within, gap in ((1.0, 1e-3, 0.05), (-1.0, 1e-3, 0.05), (1.0, 0.02, 0.05)):
+        mesh, motion = approaching(within, gap, -0.5 * up)
+        pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1)
+        found = pipeline.line_search(*step_of(mesh), motion=motion)
+        launched = pipeline.launch_line_search(*step_of(mesh), motion=motion).to_host()
+        least = max(gap - 4 * 2 * within, 0.0) + 2 * within  # on the paths
+        for shown in (found.motion, launched.motion):
+            assert shown.poses_t1[0, 2] - 0.5 >= least - 1e-12
+        if up > 0.0:
+            assert found.fraction == launched.body_fraction[0] == 1.0
+        else:
+            assert 0.0 < found.fraction < 0.1
+
+
+def test_contacts_of_paths_that_nobody_knows_have_no_gradient():
+    mesh, motion = approaching(0.1)
+    x, many = mesh.vertices, ccd.RigidMotion(*np.repeat([[motion.poses_t0], [motion.poses_t1]], 2, axis=1), within=0.1)
+    for shown in (motion, many):
+        contacts = ccd.mesh_ccd(mesh, x, x, motion=shown).contacts
+        assert len(contacts)
+        with pytest.raises(ValueError, match="those of a motion with within; expected one whose paths are known"):
+            contacts.toi_gradient()
 
 
 # --- line searches ---
@@ -287,7 +366,6 @@ def test_motions_that_do_not_fit_are_refused_by_name():
     split = ccd.CollisionMesh.from_arrays([(BLADE, NO_FACES)], rigid=[0], vertex_world=[0, 0, 1], **points)
     bar = ccd.CollisionMesh.from_arrays([(np.array([[0.0, 0], [1, 0]]), [[0, 1]])] * 2, rigid=[0, 1])
     one, motion, affine = ccd.RigidMotion(poses[:1], poses[:1]), spins(poses, 1.0), ccd.AffineMotion(maps, maps)
-    joint = ccd.JointMotion([ccd.Joint("turn", "base", "arm", "revolute", axis=[0, 0, 1])], [0.0], [1.0])
     pipeline, three, out = ccd.CollisionPipeline(mesh), np.tile(AT_REST, (3, 1)), maps.copy()
     out[0, 2, 0] = 1.0
 
@@ -300,13 +378,12 @@ def test_motions_that_do_not_fit_are_refused_by_name():
     for call, message in (
         (moved(mesh, one), "1 row for 2 rigid bodies"),
         (moved(mesh, spins(poses, 1, 1)), "body 1, which is static"),
+        (moved(mesh, ccd.RigidMotion(poses, poses, within=0.1)), "within of the motion lets body 1 leave .* is static"),
         (moved(mesh, motion, 1e-9 * np.eye(4, 1)), "another row for vertex 0"),
         (moved(mesh, motion, method="bisection"), "method is 'bisection'"),
         (moved(mesh, motion, start_gap_fraction=0.5), "start_gap_fraction is 0.5"),
         (moved(split, one), "body 0, which is rigid, has .* worlds 0 and 1"),
-        (moved(bar, joint), "the plane; expected a RigidMotion"),
         (moved(bar, ccd.AffineMotion(maps, out)), r"affine_t1 takes body 0 out of the plane .* third row"),
-        (lambda: pipeline.launch(x, x.copy(), motion=joint), "expected a RigidMotion for a launch, or a call on"),
         (lambda: pipeline.launch(x, x.copy(), motion=affine), "at motion.positions_t0"),
         (lambda: ccd.rigid_ccd(mesh, [*three] * 2, [*three] * 2), "6 bodies; .* of several worlds have an axis of"),
         (turned([0, 0, 0, 1, 0, 0, 0], [0] * 6), "x and y of its quaternion at the start are 1.0 and 0.0"),

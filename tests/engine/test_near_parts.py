@@ -1,4 +1,4 @@
-"""Bounds of how far bodies go in windows of slices, and parts that may touch in them, against places at many times."""
+"""Bounds of how far bodies go in slices, and parts that may touch in them, against places at many times."""
 
 from itertools import product
 
@@ -12,102 +12,50 @@ import ccd_warp as ccd
 from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host import near_parts
 from ccd_warp._engine.host.near_parts import NearParts
-from ccd_warp._engine.host.near_worlds import _OfWorlds
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
 
-# A slide and a turn carry an arm, and a second one branches off; a link floats.
-JOINTS = [
-    ccd.Joint(child, parent, child, kind, axis, (0, 0, height, 0, 0, 0, 1))
-    for parent, child, kind, axis, height in (
-        ("base", "rail", "prismatic", (1, 0.2, 0), 0.0),
-        ("rail", "trunk", "revolute", (0, 0, 1), 0.1),
-        ("trunk", "upper", "revolute", (0, 1, 0), 0.3),
-        ("upper", "lower", "revolute", (0, 1, 0.3), 0.3),
-        ("lower", "hand", "revolute", (1, 0, 0), 0.3),
-        ("trunk", "left", "revolute", (1, 0, 0), 0.3),
-        ("base", "free", "free", None, 0.0),
-    )
-]
-LINKS = ["trunk", "upper", "lower", "hand", "left", "free"]
-COUNT, SAMPLES, SLICES = 100, 5, 8
-
+COUNT, SAMPLES, SLICES, BODIES = 100, 20, 8, 6
 
 # --- how far bodies go ---
 
+SWEPT = [("linear", 1.0, 0.2), ("linear", 1.0, 10.0), ("linear", 1e8, 0.5), ("linear", 1e-8, 1e-9)]
+SWEPT += [("screw", 1.0, 0.2), ("screw", 1.0, 10.0)]
 
-def bodies(path, scale, turn):
-    """Sweeps of pairs of bodies of a RigidMotion, one pair a slice; places of points at times; and the pairs."""
-    rng, rows, pairs = np.random.default_rng(0), np.arange(2 * COUNT), [(0, 1)]
+
+@pytest.mark.parametrize(("path", "scale", "turn"), SWEPT)
+def test_points_keep_to_the_bounds_of_a_slice_and_come_near_them(path, scale, turn):
+    """Of two bodies a slice, some of which are beside their paths."""
+    rng, rows = np.random.default_rng(0), np.arange(2 * COUNT)
     poses = np.concatenate([scale * rng.normal(size=(2 * COUNT, 3)), rng.normal(size=(2 * COUNT, 4))], axis=1)
     twist = np.concatenate([rng.normal(size=(2 * COUNT, 3)), turn * rng.normal(size=(2 * COUNT, 3))], axis=1)
     twist[::8, :3] = 0.0  # turns alone, and straight ones
     twist[1::8, 3:] = 0.0
     pivot = {} if path == "screw" else {"pivot": rng.normal(size=(2 * COUNT, 3))}
-    paths = ccd.RigidMotion(poses, twist=twist, path=path, **pivot)._body_paths
-    place = lambda x, t: paths.positions(x.reshape(-1, 3), rows, np.repeat(t, 2)).reshape(x.shape)  # noqa: E731
-    return BodySweeps(paths, COUNT)._sweeps, place, pairs
-
-
-def chain(is_cubic):
-    """Sweeps of links of a JointMotion, one world a slice; places of points at times; and pairs of links."""
-    rng = np.random.default_rng(1)
-    q = rng.uniform(-1.5, 1.5, (4, COUNT, 13))
-    q[:, :, 9:] = rng.standard_normal((COUNT, 4))
-    q[0, :20] = q[1, :20]  # some stand
-    if is_cubic:
-        q[1:, :, 9:] = 0.0
-        motion = ccd.JointMotion.from_cubics(JOINTS, q.transpose(1, 0, 2), links=LINKS)
-    else:
-        motion = ccd.JointMotion(JOINTS, q[0], q[1], links=LINKS)
-    place = lambda x, t: motion.at(t)[..., :3] + turned(motion.at(t)[..., 3:], x)  # noqa: E731
-    return motion._sweeps, place, [(0, 1), (1, 2), (0, 2), (2, 4), (4, 5)]
-
-
-SWEPT = [("linear", 1.0, 0.2), ("linear", 1.0, 10.0), ("linear", 1e8, 0.5), ("linear", 1e-8, 1e-9)]
-SWEPT += [("screw", 1.0, 0.2), ("screw", 1.0, 10.0), ("chain", 1.0, 0.0), ("cubic chain", 1.0, 0.0)]
-
-
-@pytest.mark.parametrize(("kind", "scale", "turn"), SWEPT)
-def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, turn):
-    sweeps, place, pairs = chain(kind == "cubic chain") if "chain" in kind else bodies(kind, scale, turn)
-    rng, (first, second) = np.random.default_rng(2), np.array(pairs).T
+    within = rng.choice([0.0, 0.1 * scale], 2 * COUNT)
+    paths = ccd.RigidMotion(poses, twist=twist, path=path, within=within, **pivot)._body_paths
     begin = rng.uniform(0, 0.9, COUNT)
     end = begin + rng.uniform(0, 0.1, COUNT)
-    shares = np.concatenate([(np.arange(n) + 0.5) / n for n in (1, 2, 4)])
-    found = sweeps(begin, end, begin + shares[:, None] * (end - begin), np.array(pairs))
-    count = found.reach.shape[1]
-    points = rng.normal(size=(COUNT, count, 3)) * rng.choice([0.0, 0.1, 10.0], (COUNT, count, 1))
-    arm, relative = np.linalg.norm(points, axis=2), found.relative
-    origin, error, turns, wrong, bend, bend_of_arm = np.moveaxis(found.reach, 2, 0)
-    if relative.shape[1] == 0:
-        a, b = found.reach[:, first], found.reach[:, second]
-        relative = np.concatenate([a[..., :2] + b[..., :2], a[..., 2:4], b[..., 2:4]], axis=2)
-    length, off, of_a, off_a, of_b, off_b = np.moveaxis(relative, 2, 0)
-    for window, share in enumerate(shares):
-        short = 0.5 ** int(np.log2(window + 1))  # half of the window, as a share of half the slice
-        goes = origin * short + error + (turns * short + wrong) * arm
-        bends = (bend + bend_of_arm * arm) * short**2 + error + wrong * arm
-        comes = length * short + off + (of_a * short + off_a) * arm[:, first] + (of_b * short + off_b) * arm[:, second]
+    found = BodySweeps.of(paths, begin, end)
+    points = rng.normal(size=(2 * COUNT, 3)) * rng.choice([0.0, 0.1, 10.0], (2 * COUNT, 1))
+    arm, velocity, omega = np.linalg.norm(points, axis=1), found.velocity.reshape(-1, 3), found.omega.reshape(-1, 3)
+    origin, error, turns, wrong, bend, bend_of_arm = found.reach.reshape(-1, 6).T
+    goes, bends = origin + error + (turns + wrong) * arm, bend + bend_of_arm * arm + error + wrong * arm
+    middle, half = np.repeat(0.5 * (begin + end), 2), np.repeat(0.5 * (end - begin), 2)
 
-        def at(tau, x=points, share=share, short=short):
-            return place(x, begin + (share + 0.5 * tau * short) * (end - begin))
+    def at(tau, x=points):
+        return paths.positions(x, rows, middle + tau * half)
 
-        middle, zero = at(0.0), at(0.0, np.zeros_like(points))
-        assert np.abs(found.position[:, window] - zero).max() <= 1e-13 * max(scale, 1.0)
-        speed = found.velocity[:, window] + np.cross(found.omega[:, window], middle - zero)
-        apart = np.linalg.norm(middle[:, first] - middle[:, second], axis=2)
-        largest, rounding = np.zeros((3, COUNT)), 1e-14 * np.abs(middle).max()  # of a distance here
-        for tau in np.linspace(-1, 1, 21):
-            now = at(tau)
-            goes_now, bends_now = (np.linalg.norm(now - middle - x, axis=2) for x in (0.0, tau * short * speed))
-            nearer = apart - np.linalg.norm(now[:, first] - now[:, second], axis=2)
-            assert (goes_now <= goes).all() and (bends_now <= bends).all() and (nearer <= comes + rounding).all()
-            with np.errstate(invalid="ignore", divide="ignore"):
-                ratios = [goes_now / goes, bends_now / bends, nearer / comes]
-            largest = np.maximum(largest, [np.nan_to_num(x).max(axis=1) for x in ratios])
-        if scale == 1.0:  # the bounds are of use
-            assert np.median(largest[0]) > 0.3 and np.median(largest[1]) > 0.2 and largest[2].max() > 0.6
+    start, zero = at(0.0), at(0.0, np.zeros_like(points))
+    assert np.abs(found.position.reshape(-1, 3) - zero).max() <= 1e-13 * max(scale, 1.0)
+    speed, largest = velocity + np.cross(omega, start - zero), np.zeros((2, 2 * COUNT))
+    for tau in np.linspace(-1, 1, 21):
+        moved = at(tau) - start
+        goes_now, bends_now = (np.linalg.norm(moved - x, axis=1) + within for x in (0.0, tau * speed))
+        assert (goes_now <= goes).all() and (bends_now <= bends).all()
+        largest = np.maximum(largest, [goes_now / goes, bends_now / bends])
+    if scale == 1.0:  # the bounds are of use
+        assert np.median(largest[0]) > 0.3 and np.median(largest[1]) > 0.2
 
 
 # --- parts that may touch ---
@@ -115,58 +63,61 @@ def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, t
 
 @pytest.fixture(scope="module")
 def scene():
-    """Links of a few parts, boxes and a plate that stand, and a motion of as many worlds as slices."""
+    """Bodies of a few parts, boxes and a plate that stand, and a motion of as many worlds as slices."""
     rng = np.random.default_rng(3)
-    link = trimesh.creation.capsule(0.25, 0.05, count=[8, 8])
+    body = trimesh.creation.capsule(0.25, 0.05, count=[8, 8])
     boxes = [trimesh.creation.box(rng.uniform(0.05, 0.3, 3)).apply_translation(c) for c in rng.uniform(-1, 1, (6, 3))]
     boxes.append(trimesh.creation.box([2, 2, 0.01]).apply_translation([0, 0, -0.3]))
     may = np.abs(np.subtract.outer(np.arange(13), np.arange(13))) > 1
-    may[:, 6:] = may[6:] = True
-    mesh = ccd.CollisionMesh.from_trimesh(6 * [link] + boxes, rigid=range(6), static=range(6, 13), body_pairs=may)
-    q0 = rng.uniform(-1.5, 1.5, (SLICES, 13))
-    q0[:, 9:] = rng.standard_normal((SLICES, 4))
-    return mesh, ccd.JointMotion(JOINTS, q0, q0 + rng.uniform(-1, 1, (SLICES, 13)), links=LINKS)
+    may[:, BODIES:] = may[BODIES:] = True
+    mesh = ccd.CollisionMesh.from_trimesh(
+        BODIES * [body] + boxes, rigid=range(BODIES), static=range(BODIES, 13), body_pairs=may
+    )
+    places, turns = 0.5 * rng.normal(size=(SLICES, BODIES, 3)), rng.normal(size=(SLICES, BODIES, 4))
+    twist = rng.normal(size=(SLICES, BODIES, 6)) * rng.choice([0.0, 0.3, 1.0], (SLICES, BODIES, 1))
+    within = rng.choice([0.0, 0.03], (SLICES, BODIES))
+    return mesh, ccd.RigidMotion(np.concatenate([places, turns], axis=2), twist=twist, within=within)
 
 
-def near(parts, motion, begin, end, reach, halvings=0, slices=None):
+def near(parts, motion, begin, end, reach, slices=None):
     execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
-    return parts.near(motion, np.arange(SLICES) if slices is None else slices, begin, end, reach, execution, halvings)
+    return parts.near(motion, np.arange(SLICES) if slices is None else slices, begin, end, reach, execution)
 
 
-@pytest.mark.parametrize(("reach", "halvings"), [(0.05, 0), (0.2, 0), (0.05, 2)])
-def test_parts_that_come_near_in_a_window_are_found_and_most_others_are_not(scene, reach, halvings, monkeypatch):
+@pytest.mark.parametrize("reach", [0.05, 0.2])
+def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene, reach, monkeypatch):
     mesh, motion = scene
     parts = NearParts(mesh, mesh.vertices)
     assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
     # slices in several launches, and more pairs than there is room for at first
     monkeypatch.setattr(near_parts, "_MOST_ITEMS", 5 * len(parts.pairs))
     monkeypatch.setattr(near_parts, "_ROOM", 16)
-    rng, each = np.random.default_rng(5), 1 << halvings
+    rng = np.random.default_rng(5)
     begin = rng.uniform(0, 0.7, SLICES)
     end = begin + rng.uniform(0.01, 0.3, SLICES)
-    is_near = np.zeros((SLICES * each, len(parts.body), len(parts.body)), dtype=bool)
-    is_near[near(parts, motion, begin, end, reach, halvings)] = True
+    is_near = np.zeros((SLICES, len(parts.body), len(parts.body)), dtype=bool)
+    is_near[near(parts, motion, begin, end, reach)] = True
     may = np.zeros_like(is_near[0])
     for x, y in parts.pairs:
         may |= (parts.body[:, None] == x) & (parts.body == y)
-    assert not is_near[:, ~may].any() and is_near.sum() < 0.4 * may.sum() * SLICES * each
-    # corners of faces that come within the distance, in parts that were not found
+    assert not is_near[:, ~may].any() and is_near.sum() < 0.4 * may.sum() * SLICES
+    # corners of faces that come within the distance, and as near as their paths leave open
     part = np.repeat(np.arange(len(parts.body)), 3 * np.diff(parts.begins))
     points = mesh.vertices[parts.primitives(np.arange(parts.begins[-1]))[0]].reshape(-1, 3)
     chosen = np.unique(np.column_stack([part, points]), axis=0, return_index=True)[1]
     part, points, num_near = part[chosen], points[chosen], 0
-    is_link, body = parts.body[part] < len(LINKS), parts.body[part]
-    for n, share in product(range(each), np.linspace(0, 1, SAMPLES)):
-        poses = motion.at(begin + (n + share) / each * (end - begin))
-        for k in range(SLICES):
-            x, of_links = points.copy(), poses[k, body[is_link]]
-            x[is_link] = turned(of_links[:, 3:], x[is_link]) + of_links[:, :3]
-            squares = (x * x).sum(axis=1)
-            touching = np.argwhere(squares[:, None] + squares - 2.0 * x @ x.T <= (reach - 1e-6) ** 2)
-            first, second = part[touching].T
-            allowed = may[first, second]
-            assert is_near[k * each + n, first[allowed], second[allowed]].all()
-            num_near += int(allowed.sum())
+    is_rigid, body = parts.body[part] < BODIES, parts.body[part]
+    for share, k in product(np.linspace(0, 1, SAMPLES), range(SLICES)):
+        x, poses, off = points.copy(), motion.at(begin[k] + share * (end[k] - begin[k]))[k], np.zeros(len(points))
+        x[is_rigid] = turned(poses[body[is_rigid], 3:], x[is_rigid]) + poses[body[is_rigid], :3]
+        off[is_rigid] = motion.within[k, body[is_rigid]]
+        squares = (x * x).sum(axis=1)
+        most = reach + off[:, None] + off - 1e-6
+        touching = np.argwhere(squares[:, None] + squares - 2.0 * x @ x.T <= most**2)
+        first, second = part[touching].T
+        allowed = may[first, second]
+        assert is_near[k, first[allowed], second[allowed]].all()
+        num_near += int(allowed.sum())
     assert num_near > 5000
 
 
@@ -175,7 +126,7 @@ def test_parts_with_coordinates_that_are_no_numbers_are_near_everything(scene):
     vertices, times = mesh.vertices.copy(), np.zeros(SLICES)
     vertices[5] = np.nan
     parts = NearParts(mesh, vertices)
-    _, a, b = near(parts, motion, times, times + 0.1, 0.0, 1)
+    _, a, b = near(parts, motion, times, times + 0.1, 0.0)
     corners = parts.primitives(np.arange(parts.begins[-1]))[0]
     wrong = np.flatnonzero([np.isnan(vertices[x]).any() for x in np.split(corners, parts.begins[1:-1])])
     partners = {y for pair in parts.pairs.tolist() if 0 in pair for y in pair if y}
@@ -208,10 +159,9 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
             places[k] = own.reshape(count, -1, 3)
         apart = np.linalg.norm(places[0][:, :, None] - places[1][:, None], axis=3).min(axis=(1, 2))
         least = np.minimum(least, apart)
-    motion, (begin, end) = _OfWorlds(motion), np.array([[0.0], [1.0]])
+    begin, end = np.array([[0.0], [1.0]])
     found = [
-        [len(near(parts, motion, begin, end, s * d, 0, np.array([k]))[0]) for k, d in enumerate(least)]
-        for s in (1.0, 0.5)
+        [len(near(parts, motion, begin, end, s * d, np.array([k]))[0]) for k, d in enumerate(least)] for s in (1.0, 0.5)
     ]
     assert found[0] == [1] * count and sum(found[1]) < 0.8 * count
 
@@ -222,5 +172,5 @@ def test_many_bodies_meet_by_the_boxes_of_all_slices(scene, monkeypatch):
     parts = NearParts(mesh, mesh.vertices)
     for many in (1 << 20, 1):
         monkeypatch.setattr(near_parts, "_MANY", many)
-        found.append({*zip(*(x.tolist() for x in near(parts, motion, begin, begin + 0.1, 0.05, 1)), strict=True)})
+        found.append({*zip(*(x.tolist() for x in near(parts, motion, begin, begin + 0.1, 0.05)), strict=True)})
     assert found[0] == found[1] and len(found[0]) > 100

@@ -28,7 +28,6 @@ PIPELINE = ccd.CollisionPipeline(MESH)
 POSES = np.array([[[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]], [[0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]])
 AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
 MOTION, MAPS = ccd.RigidMotion(*POSES), ccd.AffineMotion(AFFINE, 2.0 * AFFINE)
-JOINT = {"name": "turn", "parent": "base", "child": "arm", "kind": "revolute", "axis": [0.0, 0, 1]}
 QUERIES = datasets.Queries("a", "vertex-face", POINTS_T0, POINTS_T1, np.array([True]), (("a.csv", 1),))
 STEP = datasets.SimulationStep(START, END, FACE.astype(np.int32))
 
@@ -45,14 +44,14 @@ VALUES = {
     **{"body_pairs": None, "exclusion_rings": 1, "exclude_pairs": {"bodies": [(0, 1)]}, "names": ["face", "cable"]},
     **{"vertex_world": np.zeros(6, dtype=int), "radius": np.full(6, 0.125), "point": np.zeros(3)},
     **{"normal": np.array([0.0, 0, 1]), "poses_t0": POSES[0], "poses_t1": POSES[1], "path": "linear", "pivot": None},
-    **{"twist": None, "t": 0.5, "affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE, "points": CABLE},
+    **{"twist": None, "within": np.zeros(2), "t": 0.5, "affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE, "points": CABLE},
     **{
         "body": np.array([0, 1, 1]),
         "gradient": ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, bool)),
     },
     **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "kind": None, "truth": None, "progress": False},
-    **{"surface": False, "split": False, "max_bytes": 10**6, "displacement": None, "faces": None, "base": None},
-    **{"packages": None, "result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
+    **{"surface": False, "split": False, "max_bytes": 10**6, "displacement": None, "faces": None},
+    **{"result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
     **{"displacements": None, "contacts": RESULT.contacts, "ids": np.array([[0, 1]]), "step": STEP, "i": 0, "k": 0},
 }
 
@@ -107,7 +106,6 @@ def _every_call(folder):
     datasets.write_queries(folder / "a_vf.csv", POINTS_T0, POINTS_T1)
     pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
     poses.write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
-    (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
     launched = ccd.CollisionPipeline(MESH).launch(START, END)
     of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}
     solids = [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]
@@ -144,9 +142,6 @@ def _every_call(folder):
     add(launched.to_host, launched.contacts.to_host, launched.contacts.points_at)
     add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
     add(viz.draw_step, viz.show_step, viz.to_pyvista, viz.contact_points)
-    add(ccd.Joint, **JOINT, origin=np.array([1.0, 0, 0, 0, 0, 0, 1]))
-    add(ccd.JointMotion, joints=[ccd.Joint(**JOINT)], q0=[0.0], q1=[1.0], links=["arm"])
-    add(ccd.read_urdf, path=folder / "arm.urdf")
     add(ccd.read_poses, mesh_path=start, poses_path=poses, static=[])
     add(ccd.read_frames, ccd.read_sequence, datasets.read_step, datasets.write_step, **of_files)
     add(datasets.Queries, **{name: getattr(QUERIES, name) for name in parameters_of(datasets.Queries)})

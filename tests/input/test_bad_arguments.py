@@ -29,7 +29,6 @@ NO_BODIES, EMPTY = ("empty list", "empty dict"), ("empty list", "nested empty li
 PATH = "a path, as text or a pathlib.Path|a name that ends in .ply"
 OPTIONAL_PAIRS = "a mapping from what is paired, such as 'bodies' or 'edge_edge', to pairs, or contacts or proximities"
 CELLS = "cells by type, tetra, hexahedron, wedge, pyramid, triangle or quad, or quadratic"
-POSE = r"a pose, position and quaternion x y z w, or a matrix \(4, 4\)"
 OF_TRIMESH = "a trimesh.Trimesh, Path3D, PointCloud or Scene"
 LENGTH, COUNT = "a finite length of at least 0", "a positive integer"
 DEVICE = "an array of Warp|float32|vec3f|one of them|an array that can be written to"
@@ -57,7 +56,7 @@ ARGUMENTS = {
     "pair_kinds": ("a list of 'vertex_face', 'edge_edge', 'p", [[], "vertex_face", ["vertex"]], NONE),
     "inflation": ("a finite length that is not negative", [np.zeros(2)], ZERO),
     **{"distance": (LENGTH, ["near", [0.1]], ZERO), "search_radius": ("a finite length above 0", [0.0, [0.1]], REAL)},
-    **{"per": ("one of 'scene', 'world', 'body', 'vertex'", ["face"], ()), "links": ("names of links", [], NONE)},
+    **{"per": ("one of 'scene', 'world', 'body', 'vertex'", ["face"], ())},
     **{"safety": ("a number between 0 and 1", [0.0, 1.0], REAL), "check_start": ("True or False", ["yes", 2], FLAG)},
     **{"mesh": ("a CollisionMesh|the mesh first", [[START]], ()), "motion": ("a RigidMotion", [POSES], NONE)},
     "vertices_t1": (r"(shape )?\(6, 3\) like vertices_t0|both vertices_t0 and vertices_t1|" + DEVICE, [], ()),
@@ -92,6 +91,7 @@ ARGUMENTS = {
     "twist": (r"shape \(B, 6\), linear part first, then angular", [], NONE),
     "twist of RigidMotion of a twist": (r"shape \(B, 6\)|the poses at the end of the step, or twist", [], ()),
     "t": (FRACTION + "|real numbers", [1.5, -1e-300, [0.5]], ZERO),
+    "within": ("a finite length of at least 0|real numbers", [-1e-300, [0.5], [0.0, np.inf]], ZERO),
     "t of to_pyvista": (r"a number in \[0, 1\]", [1.5], ZERO),
     "points": (r"(shape )?\(n, 3\)|\(0,\), as many as points", [], ()),
     **{"body": (r"\(3,\), as many as points|shape \(n,\)", [], ()), "result": ("a MeshResult", [], ())},
@@ -100,19 +100,14 @@ ARGUMENTS = {
     "size": (r"width and height in \[150, 4000\] pixels", [(10, 10), 7], ()),
     **dict.fromkeys(["vertices_t0", "positions", "vertices"], (ROWS, [], ())),
     **dict.fromkeys(["t_max of draw_step", "t_max of render_step"], (r"a number in \(0, 1\]", [1.5, 0.0], REAL)),
-    **dict.fromkeys(["name of Joint", "parent", "child"], ("the name of a joint or link", [], TEXTS)),
-    **dict.fromkeys(["q0", "q1"], (r"shape \(1,\), one number a coordinate of the joints|real numbers", [], ())),
     **dict.fromkeys(["point", "normal"], (r"\(3,\)|3 numbers", [], ())),
     **dict.fromkeys(["affine_t0", "affine_t1"], (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ())),
     **dict.fromkeys(["points_t0", "points_t1"], (POINTS, [np.zeros((2, 3, 5))], ())),
     **dict.fromkeys(["progress", "surface"], ("True or False", [], FLAG)),
     **{f"path of {call}": ("'linear' or 'screw'", ["arc"], ()) for call in WITH_PATHS},
-    **{"name": ("a text", [], (*TEXTS, "empty text")), "axis": ("three finite numbers, not all 0", [], ())},
-    **{"origin": (POSE, [], ()), "base": (POSE, [], NONE), "joints": ("(a Joint|joints|at least one joint)", [], ())},
-    "packages": ("folders by the names of packages", [], (*NONE, "empty dict")),
+    "name": ("a text", [], (*TEXTS, "empty text")),
     "kind": ("'vertex-face' or 'edge-edge'", ["point-point", ccd.PairKind.POINT_POINT, ["edge-edge"]], NONE),
     "kind of Queries": ("'vertex-face' or 'edge-edge'", ["ee"], ()),
-    "kind of Joint": ("one of 'revolute', 'continuous', 'prismatic', 'fixed', 'free'", [], ()),
     "truth": (r"bool of shape \((n|1),\)|a NumPy array", [np.ones(1)], NONE),
     **{"truth of write_truth": (r"bool of shape \(n,\)", [np.ones(3)], ()), "truth of read_queries": (PATH, [], NONE)},
     "sources": (r"pairs \(label of a file, its queries\)|1 like points_t0", [(("a", 2),)], ()),
@@ -153,7 +148,7 @@ def leaves(result, name=""):
         result = result.numpy()
     if isinstance(result, ccd.CollisionMesh):
         parts = result.__getstate__()
-    elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion, ccd.JointMotion)):
+    elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion)):
         parts = vars(result.to_host() if isinstance(result, ccd.DeviceContacts) else result)
         parts = {key: value for key, value in parts.items() if not key.startswith("_")}
     elif is_dataclass(result):
@@ -337,6 +332,13 @@ TOGETHER = {
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
         ({"poses_t0": WORLDS, "poses_t1": WORLDS, "pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
+        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "within": [0.5]}, r"a finite length of at least 0, or such .* \(3, 2\)"),
+        (
+            {"poses_t0": WORLDS, "poses_t1": WORLDS, "within": put(np.zeros((3, 2)), (2, 1), -1)},
+            "within is -1.0 for body 1 of world 2",
+        ),
+        ({"within": [0, np.nan]}, "within is nan for body 1; expected"),
+        ({"within": np.inf}, "within is inf; expected a finite length"),
         *(
             ({"poses_t0": start, "poses_t1": end}, message)
             for start, end, message in [
@@ -552,7 +554,7 @@ def test_every_public_function_is_among_those_tried():
     tried = {}
     for function, arguments in CALLS.values():
         tried.setdefault(function.__qualname__, set()).update(arguments)
-    left_out = (ccd.JointMotion, ccd.Robot, ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
+    left_out = (ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
     for public in (getattr(part, name) for part in (ccd, datasets, viz) for name in part.__all__):
         members = vars(public) if isinstance(public, type) and public not in left_out else {}
         names = [name for name in members if not name.startswith("_") and name != "borrowed"]

@@ -122,6 +122,10 @@ def test_worlds_are_as_many_motions():
             np.testing.assert_array_equal(motion.at(t)[w], alone.at(own))
         np.testing.assert_array_equal(motion.at([0.0, 0.5, 1.0])[w, 1], alone.at(0.5)[1])
         np.testing.assert_array_equal(motion._body_paths.velocity[3 * w : 3 * w + 3], alone._body_paths.velocity)
+        for within, own in ((0.5, [0.5] * 3), (fractions, fractions[w]), (fractions[0], fractions[0])):
+            motion = RIGID(*ENDS, pivot=pivot, within=within)
+            np.testing.assert_array_equal(motion.within[w], own)
+            np.testing.assert_array_equal(motion.shortened(0.5).within[w], own)
     np.testing.assert_array_equal(RIGID(*ENDS, pivot=np.tile(pivot, (4, 1, 1))).at(0.3), motion.at(0.3))
     check_places(motion)
 
@@ -153,7 +157,15 @@ def test_a_motion_can_be_copied_and_does_not_change():
 def test_a_motion_shows_itself_in_a_line():
     for shown, expected in (
         (QUARTERS[0], "RigidMotion(1 body, path='linear', turns up to 1.57 rad)"),
-        (RIGID(ENDS[0], ENDS[0]), "RigidMotion(3 bodies in each of 4 worlds, path='linear', turns up to 0 rad)"),
+        (
+            RIGID(*2 * [ENDS[0]], path="screw"),
+            "RigidMotion(3 bodies in each of 4 worlds, path='screw', turns up to 0 rad)",
+        ),
+        (RIGID(*ENDS)._body_paths, "BodyPaths(12)"),
+        (
+            RIGID([IDENTITY], [QUARTER_ABOUT_Z], within=0.1),
+            "RigidMotion(1 body, path='linear', turns up to 1.57 rad, within 0.1)",
+        ),
         (RIGID(np.zeros((0, 7)), np.zeros((0, 4, 4))), "RigidMotion(0 bodies, path='linear')"),
         (ccd.AffineMotion(*np.zeros((2, 1, 2, 3, 4))), "AffineMotion(2 bodies in each of 1 world)"),
     ):

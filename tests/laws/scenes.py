@@ -358,4 +358,5 @@ class _Drawing:
         twist = np.hstack([shift, rng.choice([0.05, 0.5, 4.0]) * rng.standard_normal(way.shape)])
         path = str(rng.choice(["linear", "screw"]))
         pivot = way if path == "linear" and self.flip(0.5) else None
-        return lambda: ccd.RigidMotion(poses, twist=twist, path=path, pivot=pivot)
+        within = ~mesh.static[bodies] * rng.choice([0.0, 0.0, 1e-3 * size, 0.02 * size], len(bodies))
+        return lambda: ccd.RigidMotion(poses, twist=twist, path=path, pivot=pivot, within=within)

@@ -10,6 +10,7 @@ import pytest
 import ccd_warp as ccd
 from ccd_warp import _motion_worlds
 from laws.moving import Moves
+from laws.near_paths import NearPaths
 from laws.outputs import different, outputs_of
 from laws.scenes import drawn
 from laws.truth import PLANE, UNITS
@@ -18,6 +19,8 @@ from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 SEEDS = range(24)
+# Scenes by their seeds, and those whose bodies are beside their paths.
+SCENES = [*product(SEEDS, [False]), *product(SEEDS[::2], [True])]
 LIMITS = [ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT, ccd.CCDStatus.ROUNDING_LIMIT]
 MEDIAN_ERROR = {"float64": 1e-12, "float32": 1e-5}
 
@@ -47,17 +50,34 @@ def motion_of(mesh, rng, num_worlds=None):
     return motion
 
 
+def beside(mesh, motion, rng, num_worlds=None):
+    """How far bodies may be from their paths, some of which stand on them; static ones are where they are."""
+    bodies = np.flatnonzero(mesh.rigid)
+    shape = (len(bodies),) if num_worlds is None else (num_worlds, len(bodies))
+    stands = rng.random(shape) < 0.3
+    for name, rest in (("twist", np.zeros(6)), ("poses_t1", motion["poses_t0"])):
+        if name in motion:
+            motion[name] = np.where(stands[..., None], rest, motion[name])
+    return ~mesh.static[bodies] * rng.choice([0.0, 1e-6, 1e-3, 0.01], shape) * np.ptp(mesh.vertices, axis=0).max()
+
+
 class Scene:
     """A drawn scene of bodies that turn and deform, and what the calls say of it."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, is_beside: bool = False) -> None:
         self.drawn, rng = drawn(seed, "arcs"), np.random.default_rng(seed)
         self.mesh, self.start, self.end = self.drawn.make()
-        self.given = motion_of(self.mesh, rng)
-        self.motion = ccd.RigidMotion(**self.given)
-        self.moves = Moves(self.mesh, self.start, self.end, self.given)
+        self.given, self.seed = motion_of(self.mesh, rng), seed
+        self.within = beside(self.mesh, self.given, rng) if is_beside else None
+        self.motion = ccd.RigidMotion(**self.given, within=0.0 if self.within is None else self.within)
+        self.moves, self.on_paths = self.moved(), Moves(self.mesh, self.start, self.end, self.given)
         self.step = self.mesh, self.start, self.end
         self.kinds = self.drawn.options.get("pair_kinds") or [kind.name.lower() for kind in ccd.PairKind]
+
+    def moved(self, end=None, shares=None):
+        """How the bodies move, up to a share each."""
+        given = self.mesh, self.start, self.end if end is None else end, self.given
+        return Moves(*given, shares) if self.within is None else NearPaths(*given, self.within, self.seed, shares)
 
     def times(self, distance: float):
         """lo and hi of the pairs that are asked for."""
@@ -76,24 +96,25 @@ def tois_of(contacts):
     return dict(zip(keys, contacts.toi.tolist(), strict=True))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_contacts_of_a_step(seed, precision):
-    scene = scene_of(seed)
+@pytest.mark.parametrize(("seed", "is_beside"), SCENES)
+def test_contacts_of_a_step(seed, is_beside, precision):
+    scene = scene_of(seed, is_beside)
     t_max, contacts = scene.drawn.options["t_max"], None
     result = ccd.mesh_ccd(*scene.step, **scene.options(precision=precision))
     contacts, found = result.contacts, tois_of(result.contacts)
     for key, (_, hi) in scene.times(scene.drawn.distance).items():  # what touches in space touches in any norm
         assert hi > t_max or found.get(key, np.inf) <= hi, key
-    beside = scene.drawn.delta + 256 * UNITS[precision] * scene.moves.size
+    near = scene.drawn.delta + 256 * UNITS[precision] * scene.moves.size
+    near += 0.0 if scene.within is None else 2.0 * scene.within.max()
     factor = 1.0 if scene.drawn.is_euclidean else np.sqrt(3)
-    early = scene.moves.first_times(scene.drawn.distance + beside, factor, list(found))
+    early = scene.on_paths.first_times(scene.drawn.distance + near, factor, list(found))
     for key, toi, status in zip(found, contacts.toi.tolist(), contacts.status.tolist(), strict=True):
         assert toi <= t_max and (toi >= early[key][0] or status in LIMITS), key
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, precision):
-    scene = scene_of(seed)
+@pytest.mark.parametrize(("seed", "is_beside"), SCENES)
+def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, is_beside, precision):
+    scene = scene_of(seed, is_beside)
     options, t_max = scene.options(precision=precision), scene.drawn.options["t_max"]
     result = ccd.mesh_ccd(*scene.step, **options)
     others = {
@@ -119,10 +140,10 @@ def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, 
     assert pairs >= set(tois_of(result.contacts)) and len(pairs) == sum(map(len, vars(candidates).values()))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_what_a_line_search_leaves_is_free_and_a_launch_leaves_as_much(seed, precision):
+@pytest.mark.parametrize(("seed", "is_beside"), SCENES)
+def test_what_a_line_search_leaves_is_free_and_a_launch_leaves_as_much(seed, is_beside, precision):
     """Pairs that come within their distance later than at the start do not on what is left of the paths."""
-    scene = scene_of(seed)
+    scene = scene_of(seed, is_beside)
     mesh, per, distance = scene.mesh, ("body", "scene", "vertex")[seed % 3], scene.drawn.distance
     options = {**scene.drawn.without_end(), "precision": precision, "start_gap_fraction": None}
     pipeline = ccd.CollisionPipeline(mesh, **options)
@@ -130,13 +151,16 @@ def test_what_a_line_search_leaves_is_free_and_a_launch_leaves_as_much(seed, pre
     shares = np.append(found.vertex_fraction, 1.0)[mesh.body_vertex_range[:-1]]
     for body in np.flatnonzero(mesh.rigid):
         assert np.ptp(found.vertex_fraction[slice(*mesh.body_vertex_range[body : body + 2])]) == 0
-    left = Moves(mesh, scene.start, found.vertices, scene.given, shares)
-    starts = {key for key, (lo, _) in left.first_times(1.01 * distance + 1e-9 * left.size).items() if lo == 0}
-    for key, (_, hi) in left.first_times(0.99 * distance).items():
-        is_asked = ccd.PairKind(key[0]).name.lower() in scene.kinds
-        assert hi == np.inf or key in starts or key in tois_of(found.struck) or not is_asked, key
     written = scene.end.copy()
     launched = pipeline.launch_line_search(scene.start, written, per=per, motion=scene.motion).to_host()
+    struck = launched.contacts if launched.flags & ccd.LaunchFlag.STRUCK else launched.contacts[:0]
+    ends = (found.vertices, shares, found.struck), (written, launched.body_fraction, struck)
+    for end, fractions, struck in ends[: 1 + is_beside]:
+        left = scene.moved(end, fractions)
+        starts = {key for key, (lo, _) in left.first_times(1.01 * distance + 1e-9 * left.size).items() if lo == 0}
+        for key, (_, hi) in left.first_times(0.99 * distance).items():
+            is_asked = ccd.PairKind(key[0]).name.lower() in scene.kinds
+            assert hi == np.inf or key in starts or key in tois_of(struck) or not is_asked, key
     if found.num_rounds <= 2:  # further ones differ: those on the device are fixed
         deforms = ~mesh.rigid[mesh.vertex_body]
         assert np.array_equal(written[deforms], found.vertices[deforms])
@@ -179,10 +203,10 @@ def test_worlds_of_one_mesh_have_the_bits_of_copies(primitives, large, monkeypat
     num_hit = 0
     for seed in (seed for seed in SEEDS if scene_of(seed).mesh.num_worlds == 1):
         scene = scene_of(seed)
-        options = {
-            **scene.drawn.options,
-            "motion": ccd.RigidMotion(**motion_of(scene.mesh, np.random.default_rng(1), 5)),
-        }
+        rng = np.random.default_rng(1)
+        given = motion_of(scene.mesh, rng, 5)
+        within = beside(scene.mesh, given, rng, 5) if seed % 3 == 0 else 0.0
+        options = {**scene.drawn.options, "motion": ccd.RigidMotion(**given, within=within)}
         result = ccd.mesh_ccd(*scene.step, **options)
         copies, ends = scene.mesh.replicate(5), [np.tile(x, (5, 1)) for x in scene.step[1:]]
         expected = ccd.mesh_ccd(copies, *ends, **options)

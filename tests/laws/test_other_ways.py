@@ -349,7 +349,7 @@ CPU_ALONE = "sort_range fill_blocks refresh_blocks apply_order unite_blocks unit
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
-# Of bodies with so many edges that their scene is marked long, and of joints, which the table of calls leaves out.
+# Of bodies with so many edges that their scene is marked long, and of parts of large bodies.
 _LIKE_OTHERS += ("body_frames", "near_parts")
 
 

@@ -54,9 +54,7 @@ class ArcCourse(Course):
 
     def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which vertices have not moved; on an arc one may come back to where it was."""
-        paths = self._paths
-        stays = ~(paths.omega.any(axis=1) | paths.velocity.any(axis=1) | paths.turning.any(axis=1))
-        of_rigid: NDArray[np.bool_] = (fraction == 0.0) | np.asarray(stays)[self._mesh.vertex_body]
+        of_rigid: NDArray[np.bool_] = (fraction == 0.0) | ~self._paths.moves[self._mesh.vertex_body]
         return np.where(self._is_rigid, of_rigid, super().are_at_start(vertices, fraction))
 
     def of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:

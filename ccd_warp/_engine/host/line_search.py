@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,6 @@ from ccd_warp._motion import RigidMotion
 from ccd_warp._pairs import pair_bodies, pair_vertices
 from ccd_warp._results import MeshResult
 from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._joint_motion import JointMotion
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16
@@ -62,8 +59,7 @@ class LineSearchResult:
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
         motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
-            bodies there, and ``vertices`` has their vertices in the world. With joints its ``configuration(1)`` is that
-            of the joints there. Otherwise None.
+            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -74,7 +70,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: "RigidMotion | JointMotion | None" = None
+    motion: RigidMotion | None = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""

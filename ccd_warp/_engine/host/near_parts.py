@@ -1,9 +1,8 @@
 """Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
 A part has a sphere and a box in the frame of its body, which go with it (`part_trees`). Two parts cannot touch in a
-window of time if in the middle of it they are farther apart than their points can come nearer in half of it
-(`_joint_sweeps`). Trees of the parts of two bodies are tested from the top, and a slice is halved into windows where
-that separates more (`kernels.search.near_parts`).
+slice if in the middle of it they are farther apart than their points can come nearer in half of it (`_body_sweeps`).
+Trees of the parts of two bodies are tested from the top (`kernels.search.near_parts`).
 """
 
 from __future__ import annotations
@@ -14,16 +13,17 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.part_trees import PartTrees, distinct, ranges
 from ccd_warp._half_space import unit_normals
-from ccd_warp._joint_courses import EPS
-from ccd_warp._rotations import rotated
+from ccd_warp._rotations import EPS, rotated
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._motion import RigidMotion
     from ccd_warp._runtime.launch import Execution
 
-# Tests of pairs of bodies in a launch, links in windows, and pairs of parts for which there is room at first.
+# Tests of pairs of bodies in a launch, bodies in slices, and pairs of parts for which there is room at first.
 _MOST_ITEMS, _MOST_POSES, _ROOM = 1 << 22, 1 << 17, 1 << 16
 _LONG = 1 << 14  # items from which an interrupt would have to wait
 _MANY = 1 << 12  # pairs of bodies from which boxes say first which meet at all
@@ -45,12 +45,12 @@ class NearParts:
         mesh: The mesh.
         body: The body of each part, shape [P].
         begins: The first primitive of each part, shape [P + 1], in the order of the parts.
-        link_of: The row of a motion that a rigid body is, shape [B].
-        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is a link.
+        row_of: The row of a motion that a rigid body is, shape [B].
+        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is rigid.
     """
 
     def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
-        """Divide the bodies of a mesh whose vertices, of links in their own frames, are at these places."""
+        """Divide the bodies of a mesh whose vertices, of rigid ones in their own frames, are at these places."""
         self.mesh = mesh
         with np.errstate(all="ignore"):  # what is no number, or too large for its square, is near
             trees = self._trees = PartTrees(mesh, vertices)
@@ -61,11 +61,9 @@ class NearParts:
         of_tree = trees.first_part[trees.of_body[self.body]] + number
         self.begins = np.append(0, np.cumsum(np.diff(trees.begins)[of_tree]))
         self._first_row = self.begins[self._first_part]  # of each body
-        self.link_of = np.cumsum(mesh.rigid) - 1
+        self.row_of = np.cumsum(mesh.rigid) - 1
         pairs = _pairs(mesh)
         self.pairs = pairs[(counts[pairs] > 0).all(axis=1)]
-        self._moving = np.flatnonzero(mesh.rigid[self.pairs[:, 1]])  # pairs of links
-        self._links = self.link_of[self.pairs[self._moving]]
         self._on_device: dict[str, Any] = {}
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -85,15 +83,14 @@ class NearParts:
 
     def near(
         self,
-        motion: Any,
+        motion: RigidMotion,
         world: NDArray[np.intp],
         begin: NDArray[np.float64],
         end: NDArray[np.float64],
         reach: float,
         execution: Execution,
-        halvings: int = 0,
     ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
-        """Pairs of parts that may come within a distance in windows of slices of the step.
+        """Pairs of parts that may come within a distance in slices of the step.
 
         Args:
             motion: The motion, whose rows are the rigid bodies.
@@ -102,67 +99,61 @@ class NearParts:
             end: Its end.
             reach: The distance, Euclidean, besides the radii of the vertices.
             execution: Where to test.
-            halvings: A slice has 2^halvings windows of the same length.
 
         Returns:
-            The window and both parts of each pair, in no order; windows are numbered through all slices.
+            The slice and both parts of each pair, in no order.
 
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
-        time of a window, on the trajectories of the motion in the mathematics of real numbers, are in such a pair; and
-        a primitive that comes so near to a half-space is in a pair of its part with itself. That
-        holds for windows whose ends are off by a few units in the last place of 1.
+        time of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers,
+        are in such a pair; and a primitive that comes so near to a half-space is in a pair of its part with itself.
+        That holds for slices whose ends are off by a few units in the last place of 1.
         """
         found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
         if len(self.pairs):
-            num_links = int(self.mesh.rigid.sum())
-            each = max(1, min(_MOST_ITEMS // len(self.pairs), (_MOST_POSES >> halvings) // num_links))
+            each = max(1, min(_MOST_ITEMS // len(self.pairs), _MOST_POSES // motion.num_bodies))
             room = _ROOM
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
-                of_slices = motion._of_worlds(world[some])
-                near, room = self._near(of_slices, begin[some], end[some], reach, execution, halvings, room)
-                found.append((near[0] + (first << halvings), *near[1:]))
+                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
+                near, room = self._near(swept, reach, execution, room)
+                found.append((near[0] + first, *near[1:]))
         if len(self.mesh.planes):
-            rigid, num_links = np.flatnonzero(self.mesh.rigid), int(self.mesh.rigid.sum())
-            each = max(1, _MOST_POSES // num_links)
+            rigid = np.flatnonzero(self.mesh.rigid)
+            each = max(1, _MOST_POSES // motion.num_bodies)
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
-                swept = motion._of_worlds(world[some])._sweeps(
-                    begin[some], end[some], (0.5 * begin + 0.5 * end)[None, some], np.zeros((0, 2), np.intp)
-                )
+                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
                 row, part = self._near_planes(swept, rigid, reach)
-                windows = ((first + row)[:, None] << halvings) + np.arange(1 << halvings)
-                part = np.repeat(part, 1 << halvings).astype(np.int32)
-                found.append((windows.ravel(), part, part))
-        window, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
-        return window, a, b
+                found.append((first + row, *2 * [part.astype(np.int32)]))
+        of_slice, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
+        return of_slice, a, b
 
     def _near_planes(
-        self, swept: Any, rigid: NDArray[np.intp], reach: float
+        self, swept: BodySweeps, rigid: NDArray[np.intp], reach: float
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Slices, and parts of rigid bodies that may meet a half-space in them: bodies first, then their parts."""
         trees = self._trees
         root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
-        row, link = (x.ravel() for x in np.indices(swept.position.shape[:3:2]))
-        near = self._meets_plane(swept, row, link, root[rigid[link]], reach)
-        row, link = row[near], link[near]
-        body = rigid[link]
+        row, number = (x.ravel() for x in np.indices(swept.position.shape[:2]))
+        near = self._meets_plane(swept, row, number, root[rigid[number]], reach)
+        row, number = row[near], number[near]
+        body = rigid[number]
         counts = trees.num_parts[trees.of_body[body]]
         part = ranges(self._first_part[body], counts)
-        row, link = np.repeat(row, counts), np.repeat(link, counts)
+        row, number = np.repeat(row, counts), np.repeat(number, counts)
         leaf = part - np.repeat(self._first_part[body], counts) + np.repeat(root[body] + counts - 1, counts)
-        near = self._meets_plane(swept, row, link, leaf, reach)
+        near = self._meets_plane(swept, row, number, leaf, reach)
         return row[near], part[near]
 
     def _meets_plane(
-        self, swept: Any, row: NDArray[np.intp], link: NDArray[np.intp], node: NDArray[np.intp], reach: float
+        self, swept: BodySweeps, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
     ) -> NDArray[np.bool_]:
         """Whether nodes of rigid bodies may come within a distance of the solid of a half-space in slices."""
         nodes, found = self._trees.nodes, np.zeros(len(row), dtype=bool)
         with np.errstate(all="ignore"):
-            rotation, origin = swept.rotation[row, 0, link], swept.position[row, 0, link]
+            rotation, origin = swept.rotation[row, number], swept.position[row, number]
             centre = origin + rotated(rotation, nodes.centre[node])
-            goes, arm, radius = swept.reach[row, link], nodes.arm[node], nodes.radius[node]
+            goes, arm, radius = swept.reach[row, number], nodes.arm[node], nodes.radius[node]
             moved = goes[:, 0] + goes[:, 1] + (goes[:, 2] + goes[:, 3]) * arm
             turned = (goes[:, 2] + goes[:, 3]) * radius
             back = rotation * [-1.0, -1.0, -1.0, 1.0]
@@ -175,33 +166,28 @@ class NearParts:
                 found |= ~(least > _ERROR * size)  # also where a number is none
         return found
 
-    def _near(
-        self, motion: Any, begin: Any, end: Any, reach: float, execution: Execution, halvings: int, room: int
-    ) -> tuple[list[NDArray[Any]], int]:
+    def _near(self, swept: BodySweeps, reach: float, execution: Execution, room: int) -> tuple[list[NDArray[Any]], int]:
         """The pairs in some slices, and for how many there is room now."""
         from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
 
-        counts = 1 << np.arange(halvings + 1)
-        share = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
-        swept = motion._sweeps(begin, end, begin + share[:, None] * (end - begin), self._links)
-
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
-            rows = np.ascontiguousarray(values).reshape(len(begin), -1, values.shape[-1])
-            return wp.array(rows, dtype=dtype, device=execution.device, copy=execution.is_cuda)
+            return wp.array(values, dtype=dtype, device=execution.device, copy=execution.is_cuda)
 
-        given = kernels.PartMotion()
-        given.num_links, given.num_halvings = swept.position.shape[2], halvings
+        num_slices = len(swept.position)
+        given = kernels.PartMotion()  # slices are not halved, and nothing is known of bodies against each other
+        given.num_links, given.num_halvings = swept.position.shape[1], 0
         given.position, given.velocity, given.omega = (
             on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
         )
         given.rotation = on_device(swept.rotation, wp.vec4d)
-        given.reach, given.relative_reach = (on_device(x, kernels.vec6d) for x in (swept.reach, swept.relative))
-        chosen = np.flatnonzero(self._meet(swept, reach)) if len(self.pairs) > _MANY else np.arange(len(self.pairs))
-        rows = np.full(len(self.pairs), -1)
-        rows[self._moving[: swept.relative.shape[1]]] = np.arange(swept.relative.shape[1])
-        given_pairs = np.column_stack([self.pairs[chosen], rows[chosen]])
+        given.reach = on_device(swept.reach, kernels.vec6d)
+        given.relative_reach = wp.zeros((num_slices, 0), dtype=kernels.vec6d, device=execution.device)
+        chosen = self.pairs
+        if len(chosen) > _MANY:
+            chosen = chosen[self._meet(swept, reach)]
+        given_pairs = np.column_stack([chosen, np.full(len(chosen), -1)])
         pairs: wp.array = wp.array(given_pairs, dtype=wp.vec3i, device=execution.device)
-        num_items, trees, stop = len(begin) * len(chosen), self._trees_on(execution.device), execution.flag
+        num_items, trees, stop = num_slices * len(chosen), self._trees_on(execution.device), execution.flag
         assert stop is not None
         while True:
             near = kernels.NearPairs()
@@ -222,7 +208,7 @@ class NearParts:
                 return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], room
             room = found + found // 8
 
-    def _meet(self, swept: Any, reach: float) -> NDArray[np.bool_]:
+    def _meet(self, swept: BodySweeps, reach: float) -> NDArray[np.bool_]:
         """Which pairs of bodies meet by the boxes around them in all slices."""
         trees, count = self._trees, self.mesh.num_bodies
         root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
@@ -232,7 +218,7 @@ class NearParts:
         rigid = np.flatnonzero(self.mesh.rigid)
         with np.errstate(all="ignore"):
             lower[:], upper[:] = centre - size[:, None], centre + size[:, None]
-            rotation, position, goes = swept.rotation[:, 0], swept.position[:, 0], swept.reach
+            rotation, position, goes = swept.rotation, swept.position, swept.reach
             num_slices = len(position)
             places = rotated(rotation.reshape(-1, 4), np.tile(centre[rigid], (num_slices, 1))).reshape(position.shape)
             places = places + position
@@ -257,7 +243,7 @@ class NearParts:
                 "first": trees.first_node[trees.of_body],
                 "num_parts": trees.num_parts[trees.of_body],
                 "first_part": self._first_part,
-                "link": np.where(self.mesh.rigid, self.link_of, -1),
+                "link": np.where(self.mesh.rigid, self.row_of, -1),
                 **trees.nodes._asdict(),
             }
             found = kernels.PartTrees()
@@ -269,7 +255,7 @@ class NearParts:
 
 
 def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
-    """Pairs of bodies that may collide, of which the first is a link; some links stand where they are."""
+    """Pairs of bodies that may collide, of which the first is rigid; some rigid bodies stand where they are."""
     may = np.triu(np.ones((mesh.num_bodies, mesh.num_bodies), dtype=bool), 1)
     if mesh.body_pairs is not None:
         may &= mesh.body_pairs

@@ -6,12 +6,11 @@ whole bodies, in every bit.
 """
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._body_sweeps import BodySweeps
 from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
 from ccd_warp._engine.host.near_parts import NearParts, spans
 from ccd_warp._engine.host.part_mesh import MOST_BODIES, PartMesh, rows_within
@@ -50,7 +49,7 @@ class NearWorlds:
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
         each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
         of_slice, begin, end = spans(each, t_max)
-        slices, a, b = self.parts.near(_OfWorlds(motion), of_slice, begin, end, reach, execution)
+        slices, a, b = self.parts.near(motion, of_slice, begin, end, reach, execution)
         count = len(self.parts.body)
         of_pair = of_slice[slices] * count
         self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
@@ -79,13 +78,3 @@ class NearWorlds:
             given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
             yield chosen, parts, work(parts, MeshPaths.of_checked(parts.mesh, given, turn=self._turn))
             k = last
-
-
-class _OfWorlds:
-    """The bodies of a motion in slices of worlds."""
-
-    def __init__(self, motion: "RigidMotion") -> None:
-        self._motion = motion
-
-    def _of_worlds(self, worlds: NDArray[np.intp]) -> Any:
-        return BodySweeps(self._motion._of_worlds(worlds), len(worlds))

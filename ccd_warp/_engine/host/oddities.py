@@ -131,11 +131,16 @@ class DistanceInEdges(NamedTuple):
         )
 
 
-def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions") -> str:
-    """A sentence on so many pairs whose gaps at the start rounding hides, empty if there are none."""
+def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions", within: float = 0.0) -> str:
+    """A sentence on so many pairs whose gaps at the start rounding hides, empty if there are none.
+
+    So does the largest length by which bodies may leave their paths, ``within``.
+    """
     if not count:
         return ""
     gaps = "the gap of 1 pair" if count == 1 else f"the gaps of {count:,} pairs"
+    if within > 0.0:
+        return f"rounding, or within of the motion, up to {within:.3g}, hides {gaps} at the start, with toi 0"
     return f"rounding hides {gaps} at the start, with toi 0: {Farthest.of(positions).described(mesh)}"
 
 

@@ -1,7 +1,8 @@
-"""Meshes of parts of one world, each slice in which they may touch a world of its own; one world of many alike."""
+"""Meshes of parts of a mesh of one world, those that may touch in a world of a motion a world of their own."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,62 +28,22 @@ def rows_within(memory_limit: int | None, most: int) -> int:
 
 
 def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> CollisionMesh | None:
-    """The world that all worlds of a mesh, and their vertices at these positions, are copies of; None where none is.
+    """A mesh of one world with vertices at these positions, whose pairs ``body_pairs`` alone excludes.
 
-    None also where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body.
-    A particle that is no codimensional point meets faces and half-spaces as others do, and is in no part.
+    None where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body. A
+    particle that is no codimensional point meets faces and half-spaces as others do, and is in no part.
     """
-    count, moves = mesh.num_worlds, ~mesh.static
     if (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh):
         return None
-    if (moves & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
+    if (~mesh.static & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
         return None
-    if count == 1 and positions is mesh.vertices and not mesh.exclude_pairs:
+    if positions is mesh.vertices and not mesh.exclude_pairs:
         return mesh
-    # all worlds share the half-spaces, whose bodies come last where there are several
-    bodies = mesh.num_bodies - (len(mesh.planes) if count > 1 else 0)
-    if bodies % count or (count > 1 and (mesh.planes.bodies < bodies).any()):
-        return None
-    each = bodies // count
-    arrays: list[NDArray[Any]] = [
-        positions,
-        mesh.faces,
-        mesh.edges[mesh.codimensional_edges],
-        np.diff(mesh.body_vertex_range)[:bodies],
-        mesh.static[:bodies],
-        mesh.rigid[:bodies],
-    ]
-    arrays += [mesh.codimensional_points, mesh.vertex_world]
-    arrays += [] if mesh.radius is None else [mesh.radius]
-    if any(len(x) % count for x in arrays):
-        return None
-    copies = [x.reshape(count, len(x) // count, *x.shape[1:]) for x in arrays]
-    first = np.arange(count)
-    of_vertices = first * (mesh.num_vertices // count)
-    for k, shift in ((1, of_vertices), (2, of_vertices), (6, of_vertices), (7, first)):
-        copies[k] = copies[k] - shift.reshape(count, *[1] * (copies[k].ndim - 1))
-    pairs = _allowed(mesh)
-    if pairs is not None:
-        blocks = pairs[:bodies, :bodies].reshape(count, each, count, each).diagonal(axis1=0, axis2=2)
-        shared = pairs[:bodies, bodies:].reshape(count, each, -1)
-        if (blocks != blocks[..., :1]).any() or (shared != shared[:1]).any():
-            return None
-        none = np.zeros((shared.shape[2],) * 2, dtype=bool)  # half-spaces do not meet each other
-        pairs = np.block([[blocks[..., 0], shared[0]], [shared[0].T, none]])
-    if any((x != x[:1]).any() for x in copies) or (copies[7] != 0).any():
-        return None
-    vertices, faces, edges, sizes, static, rigid, points = (x[0] for x in copies[:7])
-    others = mesh.num_bodies - bodies
-    sizes, static, rigid = (
-        np.append(x, np.full(others, value, dtype=x.dtype)) for x, value in ((sizes, 0), (static, True), (rigid, False))
-    )
-    has_points = np.zeros(len(static), dtype=bool)
-    has_points[mesh.vertex_body[points]] = True
-    names = (*mesh.names[:each], *mesh.names[bodies:])
-    planes = mesh.planes if count == 1 else replace(mesh.planes, bodies=mesh.planes.bodies - np.int32(bodies - each))
+    has_points = np.zeros(mesh.num_bodies, dtype=bool)
+    has_points[mesh.vertex_body[mesh.codimensional_points]] = True
     return _mesh(
-        vertices, faces, edges, sizes, static, rigid, has_points, pairs, np.zeros(len(vertices), np.int32),
-        names, None if mesh.radius is None else copies[8][0], planes,
+        positions, mesh.faces, mesh.edges[mesh.codimensional_edges], np.diff(mesh.body_vertex_range), mesh.static,
+        mesh.rigid, has_points, _allowed(mesh), mesh.vertex_world, mesh.names, mesh.radius, mesh.planes,
     )  # fmt: skip
 
 
@@ -134,90 +95,68 @@ def _mesh(
 
 @dataclass(frozen=True, eq=False)
 class PartMesh:
-    """Some primitives of one world in slices of the step, each slice a world of a mesh.
+    """Some primitives of a mesh of one world in each of several worlds.
 
     Attributes:
-        mesh: The mesh; its rigid bodies are links in some slice, those of a slice in their order.
-        slice_of_row: The slice of each primitive, ascending, shape [n].
-        row: The primitive, as ``NearParts.primitives`` has them, shape [n].
-        corners: Its vertices in the mesh, shape [n, 3].
+        mesh: The mesh; its rigid bodies are those that have a primitive in some world, those of a world in their order.
         vertex: The vertex of the one world that each vertex is, shape [V].
         face: The face of the one world that each face is.
-        is_used: Which links of each slice are bodies of the mesh, bool, shape [S, L].
+        is_used: Which rigid bodies of each world are bodies of the mesh, bool, shape [W, B].
         rank: The first row in which each vertex is: primitives in this order are near each other, shape [V].
     """
 
     mesh: CollisionMesh
-    slice_of_row: NDArray[np.intp]
-    row: NDArray[np.intp]
-    corners: NDArray[np.intp]
     vertex: NDArray[np.intp]
     face: NDArray[np.intp]
     is_used: NDArray[np.bool_]
     rank: NDArray[np.intp]
 
     @classmethod
-    def of(cls, parts: NearParts, count: int, slice_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
-        """The mesh of primitives in so many slices."""
-        world = parts.mesh
-        size = world.num_vertices
+    def of(cls, parts: NearParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
+        """The mesh of primitives, as ``NearParts.primitives`` has them, in so many worlds, ascending."""
+        one = parts.mesh
+        size = one.num_vertices
         corners, kind, number = parts.primitives(row)
-        keys = slice_of_row[:, None] * size + corners
+        keys = world_of_row[:, None] * size + corners
         unique, first, corners = np.unique(keys, return_index=True, return_inverse=True)
         corners = corners.reshape(keys.shape)
-        of_slice, vertex = np.divmod(unique, size)
-        body = world.vertex_body[vertex]
-        body_keys, sizes = np.unique(of_slice * world.num_bodies + body, return_counts=True)
-        slice_of_body, body = np.divmod(body_keys, world.num_bodies)
-        planes = world.planes  # their bodies come last
+        world, vertex = np.divmod(unique, size)
+        body = one.vertex_body[vertex]
+        body_keys, sizes = np.unique(world * one.num_bodies + body, return_counts=True)
+        world_of_body, body = np.divmod(body_keys, one.num_bodies)
+        planes = one.planes  # their bodies come last
         num_own = len(body)
         body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
-        slice_of_body = np.append(slice_of_body, np.zeros(len(planes), dtype=slice_of_body.dtype))
+        world_of_body = np.append(world_of_body, np.zeros(len(planes), dtype=world_of_body.dtype))
         planes = replace(planes, bodies=(num_own + np.arange(len(planes))).astype(np.int32))
-        rigid = world.rigid[body]
-        is_used = np.zeros((count, int(world.rigid.sum())), dtype=bool)
-        is_used[slice_of_body[rigid], parts.link_of[body[rigid]]] = True
+        rigid = one.rigid[body]
+        is_used = np.zeros((count, int(one.rigid.sum())), dtype=bool)
+        is_used[world_of_body[rigid], parts.row_of[body[rigid]]] = True
         faces = kind == 0
         mesh = _mesh(
-            world.vertices[vertex], corners[faces], corners[kind == 1][:, :2], sizes, world.static[body], rigid,
-            np.ones(len(body), dtype=bool), None if world.body_pairs is None else world.body_pairs[np.ix_(body, body)],
-            of_slice, [world.names[b] for b in body.tolist()], None if world.radius is None else world.radius[vertex],
-            planes,
+            one.vertices[vertex], corners[faces], corners[kind == 1][:, :2], sizes, one.static[body], rigid,
+            np.ones(len(body), dtype=bool), None if one.body_pairs is None else one.body_pairs[np.ix_(body, body)],
+            world, [one.names[b] for b in body.tolist()], None if one.radius is None else one.radius[vertex], planes,
         )  # fmt: skip
-        return cls(mesh, slice_of_row, row, corners, vertex, number[faces], is_used, first // 3)
+        return cls(mesh, vertex, number[faces], is_used, first // 3)
 
-    def rows_of(self, contacts: Contacts, chosen: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """The primitives with a vertex of a contact, in chosen slices: their slices and rows."""
-        touched = np.zeros(len(self.vertex), dtype=bool)
-        touched[contacts.vertices] = True
-        kept = touched[self.corners].any(axis=1) & chosen[self.slice_of_row]
-        return self.slice_of_row[kept], self.row[kept]
-
-    def in_worlds(
-        self, contacts: Contacts, mesh: CollisionMesh, world: CollisionMesh, of_slice: NDArray[np.intp], **placed: Any
-    ) -> Contacts:
-        """Contacts as those of a mesh of copies of the one world, or of that itself, given the world of each slice.
-
-        What else is known of their places is ``placed``.
-        """
+    def in_one_world(self, contacts: Contacts, mesh: CollisionMesh, worlds: NDArray[np.intp]) -> Contacts:
+        """Contacts as those of the mesh of one world, given what each world of this mesh is."""
         if len(contacts) == 0:
             return contacts
-        copies = of_slice[contacts.world]
-        shifts = copies if mesh.num_worlds > 1 else np.zeros_like(copies)
-        primitives = contacts.primitives.astype(np.int64)
+        numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
+            "vertex": lambda own: self.vertex[own],
+            "face": lambda own: self.face[own],
+            "plane": lambda own: own,
+            "edge": lambda own: _edges(mesh, self.vertex[self.mesh.edges[own]]),
+        }
+        primitives = contacts.primitives.copy()
         for kind in PairKind:
             rows = np.flatnonzero(contacts.kind == int(kind))
             for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
-                own = primitives[rows, column]
-                number, count = {
-                    "vertex": lambda own=own: (self.vertex[own], world.num_vertices),
-                    "face": lambda own=own: (self.face[own], world.num_faces),
-                    "plane": lambda own=own: (own, 0),
-                    "edge": lambda own=own: (_edges(world, self.vertex[self.mesh.edges[own]]), world.num_edges),
-                }[name]()
-                primitives[rows, column] = number + shifts[rows] * count
-        place = ContactPlace(mesh, world=copies.astype(np.int32), **placed)
-        return replace(contacts, primitives=primitives.astype(np.int32))._of(place)
+                primitives[rows, column] = numbers[name](primitives[rows, column])
+        place = ContactPlace(mesh, world=worlds[contacts.world].astype(np.int32))
+        return replace(contacts, primitives=primitives)._of(place)
 
 
 def _edges(world: CollisionMesh, ends: NDArray[np.intp]) -> NDArray[np.intp]:

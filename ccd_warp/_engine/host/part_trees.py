@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._joint_courses import EPS
+from ccd_warp._rotations import EPS
 
 if TYPE_CHECKING:
     from ccd_warp._mesh import CollisionMesh

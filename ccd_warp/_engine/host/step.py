@@ -206,7 +206,8 @@ class Step:
         count = int((contacts.status == int(CCDStatus.ROUNDING_LIMIT)).sum())
         if count:
             self._warn_of_size()
-        return hidden_sentence(count, self.mesh, self.positions)
+        within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
+        return hidden_sentence(count, self.mesh, self.positions, within)
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
