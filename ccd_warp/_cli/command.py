@@ -1,4 +1,4 @@
-"""The command ``ccd-warp``: CCD (continuous collision detection) of two mesh files, a demo, a page, a benchmark."""
+"""The command ``ccd-warp``: CCD (continuous collision detection) of two mesh files, a demo, a benchmark."""
 
 import argparse
 import os
@@ -74,7 +74,6 @@ def _make_parser() -> argparse.ArgumentParser:
     _add_run(commands)
     _add_sequence(commands)
     _add_demo(commands)
-    _add_explore(commands)
     _add_bench(commands)
     return parser
 
@@ -165,24 +164,6 @@ def _add_demo(commands) -> None:
     parser.set_defaults(command=_demo)
 
 
-def _add_explore(commands) -> None:
-    parser = commands.add_parser(
-        "explore",
-        help="a page to play with the method",
-        description="Writes one HTML page that opens in a browser, without a network: a bullet and a wall, tested at "
-        "samples and by CCD; and a point and a segment, solved by bisection and by clips, step by step.",
-    )
-    parser.add_argument(
-        "--output",
-        metavar="FILE",
-        type=Path,
-        default=Path("ccd_warp_explore.html"),
-        help="where to write it (ccd_warp_explore.html)",
-    )
-    parser.add_argument("--quiet", action="store_true", help="print nothing but errors")
-    parser.set_defaults(command=_explore)
-
-
 def _add_bench(commands) -> None:
     parser = commands.add_parser(
         "bench",
@@ -220,15 +201,6 @@ def _demo(arguments: argparse.Namespace) -> int:
     from ccd_warp._cli.demo_command import run_demo
 
     return run_demo(arguments)
-
-
-def _explore(arguments: argparse.Namespace) -> int:
-    from ccd_warp._cli.explore import write_page
-
-    path = write_page(arguments.output)
-    if not arguments.quiet:
-        print(f"wrote {printable(str(path))}; open it in a browser")
-    return 0
 
 
 def _bench(arguments: argparse.Namespace) -> int:

@@ -280,7 +280,7 @@ def test_help_is_that_of_the_library_and_is_spelled_where_a_terminal_knows_ascii
     shutil.copy(folder / "start.ply", folder / "start é.ply")
     written = io.BytesIO()
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="ascii"))
-    for line in ("--version", "--help", *(f"{name} --help" for name in "sequence demo explore bench run".split())):
+    for line in ("--version", "--help", *(f"{name} --help" for name in "sequence demo bench run".split())):
         with pytest.raises(SystemExit) as ended:
             main(line.split())
         assert ended.value.code == 0
