@@ -12,7 +12,7 @@ sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpe
 
 import pytest
 import warp as wp
-from browser import find_browser, opened_browser
+from programs import programs
 
 wp.config.log_level = wp.LOG_WARNING
 if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
@@ -117,10 +117,7 @@ def precision(request) -> str:
 
 
 @pytest.fixture(scope="session")
-def browser():
-    """A page of a headless Chromium; what needs it is skipped where there is none."""
-    path = find_browser()
-    if path is None:
-        pytest.skip("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
-    with opened_browser(path) as page:
-        yield page
+def python():
+    """Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output."""
+    with programs() as run:
+        yield run

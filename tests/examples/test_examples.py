@@ -1,7 +1,6 @@
 """Every example runs in a short form and finds what it is there to show: by its own count, with CCD and without."""
 
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -9,6 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 from conftest import loaded_example
+from programs import NO_MPI
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NUMBER = r"(-?[\d.,]+(?:e-?\d+)?)"
@@ -160,16 +160,15 @@ TABLE = {
 }
 
 
-def _printed(name: str, example: Example, monkeypatch, capsys) -> str:
+def _printed(name: str, example: Example, monkeypatch, capsys, request, folder) -> str:
     """What a short form prints, in this process where MPI does not start with it."""
     arguments = example.arguments.split()
     if name == "mpi_cloth":
-        command = [sys.executable, EXAMPLES / "mpi_cloth.py", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if "needs mpi4py and an MPI" in done.stderr:
+        status, shown, error = request.getfixturevalue("python")(folder, EXAMPLES / "mpi_cloth.py", *arguments)
+        if NO_MPI.search(error):
             pytest.skip("no MPI")
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        assert status == 0, error
+        return shown
     for module in example.needs:
         pytest.importorskip(module, reason="an extra is not installed")
     monkeypatch.syspath_prepend(EXAMPLES)  # one example imports another
@@ -181,8 +180,8 @@ def _printed(name: str, example: Example, monkeypatch, capsys) -> str:
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_an_example_shows_what_it_is_there_for(name, monkeypatch, capsys):
-    printed, numbers = _printed(name, TABLE[name], monkeypatch, capsys), []
+def test_an_example_shows_what_it_is_there_for(name, monkeypatch, capsys, request, tmp_path):
+    printed, numbers = _printed(name, TABLE[name], monkeypatch, capsys, request, tmp_path), []
     rest = printed
     for pattern in TABLE[name].printed:
         found = re.search(pattern.replace("#", NUMBER), rest)
