@@ -17,7 +17,7 @@ import ccd_warp
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-IGNORED = "__pycache__ *.egg-info .*_cache .hypothesis build dist .venv .nox .git *.journal".split()
+IGNORED = "__pycache__ *.egg-info .*_cache .hypothesis build dist .venv .nox .git".split()
 
 
 def _run(*command, cwd: Path) -> str:
