@@ -25,7 +25,7 @@ from shared_objects import SharedObjects
 
 BARE = {"ccd-warp", "numpy", "trimesh", "warp-lang", "pip", "setuptools"}
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = ["README.md", "docs/solver.md", "docs/on_device.md"]
+PAGES = ["README.md", "docs/on_device.md"]
 BLOCK = re.compile(r"^```python\n(.*?)^```\n+It prints:\n+^```text\n(.*?)^```$", re.DOTALL | re.M)
 
 

@@ -1,11 +1,9 @@
 """Set-up of the test suite: the installed package, a quiet Warp, its device, and the fixtures every module shares."""
 
 import gc
-import importlib.util
 import os
 import signal
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpers", "")]
@@ -19,17 +17,6 @@ if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
     wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as of a command in the background of a script
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@contextmanager
-def loaded_example(name: str):
-    """An example as a module; Warp looks up the source of its kernels among the modules."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).resolve().parents[1] / "examples" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[name]
 
 
 def pytest_addoption(parser):
@@ -116,8 +103,5 @@ def precision(request) -> str:
     return request.param
 
 
-@pytest.fixture(scope="session")
-def python():
-    """Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output."""
-    with programs() as run:
-        yield run
+# Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output.
+python = pytest.fixture(scope="session", name="python")(programs)

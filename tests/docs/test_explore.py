@@ -31,7 +31,7 @@ def test_the_page_names_nothing_but_the_files_beside_it():
 
 
 # Any of these will do: `apt-get install chromium` has the first.
-BROWSERS = os.environ.get("CCD_WARP_BROWSER", "chromium chromium-browser google-chrome google-chrome-stable").split()
+BROWSERS = "chromium chromium-browser chromium-headless-shell google-chrome google-chrome-stable"
 # Without a sandbox, as it cannot run as root otherwise, which it does in most containers; the page is our own.
 HEADLESS = (
     "--headless --no-sandbox --disable-gpu --disable-dev-shm-usage --no-first-run --enable-logging=stderr --dump-dom"
@@ -57,7 +57,8 @@ CASES, SHOTS = _cases(), [(8.6, 0.2, 8), (9.2, 0.02, 40), (4.2, 1.0, 3), (3.0, 0
 @pytest.fixture(scope="module")
 def shown(tmp_path_factory):
     """What the page shows of all cases and shots, and how wide it is on a telephone; it must complain of nothing."""
-    browser, folder = next(filter(None, map(shutil.which, BROWSERS)), None), tmp_path_factory.mktemp("page")
+    names = os.environ.get("CCD_WARP_BROWSER", BROWSERS).split()
+    browser, folder = next(filter(None, map(shutil.which, names)), None), tmp_path_factory.mktemp("page")
     if browser is None:
         pytest.skip("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
     shutil.copytree(FOLDER, folder, dirs_exist_ok=True)

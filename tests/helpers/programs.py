@@ -6,7 +6,7 @@ import re
 import runpy
 import sys
 import traceback
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import redirect_stdout, suppress
 from io import StringIO
 from pathlib import Path
 
@@ -52,9 +52,8 @@ def _serve(asked) -> None:
         asked.send(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 
-@contextmanager
 def programs():
-    """A function that runs `python ARGUMENTS` in a folder: its status and output."""
+    """Yields a function that runs `python ARGUMENTS` in a folder: its status and output."""
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
     server = processes.Process(target=_serve, args=(theirs,), daemon=True)
