@@ -54,14 +54,14 @@ def run_commands() -> None:
     section = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## From the command line\n")[2]
     lines = re.search(r"^```sh\n(.*?)^```$", section, re.DOTALL | re.M)[1].splitlines()
     shown = ""
-    for line in [*lines, "ccd-warp explore --output page.html", "ccd-warp --version"]:
+    for line in [*lines, "ccd-warp --version"]:
         name, *arguments = shlex.split(line)
         command = [Path(sysconfig.get_path("scripts"), name), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         assert (done.returncode, done.stderr) == (0, ""), done
         shown += done.stdout
     assert shown.count("MISS") == 2 and shown.endswith(f"\nccd-warp {ccd.__version__}\n"), shown
-    assert Path("result.json").stat().st_size > 1_000 and Path("page.html").stat().st_size > 50_000
+    assert Path("result.json").stat().st_size > 1_000
 
 
 def main() -> None:
