@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, read_static
-from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.parts import Split, check_split
 from ccd_warp._frames import checked_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
@@ -60,10 +59,9 @@ class PoseSequence:
         """Of the files; ``make_mesh`` joins bodies, with the rigid ones as ``rigid=``."""
         from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
 
-        with noted_files() as self._opened:
-            how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
-            bodies = read_static(mesh_path, needs_field=True, **how).split(split)
-            table = read_poses(poses_path, max_bytes)
+        how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
+        bodies = read_static(mesh_path, needs_field=True, **how).split(split)
+        table = read_poses(poses_path, max_bytes)
         chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
         self._first_bodies = [
             *(replace(body, is_static=k not in chosen) for k, body in enumerate(bodies)),
@@ -77,8 +75,6 @@ class PoseSequence:
         self._series: Sequence[Any] = [
             _Source(f"{printable(mesh_path.name)} at {printable(poses_path.name)}", self.labels, [])
         ]
-
-    _opened: list[Stamp]
 
     def __repr__(self) -> str:
         return f"PoseSequence({len(self)} times of {self.mesh!r})"

@@ -37,7 +37,7 @@ def read_exclusions(path: Path, mesh: CollisionMesh) -> CollisionMesh:
 def _pairs_in(path: Path, mesh: CollisionMesh) -> dict[str, Any]:
     suffix = path.suffix.lower()
     if suffix == ".npz":
-        from ccd_warp._files.caches import npz_arrays
+        from ccd_warp._files.npz import npz_arrays
 
         return npz_arrays(path, MAX_BYTES)
     if path.stat().st_size > MAX_BYTES:

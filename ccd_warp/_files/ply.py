@@ -4,28 +4,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ccd_warp._files.text import CUT, NO_INDICES, Tokens, check_last_index, counted_polygons, fan, shown, text_rows
+from ccd_warp._files.text import CUT, NO_INDICES, Rows, check_last_index, fan, integers, lists_in, shown, text_rows
 from ccd_warp._input.messages import InputError
 
 _TYPES = {
-    b"char": "i1",
-    b"int8": "i1",
-    b"uchar": "u1",
-    b"uint8": "u1",
-    b"short": "i2",
-    b"int16": "i2",
-    b"ushort": "u2",
-    b"uint16": "u2",
-    b"int": "i4",
-    b"int32": "i4",
-    b"uint": "u4",
-    b"uint32": "u4",
-    b"int64": "i8",
-    b"uint64": "u8",
-    b"float": "f4",
-    b"float32": "f4",
-    b"double": "f8",
-    b"float64": "f8",
+    **{b"char": "i1", b"uchar": "u1", b"short": "i2", b"ushort": "u2", b"int": "i4", b"uint": "u4"},
+    **{f"int{8 * size}".encode(): f"i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}".encode(): f"u{size}" for size in (1, 2, 4, 8)},
+    **{b"float": "f4", b"float32": "f4", b"double": "f8", b"float64": "f8"},
 }
 _FORMATS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 _CORNERS = (b"vertex_indices", b"vertex_index")
@@ -125,8 +111,6 @@ def _check_elements(elements: list[_Element]) -> None:
     for element in elements:
         if element.name == b"vertex" and not {b"x", b"y", b"z"} <= element.types.keys() - element.count_types.keys():
             raise InputError("the header gives its vertices no x, y and z; export the file again")
-        if element.name == b"face" and element.count:
-            element.corners()
         if element.name == b"tristrips" and element.count:
             raise InputError("holds strips of triangles, which are not read; export the file with faces")
 
@@ -143,68 +127,42 @@ def _read_ascii(text: bytes, first_line: int, elements: list[_Element]) -> tuple
         at += element.count
         if not element.count:
             continue
-        last_index = None
-        if element.name == b"face" and len(element.types) == 1:
-            corners, counts = counted_polygons(part)
-            last_index = int(corners[-1])
-            continue
+        columns, last_index = _columns(element, part), None
         if element.name == b"vertex":
-            vertices = np.concatenate([_vertices(element, block) for block in part.blocks()])
-            continue
-        blocks = [_columns(element, block) for block in part.blocks()]
-        if element.name == b"face":
-            lists = [columns[element.corners()] for columns in blocks]
-            corners = np.concatenate([block.numbers(int) for block in lists])
-            counts = np.concatenate([block.counts for block in lists])
-            if (counts < 3).any():
-                k = int(np.argmax(counts < 3))
-                raise InputError(f"line {part.lines[k]} is a face of {counts[k]} corners; expected 3 or more: {CUT}")
+            vertices = np.column_stack([columns[axis][0] for axis in (b"x", b"y", b"z")])
+        elif element.name == b"face":
+            numbers, counts = columns[element.corners()]
+            corners = integers(numbers, part, counts)
+            part.refuse_where(counts < 3, "is a face of {} corners; expected 3 or more", counts)
+            last_index = int(corners[-1]) if len(element.types) == 1 else None
     if at < len(rows):
         raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
     check_last_index(text, last_index, len(vertices))
     return vertices, corners, counts
 
 
+def _columns(element: _Element, rows: Rows) -> dict[bytes, tuple[np.ndarray, np.ndarray]]:
+    """The numbers of each property of an element, and how many each row has."""
+    columns: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+    values, at, ends = rows.numbers(), rows.first, rows.first + rows.counts
+    one = np.ones_like(at)
+    says = "holds {} numbers; expected others, as the header says"
+    for name in element.types:
+        if name in element.count_types:
+            columns[name] = lists_in(rows, values, at)
+            at = at + 1
+        else:
+            rows.refuse_where(at >= ends, says, rows.counts)
+            columns[name] = values[at], one
+        at = at + columns[name][1]
+    rows.refuse_where(at != ends, says, rows.counts)
+    return columns
+
+
 def _refuse_count(element: _Element, found: int) -> None:
     raise InputError(
         f"holds {found} rows of the element {shown(element.name)}, and its header says {element.count}; {CUT}"
     )
-
-
-def _vertices(element: _Element, rows: Tokens) -> np.ndarray:
-    if element.count_types:
-        columns = _columns(element, rows)
-        return np.column_stack([columns[axis].numbers(float) for axis in (b"x", b"y", b"z")])
-    _check_lengths(rows, len(element.types))
-    names = list(element.types)
-    values = rows.numbers(float).reshape(-1, len(names))
-    return values[:, [names.index(axis) for axis in (b"x", b"y", b"z")]]
-
-
-def _columns(element: _Element, rows: Tokens) -> dict[bytes, Tokens]:
-    """The tokens of each property of an element, with one row for each row of the element."""
-    columns: dict[bytes, Tokens] = {}
-    end = np.zeros(len(rows.counts), dtype=np.int64)
-    for name in element.types:
-        length: int | np.ndarray = 1
-        if name in element.count_types:
-            _check_lengths(rows, end + 1, at_least=True)
-            length = np.maximum(rows.columns(end, end + 1).numbers(int), 0)
-            end = end + 1
-        columns[name] = rows.columns(end, end + length)
-        end = end + length
-    _check_lengths(rows, end)
-    return columns
-
-
-def _check_lengths(rows: Tokens, lengths: int | np.ndarray, *, at_least: bool = False) -> None:
-    lengths = np.broadcast_to(lengths, rows.counts.shape)
-    bad = np.flatnonzero(rows.counts < lengths if at_least else rows.counts != lengths)
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(
-            f"line {rows.lines[k]} holds {rows.counts[k]} numbers; expected {lengths[k]}, as the header says: {CUT}"
-        )
 
 
 def _read_binary(

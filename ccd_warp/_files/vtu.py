@@ -5,20 +5,25 @@ import re
 import zlib
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ccd_warp._files.cells import Blocks, Grid, vtk_blocks
+from ccd_warp._files.cells import Blocks, Grid
 from ccd_warp._files.opened import check_size
 from ccd_warp._files.text import CUT, all_numbers
 from ccd_warp._input.messages import InputError
 
 _TYPES = {f"{name}{8 * size}": f"{kind}{size}" for name, kind in (("Int", "i"), ("UInt", "u")) for size in (1, 2, 4, 8)}
 _TYPES |= {"Float32": "f4", "Float64": "f8"}
+# Cells of a fixed number of corners, by VTK's number: their names and corners.
+_CELLS = {
+    **{1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4), 12: ("hexahedron", 8)},
+    **{13: ("wedge", 6), 14: ("pyramid", 5), 21: ("line3", 3), 22: ("triangle6", 6), 23: ("quad8", 8)},
+    **{24: ("tetra10", 10), 25: ("hexahedron20", 20)},
+}
 _ATTRIBUTES = {"type", "version", "byte_order", "header_type", "compressor"}
-_LZMA_BYTES = 1 << 28  # that LZMA may take for its dictionary
 
 
 def read_vtu(data: bytes, max_bytes: int) -> Grid:
@@ -69,7 +74,37 @@ def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
     ends = arrays.read(by_name["offsets"], "iu", count).astype(np.int64)
     types = arrays.read(by_name["types"], "iu", count)
     corners = arrays.read(by_name["connectivity"], "iu", int(ends[-1]) if count else 0).astype(np.int64)
-    return vtk_blocks(types, ends, corners)
+    return _blocks(types, ends, corners)
+
+
+def _blocks(types: np.ndarray, ends: np.ndarray, corners: np.ndarray) -> Blocks:
+    """The cells of VTK in blocks.
+
+    Args:
+        types: VTK's number of the type of each cell, shape [n].
+        ends: Where the corners of each cell end, shape [n].
+        corners: The corners of all cells, one cell after another.
+
+    Raises:
+        InputError: If a cell has other corners than its type, or a type is not known.
+    """
+    begins = np.append(0, ends[:-1])
+    blocks: Blocks = []
+    first = np.flatnonzero(np.append(True, types[1:] != types[:-1])) if len(types) else np.zeros(0, dtype=np.int64)
+    for begin, end in zip(first.tolist(), [*first[1:].tolist(), len(types)], strict=True):
+        if int(types[begin]) not in _CELLS:
+            raise InputError(f"cell {begin} is of VTK's type {types[begin]}, which is not read; save triangles")
+        name, count = _CELLS[int(types[begin])]
+        bad = np.flatnonzero(ends[begin:end] - begins[begin:end] != count)
+        if bad.size:
+            k = begin + int(bad[0])
+            raise InputError(f"cell {k} is a {name} of {ends[k] - begins[k]} corners; expected {count}: it is damaged")
+        cells = corners[begins[begin] : ends[end - 1]].reshape(-1, count)
+        # VTK's wedge is the mirror image of everybody else's.
+        blocks.append((name, cells[:, [0, 2, 1, 3, 5, 4]] if name == "wedge" else cells))
+    if len(corners) != (ends[-1] if len(ends) else 0):
+        raise InputError(f"its cells have {len(corners)} corners, and their offsets end elsewhere; it is damaged")
+    return blocks
 
 
 def _joined(parts: list[Callable[[], np.ndarray]]) -> np.ndarray:
@@ -126,41 +161,32 @@ class _Arrays:
         return self.appended[offset:end] if self.is_raw else _decoded(self.appended[offset:end])
 
     def _unpacked(self, data: bytes, size: int) -> bytes:
-        """The content of a block of bytes, which begins with its sizes."""
+        """The content of an array of this size; its size or, where it is packed, those of its blocks come first."""
         unit = self.header.itemsize
+        number = int(np.frombuffer(data, self.header, 1)[0])
         if self.compressor is None:
-            found, begin = int(np.frombuffer(data, self.header, 1)[0]), unit
-            sizes, content = [found], data[begin : begin + found]
+            begin, sizes, content = unit, [number], data[unit : unit + number]
         else:
-            number = int(np.frombuffer(data, self.header, 1)[0])
             begin = (3 + number) * unit if number else unit
             if begin > len(data):
                 raise InputError(f"ends within the sizes of an array; {CUT}")
             _, full, last, *sizes = np.frombuffer(data[:begin], self.header).tolist() if number else (0, 0, 0)
             if number and (number - bool(last)) * full + last != size:
                 raise InputError(f"an array unpacks to another size than {size} bytes; {CUT}")
-            at, parts = begin, []
-            for k, packed in enumerate(sizes):
-                parts.append(self._block(data[at : at + packed], last if last and k == number - 1 else full))
-                at += packed
-            content = b"".join(parts)
+            ends = np.cumsum([begin, *sizes]).tolist()
+            content = b"".join(self._block(data[a:b], full) for a, b in pairwise(ends))
         # At the end of appended data, the XML goes on with white space.
         if len(content) != size or data[begin + sum(sizes) :].strip(b" \t\r\n"):
             raise InputError(f"an array has {len(content)} bytes; expected {size}, and none behind it: {CUT}")
         return content
 
     def _block(self, data: bytes, size: int) -> bytes:
-        stream: Any
-        if self.compressor == "vtkZLibDataCompressor":
-            stream = zlib.decompressobj()
-        elif self.compressor == "vtkLZMADataCompressor":
-            import lzma  # which some builds of Python lack
-
-            stream = lzma.LZMADecompressor(memlimit=_LZMA_BYTES)
-        else:
+        """The content of a packed block, at most so many bytes."""
+        if self.compressor != "vtkZLibDataCompressor":
             raise InputError(f"is packed by {self.compressor!r}, which is not read; save it with zlib")
+        stream = zlib.decompressobj()
         content = stream.decompress(data, size + 1)  # one byte more would be an excess
-        if len(content) != size or not stream.eof or stream.unused_data:
+        if len(content) > size or not stream.eof or stream.unused_data:
             raise InputError(f"a block of an array does not unpack to {size} bytes; {CUT}")
         return content
 
