@@ -37,20 +37,22 @@ def reading(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: {reason}") from error
 
 
-def by_meshio(read: Callable[[Any], Any]) -> Any:
-    """What ``read`` makes of a file with meshio, for which numbers that it does not understand are an error.
-
-    Raises:
-        InputError: If meshio is not installed.
-    """
+def load_meshio() -> Any:
+    """meshio, and h5py with it; an InputError that says where they come from if one is not installed."""
     try:
         import h5py  # noqa: F401
         import meshio
     except ImportError as error:
         raise InputError(f"{error.name} reads it; install with: pip install 'ccd-warp[formats]'") from error
+    return meshio
+
+
+@contextlib.contextmanager
+def whole_numbers() -> Iterator[None]:
+    """Make an error of what NumPy warns of where a text of numbers holds something else behind some of them."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)  # of NumPy, where a text holds something else behind
-        return read(meshio)
+        warnings.simplefilter("error", DeprecationWarning)
+        yield
 
 
 def grid_of(mesh: Any) -> Grid:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccd_warp._files.cells import Grid, by_meshio, grid_of
+from ccd_warp._files.cells import Grid, grid_of, load_meshio, whole_numbers
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.text import CUT
 from ccd_warp._input.messages import InputError
@@ -32,7 +32,8 @@ def read_vtk(path: Path, max_bytes: int) -> Grid:
         raise InputError(f"holds the dataset {dataset}; expected an UNSTRUCTURED_GRID: save it as PLY or VTU")
     if is_text and not data[-1:].isspace():
         raise InputError(f"its last number may have lost digits, because no line end follows; {CUT}")
-    mesh = by_meshio(lambda meshio: meshio.vtk.read(path))
+    with whole_numbers():
+        mesh = load_meshio().vtk.read(path)
     widths = np.concatenate(
         [np.zeros(0, dtype=int), *(np.full(len(cells.data), cells.data.shape[1]) for cells in mesh.cells)]
     )
@@ -40,7 +41,7 @@ def read_vtk(path: Path, max_bytes: int) -> Grid:
     is_old = int(head[1]) < 5  # each cell begins with its number of corners; later there is one offset more than cells
     found = len(widths) + (not is_old), int(widths.sum()) + is_old * len(widths)
     if stated != [found]:
-        raise InputError(f"holds {found[0]} cells of {found[1]} numbers, and says that it has {stated}; {CUT}")
+        raise InputError(f"its line CELLS says {stated}, and what is read of it makes {found}; {CUT}")
     if not is_old and not np.array_equal(np.diff(_offsets(data, is_text, found[0])), widths):
         raise InputError(f"its cells have other numbers of corners than their types; {CUT}")
     return grid_of(mesh)

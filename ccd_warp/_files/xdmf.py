@@ -14,7 +14,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ccd_warp._files.cells import Grid, by_meshio, grid_of, reading
+from ccd_warp._files.cells import Grid, grid_of, load_meshio, reading, whole_numbers
 from ccd_warp._files.opened import check_file, check_size, read_file
 from ccd_warp._files.text import CUT
 from ccd_warp._input.messages import InputError
@@ -79,6 +79,7 @@ class Xdmf:
 
     def grid(self, k: int, wanted: Iterable[Any] = ()) -> Grid:
         """Frame ``k`` with the fields of these names, and the points and cells of the first where it has none."""
+        reader = load_meshio().xdmf.main.XdmfReader(str(self.path))
         tree = ET.Element("Xdmf", Version="3.0")
         grid = ET.SubElement(ET.SubElement(tree, "Domain"), "Grid")
         geometry, topology = (self._part(k, tag) for tag in ("Geometry", "Topology"))
@@ -88,7 +89,8 @@ class Xdmf:
         for fields, kinds in ((nodes, ("Float",)), (cells, ("Float", *_INTEGERS))):
             for name in fields.keys() & {*wanted}:
                 self._add(grid, fields[name], kinds, Center="Node" if fields is nodes else "Cell")
-        mesh = by_meshio(lambda meshio: meshio.xdmf.main.XdmfReader(str(self.path)).read_xdmf3(tree))
+        with whole_numbers():
+            mesh = reader.read_xdmf3(tree)
         if (kind := geometry.get("Type") or geometry.get("GeometryType", "XYZ")) != "XYZ" or mesh.points.ndim != 2:
             raise InputError(f"has a geometry of the type {kind!r} and the shape {mesh.points.shape}; expected XYZ")
         stated, count = topology.get("NumberOfElements"), sum(len(block.data) for block in mesh.cells)
@@ -145,7 +147,7 @@ class Xdmf:
         return kind
 
     def _check_hdf5(self, place: str, shape: tuple[int, ...], kinds: str) -> None:
-        import h5py  # of which meshio has said where it comes from
+        import h5py
 
         name, _, key = place.rpartition(":")
         path = self.path.parent / name

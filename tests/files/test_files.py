@@ -24,10 +24,10 @@ def _obj(vertices, faces, corner="{0}") -> str:
     return "\n".join(["mtllib none.mtl", "o ball", *rows, ""])
 
 
-def _of_cells(name):
+def _of_cells(name, **options):
     def write(vertices, faces):
         meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
-        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]))
+        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]), **options)
 
     return write
 
@@ -39,6 +39,8 @@ FORMATS = {
     "0.obj": _obj,
     "1.obj": lambda *mesh: _obj(*mesh, "{0}/{1}/{1}"),
     **{name: _of_cells(name) for name in ("a.vtu", "a.vtk")},
+    "text.vtk": _of_cells("a.vtk", binary=False),
+    "a.xdmf": _of_cells("a.xdmf", data_format="XML"),
 }
 
 
