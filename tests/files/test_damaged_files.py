@@ -218,7 +218,7 @@ def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, mess
 
 def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     pytest.importorskip("h5py", reason="the extra formats is not installed")
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "a.xdmf"
     meshio.Mesh(np.eye(7, 3), [("triangle", FACES[:3])]).write(path, data_format="HDF")

@@ -26,7 +26,7 @@ def _obj(vertices, faces, corner="{0}") -> str:
 
 def _of_cells(name, **options):
     def write(vertices, faces):
-        meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+        meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
         return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]), **options)
 
     return write
@@ -136,7 +136,7 @@ def test_all_pieces_of_a_vtu_are_read(tmp_path):
 
 def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
     """One tetrahedron, of which a node is a tenth off the middle of its edge."""
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     points, edges, path = np.eye(4, 3, k=-1), [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)], tmp_path / "a.vtu"
     nodes = np.concatenate([points, points[edges].mean(axis=1) - 0.1 * np.eye(6, 3)])
     meshio.Mesh(nodes, [("tetra10", np.arange(10)[None])]).write(path)

@@ -20,7 +20,7 @@ def write_frames(folder, *names, suffix=".ply"):
             if suffix == ".ply":
                 path.write_bytes(ply(frame, FACES))
             else:
-                meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+                meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
                 path.write_bytes(of_meshio(path.name, meshio.Mesh(frame, [("triangle", FACES)])))
 
 
@@ -96,7 +96,7 @@ def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_eac
 
 
 def test_series_of_xdmf_moves_by_its_displacements(tmp_path, monkeypatch):
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     pytest.importorskip("h5py", reason="the extra formats is not installed")
     monkeypatch.chdir(tmp_path)
     with meshio.xdmf.TimeSeriesWriter("a.xdmf") as writer:  # with its numbers in a.h5

@@ -73,7 +73,7 @@ def of_extra(module, kind) -> bytes:
 
 def of_meshio(name, mesh=None, **options) -> bytes:
     """A file of cells as meshio writes it: a quadrilateral behind the triangles, and a field of vectors."""
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     mesh = mesh or meshio.Mesh(VERTICES, [("triangle", FACES[:5]), ("quad", [[9, 1, 10, 0]])], {"u": VERTICES})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, name)
