@@ -6,6 +6,7 @@ every warning an error and `-n` warns of each name that leads nowhere: a broken 
 
 import ast
 import re
+import shutil
 import sys
 import tomllib
 from pathlib import Path
@@ -33,7 +34,7 @@ _REFERENCE = re.findall(
 )
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
-    "Start": ["docs/tasks", "docs/examples", "docs/command_line", "docs/glossary"],
+    "Start": ["docs/tasks", "docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
     "Guides": [
         "docs/solver",
         "docs/on_device",
@@ -167,6 +168,8 @@ def _with_contents(app, docname, source):
         """A link that the site can follow: code is a file, but for the examples; folders and notes are names alone."""
         label, target = link.groups()
         path = (folder / target).resolve()
+        if path.suffix == ".html":
+            return f'<a href="{target}">{label}</a>'
         if path.is_dir() or (_ROOT / "benchmarks" in path.parents and path.suffix != ".py"):
             return label
         is_code = path.suffix == ".py" and path.parent.name != "examples"
@@ -232,9 +235,10 @@ def _displayed_formula(writer, node):
     raise nodes.SkipNode
 
 
-def _write_index(app, error):
-    """Let the folder of the site open at its first page."""
+def _add_files(app, error):
+    """Let the folder of the site open at its first page, and copy the page that docs/explore.md opens."""
     if error is None:
+        shutil.copytree(_ROOT / "docs" / "explore", Path(app.outdir, "docs", "explore"), dirs_exist_ok=True)
         page = f'<!doctype html><meta http-equiv="refresh" content="0; url={root_doc}.html"><title>{project}</title>\n'
         Path(app.outdir, "index.html").write_text(page, encoding="utf-8")
 
@@ -249,4 +253,4 @@ def setup(app):
     app.connect("autodoc-process-docstring", _readable_text)
     app.connect("object-description-transform", _readable_property)
     app.connect("source-read", _with_contents)
-    app.connect("build-finished", _write_index)
+    app.connect("build-finished", _add_files)

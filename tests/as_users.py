@@ -170,8 +170,6 @@ def run_on_files() -> str:
     assert run_command("--version").stdout == f"ccd-warp {ccd.__version__}\n"
     done = run_command("demo", "--output-dir", "demo")
     assert done.returncode == 0 and len(list(Path("demo").iterdir())) > 4, done
-    done = run_command("explore", "--output", "page.html", "--quiet")
-    assert done.returncode == 0 and Path("page.html").stat().st_size > 50_000, done
     return f"the ball meets {result.first.body_names[1]} at t = {result.toi:.6f}"
 
 

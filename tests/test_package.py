@@ -58,8 +58,9 @@ def about(distribution):
 def test_source_distribution_holds_what_its_tests_and_pages_need(distribution):
     needed = ["pyproject.toml", "setup.py", "noxfile.py", "MANIFEST.in", "LICENSE", "CITATION.cff", ".ci/run"]
     needed += [path.name for path in ROOT.glob("*.md")]
+    suffixes = {".py", ".typed", ".md", ".png", ".css", ".html", ".js"}
     for folder in ("ccd_warp", "kernels", "docs", "examples", "tests"):
-        files = [path for path in (ROOT / folder).rglob("*") if path.suffix in {".py", ".typed", ".md", ".png", ".css"}]
+        files = [path for path in (ROOT / folder).rglob("*") if path.suffix in suffixes]
         needed += [path.relative_to(ROOT).as_posix() for path in files]
     unneeded = [path for path in distribution.rglob("*") if path.name in ("__pycache__", ".hypothesis")]
     assert [name for name in needed if not (distribution / name).is_file()] == [] == unneeded
@@ -97,11 +98,11 @@ def test_package_imports_beside_a_checkout_of_its_name_and_without_its_parts(tmp
         _ = ccd_warp.nothing
 
 
-def test_wheel_holds_the_kernels_the_types_and_the_page_and_no_path_of_this_machine(tmp_path, tree):
+def test_wheel_holds_the_kernels_and_the_types_and_no_path_of_this_machine(tmp_path, tree):
     with zipfile.ZipFile(_built("wheel", tree, tmp_path)) as archive:
         contents = {name: archive.read(name) for name in archive.namelist()}
-    files = [path for path in (ROOT / "ccd_warp").rglob("*") if path.suffix == ".py" or path.parent.name == "page"]
-    expected = {path.relative_to(ROOT).as_posix() for path in files if path.is_file()} | {"ccd_warp/py.typed"}
+    files = (ROOT / "ccd_warp").rglob("*.py")
+    expected = {path.relative_to(ROOT).as_posix() for path in files} | {"ccd_warp/py.typed"}
     for name in [name for name in ("benchmarks", "kernels") if any(f"ccd_warp/{name}/" in each for each in contents)]:
         expected |= {f"ccd_warp/{path.relative_to(ROOT).as_posix()}" for path in (ROOT / name).rglob("*.py")}
     assert "ccd_warp/kernels/once.py" in expected == {name for name in contents if ".dist-info/" not in name}

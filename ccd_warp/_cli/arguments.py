@@ -1,161 +1,198 @@
-"""Arguments that several commands take: the options of the collision detection, the scene, how much is printed."""
+"""The arguments of all commands."""
 
 import argparse
+from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NoReturn, get_args
 
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp._input.options import Options
+from ccd_warp._version import __version__
 
 _DEFAULTS: dict[str, Any] = {field.name: field.default for field in fields(Options)}
+_STATUS = (
+    "Exit status: 0 for a finished run, with a collision or without, 1 for a contact with --fail-on-contact, "
+    "2 for bad input, 130 after Ctrl-C."
+)
+_FLAG: dict[str, Any] = {"action": "store_true"}
+_REPEATED: dict[str, Any] = {"action": "append", "default": []}
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of every public function; one that is not given is the library's default."""
-    group = parser.add_argument_group("options of the collision detection")
+class _BadUsageError(ValueError):
+    """A command line that argparse refuses."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """Reports a bad command line in one line; argparse prints the usage, too."""
+
+    def error(self, message: str) -> NoReturn:
+        raise _BadUsageError(f"{message}; see {self.prog} --help")
+
+
+def _file(metavar: str = "FILE", **how: Any) -> dict[str, Any]:
+    return {"metavar": metavar, "type": Path, **how}
+
+
+def make_parser() -> argparse.ArgumentParser:
+    """The parser of the command line; ``command`` is the module of ``ccd_warp._cli`` that runs it."""
+    parser = _Parser(
+        prog="ccd-warp",
+        description="Continuous collision detection (CCD) of deforming triangle meshes: "
+        "earliest times of impact over a step, never late.",
+    )
+    parser.add_argument("--version", action="version", version=f"ccd-warp {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True, dest="command")
+    for name, text, description, add_arguments in (
+        (
+            "run",
+            "earliest times of impact between two frames of a mesh",
+            "Every vertex moves on a straight line from its place in START to its place in END; with --poses rigid "
+            f"bodies turn, and their vertices move on arcs. {_STATUS}",
+            _add_run,
+        ),
+        (
+            "sequence",
+            "earliest times of impact in every step of a sequence of frames",
+            "Every vertex moves on a straight line from each frame to the next; with --poses rigid bodies turn, and "
+            f"their vertices move on arcs. Ctrl-C keeps the rows of the steps so far. {_STATUS}",
+            _add_sequence,
+        ),
+        (
+            "demo",
+            "two built-in scenes",
+            "A bullet through a thin wall, which a test at both ends of the step misses; and a cloth that drops over a "
+            "sphere.",
+            _add_demo,
+        ),
+        (
+            "bench",
+            "how fast this machine is, and whether anything is missed",
+            "Times queries whose exact answers are known by construction, and whole steps of a cloth; counts missed, "
+            "late and phantom answers; beside ipc-toolkit where it is installed. Exit status: 1 where an answer of "
+            "ours is missed or late, else 0.",
+            _add_bench,
+        ),
+    ):
+        command = commands.add_parser(name, help=text, description=description)
+        add_arguments(_adder(command))
+        if name != "bench":
+            verbosity = _adder(command.add_mutually_exclusive_group())
+            verbosity("--verbose", "print what each stage counted, too", **_FLAG)
+            verbosity("--quiet", "print nothing but errors", **_FLAG)
+            _add_options(_adder(command.add_argument_group("options of the collision detection")))
+    return parser
+
+
+_Add = Callable[..., None]
+
+
+def _adder(parser: Any) -> _Add:
+    """A function that adds an argument by its name, what help says of it, and how it is read."""
+
+    def add(name: str, text: str, **how: Any) -> None:
+        parser.add_argument(name, help=text, **how)
+
+    return add
+
+
+def _add_run(add: _Add) -> None:
+    add("start", "mesh at the start of the step: PLY, OBJ, STL, OFF, GLB or an archive", metavar="START")
+    add("end", "mesh at its end, with the same faces; none with --poses", metavar="END", nargs="?")
+    text = "write contacts and the toi of every vertex as .npz or .json; - writes JSON to standard output"
+    add("--output", f"{text}, and the report to stderr", **_file())
+    add("--picture", "draw the step at its start, toi and end as .png (extra 'viz')", **_file())
+    _add_scene(add)
+
+
+def _add_sequence(add: _Add) -> None:
+    text = "mesh files, in the order of the numbers in their names, where files of another name are another body"
+    caches = "or folders of them, or files of many frames, a body each: .npz of positions, .pvd, .xdmf"
+    add("frames", f"{text}; {caches}", **_file("FRAME", nargs="+"))
+    text = "folder of steps.csv and steps.png (ccd_warp_sequence); - writes the CSV alone, to standard output"
+    add("--output", f"{text}, and the report to stderr", **_file("DIR", default=Path("ccd_warp_sequence")))
+    text = "an animation as .gif or .mp4 (which needs ffmpeg), or the first step with a contact as .png (extra 'viz')"
+    add("--picture", text, **_file())
+    add("--displacement", "field of a VTK or XDMF file that is added to its positions", metavar="NAME")
+    add("--faces", "mesh whose faces a .npz takes that holds positions alone", **_file())
+    _add_scene(add)
+
+
+def _add_demo(add: _Add) -> None:
+    add("--output-dir", "write the scenes' meshes (PLY) and results (JSON) there", **_file("DIR"))
+    add("--pictures", "draw the scenes as .png there (extra 'viz')", **_file("DIR"))
+
+
+def _add_bench(add: _Add) -> None:
+    add("--quick", "fewer queries and rounds: half a minute on two cores", **_FLAG)
+    add("--devices", "Warp devices (the CPU and every GPU)", metavar="NAME", nargs="+")
+    text = "folder of bench.csv and bench.png (ccd_warp_bench); the picture needs the extra 'bench'"
+    add("--output", text, **_file("DIR", default=Path("ccd_warp_bench")))
+    add("--quiet", "print nothing but errors", **_FLAG)
+
+
+def _add_scene(add: _Add) -> None:
+    """What `run` and `sequence` take alike: obstacles, limits, and what decides the exit status."""
+    text = "rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV or .json with"
+    more = "a row for each body and time: t, body, px, py, pz, qx, qy, qz, qw; a body without rows does not move"
+    add("--poses", f"{text} {more}", **_file())
+    text = "how a body of --poses moves: its origin on a straight line, or the body on a screw (linear)"
+    add("--path", text, choices=("linear", "screw"))
+    again = "may be given several times"
+    add("--static", f"an obstacle that does not move; {again}", **_file(), **_REPEATED)
+    text = "a body that moves as it is told, as a scripted wall: it is tested against free bodies alone"
+    add("--kinematic", f"{text}; {again}", metavar="NAME", **_REPEATED)
+    text = "a half-space that does not move, as a ground, by a point of its plane and the normal that points out of it"
+    add("--half-space", f"{text}; {again}", metavar="[NAME=]X,Y,Z,NX,NY,NZ", **_REPEATED)
+    text = "half the thickness of all bodies, or of one, in the unit of the files"
+    add("--radius", f"{text}; {again}", metavar="[NAME=]R", **_REPEATED)
+    add("--exclude", "pairs to leave out: rows of text KEY,A,B, as vertices,12,340 or bodies,cloth,wall", **_file())
+    text = "leave out pairs with two vertices that fewer than N edges connect (1: pairs that share a vertex)"
+    add("--exclusion-rings", text, type=int, metavar="N", default=1)
+    text = "leave out of every step the pairs that are in contact in the first frame, as at a clamped edge"
+    add("--ignore-start-contacts", text, **_FLAG)
+    text = "take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF"
+    add("--surface", text, **_FLAG)
+    text = "without a FIELD, each file is divided into its connected components, called NAME#0, NAME#1, ...; or by a"
+    more = "field of the cells of VTK and XDMF files, or by an array of a .npz, a value for each face"
+    add("--split", f"{text} {more}", metavar="[=FIELD]", type=lambda field: field or True, default=False)
+    add("--no-self-collision", "leave out contacts of a body with itself", **_FLAG)
+    text = f"what an archive of meshes (ZIP, ...) may unpack to ({MAX_BYTES >> 20} MiB); a file may have 1 GiB"
+    add("--max-bytes", text, type=int, metavar="BYTES", default=MAX_BYTES)
+    add("--fail-on-contact", "end with exit status 1 if there is a contact", **_FLAG)
+
+
+def _add_options(add_argument: _Add) -> None:
+    """The options of every public function; one that is not given is the library's default."""
 
     def add(name: str, text: str, absent: str | None = None, **how: Any) -> None:
         default = _DEFAULTS[name] if absent is None else absent
         shown = f"{default:g}" if isinstance(default, float) else default
-        group.add_argument(f"--{name.replace('_', '-')}", help=f"{text} ({shown})", **how)
+        add_argument(f"--{name.replace('_', '-')}", f"{text} ({shown})", **how)
 
     add("tolerance", "width at which a contact is accepted, in length scales", type=float, metavar="X")
     add("minimum_separation", "gap that counts as a contact, in length scales", type=float, metavar="X")
-    add(
-        "minimum_distance",
-        "Euclidean distance that counts as a contact, in the unit of the positions",
-        type=float,
-        metavar="L",
-    )
-    add(
-        "start_gap_fraction",
-        "separation of a pair at most F times its start gap, so that a close start can move",
-        "off",
-        type=float,
-        metavar="F",
-    )
+    text = "Euclidean distance that counts as a contact, in the unit of the positions"
+    add("minimum_distance", text, type=float, metavar="L")
+    text = "separation of a pair at most F times its start gap, so that a close start can move"
+    add("start_gap_fraction", text, "off", type=float, metavar="F")
     add("t_max", "look at [0, T] of the step only", type=float, metavar="T")
     add("max_iterations", "limit of the work on a pair", type=int, metavar="N")
     add("max_work", "limit of the work on all hard pairs of a kind", type=int, metavar="N")
-    add(
-        "length_scale",
-        "length that tolerance and minimum separation are multiples of",
-        "longest side of the box around all bodies at the start",
-        type=float,
-        metavar="L",
-    )
+    box = "longest side of the box around all bodies at the start"
+    text = "length that tolerance and minimum separation are multiples of"
+    add("length_scale", text, box, type=float, metavar="L")
     add("precision", "arithmetic of the kernels", choices=get_args(Precision))
     add("method", "the bisection is the literature's, for comparison", choices=get_args(Method))
     add("broad_phase", "how pairs that may touch are found; both give the same answer", choices=get_args(BroadPhase))
     names = [name.replace("_", "-") for name in get_args(PairKindName)]
-    add(
-        "pair_kinds",
-        f"{', '.join(names)}, with commas between",
-        "all that the bodies can form",
-        type=lambda text: text.replace("-", "_").split(","),
-        metavar="KINDS",
-    )
+    text = f"{', '.join(names)}, with commas between"
+    read = {"type": lambda kinds: kinds.replace("-", "_").split(","), "metavar": "KINDS"}
+    add("pair_kinds", text, "all that the bodies can form", **read)
     add("memory_limit", "memory of the step beside its input", "1 GiB for the pairs", type=int, metavar="BYTES")
-    add("device", "cpu, cuda, cuda:1, …", "Warp's default device", metavar="NAME")
+    add("device", "cpu, cuda, cuda:1, ...", "Warp's default device", metavar="NAME")
     add("num_threads", "threads on the CPU", "all cores", type=int, metavar="N")
-
-
-def add_scene_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what `run` and `sequence` take alike: obstacles, limits, and what decides the exit status."""
-    parser.add_argument(
-        "--poses",
-        metavar="FILE",
-        type=Path,
-        help="rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV or .json "
-        "with a row for each body and time: t, body, px, py, pz, qx, qy, qz, qw; a body without rows does not move",
-    )
-    parser.add_argument(
-        "--path",
-        choices=("linear", "screw"),
-        help="how a body of --poses moves: its origin on a straight line, or the body on a screw (linear)",
-    )
-    parser.add_argument(
-        "--static",
-        metavar="FILE",
-        type=Path,
-        action="append",
-        default=[],
-        help="an obstacle that does not move; may be given several times",
-    )
-    parser.add_argument(
-        "--kinematic",
-        metavar="NAME",
-        action="append",
-        default=[],
-        help="a body that moves as it is told, as a scripted wall: it is tested against free bodies alone; may be "
-        "given several times",
-    )
-    parser.add_argument(
-        "--half-space",
-        metavar="[NAME=]X,Y,Z,NX,NY,NZ",
-        action="append",
-        default=[],
-        help="a half-space that does not move, as a ground, by a point of its plane and the normal that points out of "
-        "it; may be given several times",
-    )
-    parser.add_argument(
-        "--radius",
-        metavar="[NAME=]R",
-        action="append",
-        default=[],
-        help="half the thickness of all bodies, or of one, in the unit of the files; may be given several times",
-    )
-    parser.add_argument(
-        "--exclude",
-        metavar="FILE",
-        type=Path,
-        help="pairs to leave out: rows of text KEY,A,B, as vertices,12,340 or bodies,cloth,wall; a .npz of arrays by "
-        "key; or a .npy of pairs of vertices",
-    )
-    parser.add_argument(
-        "--exclusion-rings",
-        type=int,
-        metavar="N",
-        default=1,
-        help="leave out pairs with two vertices that fewer than N edges connect (1: pairs that share a vertex)",
-    )
-    parser.add_argument(
-        "--ignore-start-contacts",
-        action="store_true",
-        help="leave out of every step the pairs that are in contact in the first frame, as at a clamped edge",
-    )
-    parser.add_argument(
-        "--surface",
-        action="store_true",
-        help="take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF",
-    )
-    parser.add_argument(
-        "--split",
-        metavar="[=FIELD]",
-        type=lambda text: text or True,
-        default=False,
-        help="without a FIELD, each file is divided into its connected components, bodies called NAME#0, NAME#1, ...; "
-        "--split=FIELD: by a field of the cells of VTK and XDMF files, or by an array of a .npz, a value for each face",
-    )
-    parser.add_argument("--no-self-collision", action="store_true", help="leave out contacts of a body with itself")
-    parser.add_argument(
-        "--max-bytes",
-        type=int,
-        metavar="BYTES",
-        default=MAX_BYTES,
-        help=f"what an archive of meshes (ZIP, …) may unpack to ({MAX_BYTES >> 20} MiB); a file may have 1 GiB",
-    )
-    parser.add_argument("--fail-on-contact", action="store_true", help="end with exit status 1 if there is a contact")
-    add_verbosity(parser)
-
-
-def add_verbosity(parser: argparse.ArgumentParser) -> None:
-    """Add how much is printed."""
-    verbosity = parser.add_mutually_exclusive_group()
-    verbosity.add_argument("--verbose", action="store_true", help="print what each stage counted, too")
-    verbosity.add_argument("--quiet", action="store_true", help="print nothing but errors")
 
 
 def given_options(arguments: argparse.Namespace) -> dict[str, Any]:

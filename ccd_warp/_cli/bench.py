@@ -22,8 +22,7 @@ import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp._cli.demo import cloth_scene
-from ccd_warp._cli.output import make_folder
-from ccd_warp._cli.progress import waiting
+from ccd_warp._cli.process import make_folder, start_quietly, teller, waiting
 from ccd_warp._cli.report import format_table
 
 SIDE = 1024  # of the primitives, which is the unit of the tolerance
@@ -219,15 +218,16 @@ def draw(rows: list[dict[str, Any]], title: str, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def run_bench(arguments: argparse.Namespace) -> int:
+def run(arguments: argparse.Namespace) -> int:
     """Measure, print a table, write bench.csv and bench.png; 1 where an answer of ours is missed or late, else 0."""
+    start_quietly(None)
     present = [device.alias for device in wp.get_devices()]
     devices = arguments.devices or present
     if unknown := set(devices).difference(present):
         raise ValueError(f"--devices {min(unknown)}: expected some of {', '.join(present)}")
     folder: Path = arguments.output
     make_folder(folder, "--output")
-    tell = (lambda line: None) if arguments.quiet else print
+    tell = teller(None, is_quiet=arguments.quiet)
     has_peer, has_picture = (find_spec(name) is not None for name in ("ipctk", "matplotlib"))
     title = f"ccd-warp {ccd.__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
     tell(title := f"{title}; {', '.join(wp.get_device(name).name for name in devices)}, one thread of a CPU")

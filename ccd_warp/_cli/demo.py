@@ -1,12 +1,22 @@
-"""Scenes of ``ccd-warp demo``, built with trimesh: a bullet through a thin wall, and a cloth over a sphere."""
+"""``ccd-warp demo``: a bullet through a thin wall, and a cloth over a sphere."""
 
-from collections.abc import Sequence
+import argparse
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import trimesh
 
-from ccd_warp._files.frames import Body, make_body
+from ccd_warp import CollisionPipeline
+from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.output import write_result
+from ccd_warp._cli.pictures import check_picture, draw_step
+from ccd_warp._cli.process import make_folder, start_quietly, teller
+from ccd_warp._cli.report import format_report, format_toi
+from ccd_warp._cli.solve import SolvedStep, load_kernels, positions_of, solve_scene
+from ccd_warp._files.frames import Body, make_body, write_mesh
+from ccd_warp._frames import mesh_of
+from ccd_warp._input.messages import printable
 
 
 @dataclass(frozen=True)
@@ -18,14 +28,12 @@ class DemoScene:
         title: What it shows.
         bodies: Moving and static bodies.
         self_collision: Whether a body may touch itself.
-        compare_static_test: Whether to show the result of a test at both ends of the step.
     """
 
     name: str
     title: str
     bodies: list[Body]
     self_collision: bool
-    compare_static_test: bool
 
 
 def bullet_scene() -> DemoScene:
@@ -43,7 +51,6 @@ def bullet_scene() -> DemoScene:
             make_body("wall", wall.vertices + [5.0, 3.5, 0.4], None, wall.faces, is_static=True),
         ],
         self_collision=False,
-        compare_static_test=True,
     )
 
 
@@ -71,39 +78,47 @@ def cloth_scene(cells: int = 71) -> DemoScene:
             make_body("sphere", sphere.vertices, None, sphere.faces, is_static=True),
         ],
         self_collision=True,
-        compare_static_test=False,
     )
 
 
-def surfaces_intersect(a_vertices, a_faces, b_vertices, b_faces) -> bool:
-    """Whether two surfaces cross at one instant: does an edge of one pass through a face of the other?
+def run(arguments: argparse.Namespace) -> int:
+    """Solve the scenes one after the other; the exit status is 0."""
+    start_quietly(arguments.device)
+    folder, pictures, is_quiet = arguments.output_dir, arguments.pictures, arguments.quiet
+    scenes = (bullet_scene(), cloth_scene())
+    for path, option in ((folder, "--output-dir"), (pictures, "--pictures")):
+        if path is not None:
+            make_folder(path, option)
+    for scene in scenes if pictures is not None else ():
+        check_picture(pictures / f"{scene.name}.png", "--pictures")
+    tell, options = teller(None, is_quiet=is_quiet), given_options(arguments)
+    timings = {"load kernels": load_kernels(options, is_quiet=is_quiet)}
+    for number, scene in enumerate(scenes, 1):
+        make_mesh = partial(mesh_of, self_collision=scene.self_collision)
+        step = solve_scene(scene.bodies, options, make_mesh, is_quiet=is_quiet)
+        title = f"demo {number}: {scene.title}"
+        tell(f"{format_report(title, step, timings | step.timings, is_verbose=arguments.verbose)}\n")
+        timings = {}
+        if scene.name == "bullet":
+            at_start, at_end = _tests_at_both_ends(step)
+            tell(f"  test at the start of the step  {at_start}\n  test at the end of the step    {at_end}")
+            tell(f"  CCD over the whole step        toi = {format_toi(step.result.toi)}\n")
+        if pictures is not None:
+            draw_step(pictures / f"{scene.name}.png", step, is_quiet=is_quiet)
+        for body in scene.bodies if folder is not None else ():
+            for time in (0,) if body.is_static else (0, 1):
+                positions = body.vertices_t1 if time else body.vertices_t0
+                write_mesh(folder / f"{scene.name}_{body.name}_t{time}.ply", positions, body.faces)
+        if folder is not None:
+            write_result(folder / f"{scene.name}.json", step)
+    for path, what in ((folder, "meshes and results"), (pictures, "pictures")):
+        if path is not None:
+            tell(f"wrote the {what} to {printable(str(path))}")
+    return 0
 
-    This is the test that a simulation without CCD makes. It tests every edge against every face, which is affordable
-    for small meshes.
-    """
-    a_vertices, b_vertices = np.asarray(a_vertices), np.asarray(b_vertices)
-    return _edges_cross_faces(a_vertices, a_faces, b_vertices, b_faces) or _edges_cross_faces(
-        b_vertices, b_faces, a_vertices, a_faces
-    )
 
-
-def _edges_cross_faces(edge_vertices, edge_faces, vertices, faces) -> bool:
-    edges = np.unique(np.sort(np.vstack([edge_faces[:, [0, 1]], edge_faces[:, [1, 2]], edge_faces[:, [2, 0]]])), axis=0)
-    p, q = (edge_vertices[edges[:, k]][:, None] for k in (0, 1))
-    a, b, c = (vertices[faces[:, k]][None] for k in (0, 1, 2))
-
-    def volume(d, e, f, g):
-        return np.einsum("...k,...k", d - g, np.cross(e - g, f - g))
-
-    sides = volume(a, b, c, p) * volume(a, b, c, q) <= 0.0
-    around = np.stack([volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)])
-    return bool((sides & ((around >= 0.0).all(axis=0) | (around <= 0.0).all(axis=0))).any())
-
-
-def static_test(bodies: Sequence[Body]) -> tuple[bool, bool]:
-    """Whether the first two bodies' surfaces cross at the start and at the end of the step."""
-    a, b = bodies[:2]
-    return (
-        surfaces_intersect(a.vertices_t0, a.faces, b.vertices_t0, b.faces),
-        surfaces_intersect(a.vertices_t1, a.faces, b.vertices_t1, b.faces),
-    )
+def _tests_at_both_ends(step: SolvedStep) -> list[str]:
+    """What a simulation without CCD finds: whether surfaces cross at the start, and whether they do at the end."""
+    with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
+        found = [pipeline.find_intersections(vertices).num_crossing for vertices in positions_of(step.bodies)]
+    return ["HIT" if count else "MISS" for count in found]

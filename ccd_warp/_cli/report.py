@@ -1,4 +1,4 @@
-"""The text that the command line prints on a step: bodies and their toi, the first contact, lengths, times."""
+"""The text that the command line prints: bodies and their toi, contacts, what was looked at, lengths, times."""
 
 import math
 from collections import Counter
@@ -7,14 +7,15 @@ from dataclasses import fields
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from ccd_warp._cli.motion import Lengths
-from ccd_warp._cli.places import ContactTable, kind_name
+from ccd_warp._cli.contacts import described, earliest
 from ccd_warp._cli.scene import StartContacts
-from ccd_warp._cli.scope import NOT_SEEN, left_out, looked_at
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._display import counted, named_counts, start_sentence
+from ccd_warp._display import counted, kind_name, named_counts, shown_range, start_sentence
+from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._files.frames import Body
+from ccd_warp._input.excluded_pairs import ExcludedPairs
 from ccd_warp._input.messages import printable
 from ccd_warp._input.options import Options
 from ccd_warp._mesh import CollisionMesh
@@ -23,6 +24,10 @@ from ccd_warp._status import CCDStatus
 from ccd_warp._version import __version__
 
 _MOST_BODIES = 30  # that a report lists; the result files have all
+_NOT_SEEN = (
+    "what surfaces that cross at the start already do after it, and bodies that lie one inside the other: CCD finds "
+    "surfaces that meet in the step"
+)
 
 
 def format_toi(toi: float) -> str:
@@ -48,102 +53,97 @@ def format_title(title: str, options: Options) -> str:
 
 
 def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is_verbose: bool) -> str:
-    """The report of one step.
+    """The report of one step, without a final newline.
 
     Args:
         title: First line.
         step: The step and its result.
         timings: Seconds of each stage, in order, as they are to be shown.
         is_verbose: Whether to show what each stage counted.
-
-    Returns:
-        Several lines without a final newline.
     """
-    lines = [format_title(title, step.options), "", *_bodies(step), "", *_outcome(step), ""]
-    lengths = Lengths.of(step.moving.all_at(0.0), step.displacement, step.options)
-    lines += format_table(("in the unit of the files", ""), lengths.rows(step.mesh.radius), align="<<")
-    lines.append("")
+    tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
+    lines = [format_title(title, step.options), "", *body_lines(step.mesh, step.bodies, tois), "", *_outcome(step), ""]
+    lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
     if is_verbose:
-        rows = [(name, f"{count:,}") for name, count in count_rows(step.result.counts)]
-        lines += [*format_table(("count", ""), rows, align="<>"), ""]
+        lines += [*format_table(("count", ""), _count_rows(step.result.counts), align="<>"), ""]
     total = sum(timings.values())
-    lines += format_table(
-        ("stage", "seconds", "share"),
-        [
-            (_spaced(name), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
-            for name, seconds in [*timings.items(), ("total", total)]
-        ],
-        align="<>>",
-    )
-    return "\n".join(lines)
+    rows = [
+        (name.replace("_", " "), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
+        for name, seconds in [*timings.items(), ("total", total)]
+    ]
+    return "\n".join(lines + format_table(("stage", "seconds", "share"), rows, align="<>>"))
 
 
-def body_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str) -> list[str]:
-    """A table of bodies, the first ones where there are many."""
-    more = [f"  … {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
-    return format_table(header, rows[:_MOST_BODIES], align=align) + more
-
-
-def body_rows(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[tuple[str, str, str, str]]:
-    """Name, whether it moves, and size of each body."""
-    return [
-        (
-            name,
-            mesh._kind_of_body(b),
-            f"{len(body.vertices_t0):,}",
-            f"{len(body.faces):,}",
-        )
+def body_lines(mesh: CollisionMesh, bodies: Sequence[Body], tois: Sequence[str] = ()) -> list[str]:
+    """The first bodies with their sizes, what was merged in reading them, and which vertices take no part."""
+    header = ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    rows = [
+        (name, mesh._kind_of_body(b), f"{len(body.vertices_t0):,}", f"{len(body.faces):,}", *tois[b : b + 1])
         for b, (name, body) in enumerate(zip(mesh.names, bodies, strict=True))
     ]
-
-
-def vertex_lines(mesh: CollisionMesh, bodies: Sequence[Body]) -> list[str]:
-    """What was merged in reading and what takes no part, a line for each body."""
+    lines = format_table(header, rows[:_MOST_BODIES], align="<<>><"[: len(header)])
+    lines += [f"  ... {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
     unused = mesh.vertex_body[np.setdiff1d(mesh.unused_vertices, mesh.inner_vertices)]
-    num_unused = np.bincount(unused, minlength=mesh.num_bodies).tolist()
-    lines = []
+    num_unused, notes = np.bincount(unused, minlength=mesh.num_bodies).tolist(), []
     for name, body, count in zip(mesh.names, bodies, num_unused, strict=True):
-        lines += [f"  ({body.merged:,} vertices of {name} merged by position)"] if body.merged else []
-        described = counted(count, f"vertex of {name} in no face takes", f"vertices of {name} in no face take")
-        lines += [f"  ({described} no part)"] if count else []
-    return lines[:_MOST_BODIES]
+        notes += [f"  ({body.merged:,} vertices of {name} merged by position)"] if body.merged else []
+        words = counted(count, f"vertex of {name} in no face takes", f"vertices of {name} in no face take")
+        notes += [f"  ({words} no part)"] if count else []
+    return lines + notes[:_MOST_BODIES]
+
+
+def length_lines(mesh: CollisionMesh, start: NDArray[np.float64], displacement: float, options: Options) -> list[str]:
+    """The lengths of a step, or of several with the same options, in the unit of the files."""
+    scale = options.length_scale
+    assert scale is not None, "chosen for the mesh if not given"
+    with np.errstate(over="ignore"):
+        x, y, z = np.ptp(start, axis=0).tolist()
+    is_distance = options.minimum_distance > 0 or mesh.radius is not None
+    rows = [
+        ("extents at the start", f"{x:.6g} x {y:.6g} x {z:.6g}"),
+        ("largest displacement", f"{displacement:.6g}"),
+        ("length scale", f"{scale:.6g}"),
+        ("tolerance", f"{options.tolerance * scale:.6g}"),
+        ("minimum distance" if is_distance else "minimum separation", f"{options.separation(scale):.6g}"),
+    ]
+    if mesh.radius is not None:
+        rows.append(("radius", shown_range("radius", mesh.radius).removeprefix("radius ")))
+    return format_table(("in the unit of the files", ""), rows, align="<<")
+
+
+def looked_at(mesh: CollisionMesh, options: Options) -> str:
+    """That "none" is certain for which pairs, and in which part of the step."""
+    kinds = [kind_name(kind) for kind in possible_kinds(mesh, options)]
+    words = " and ".join(filter(None, [", ".join(kinds[:-1]), *kinds[-1:]]))
+    return f"(certain for the pairs looked at: {words}, in [0, {repr(options.t_max).removesuffix('.0')}])"
+
+
+def left_out(mesh: CollisionMesh, options: Options, ignored: StartContacts | None) -> str:
+    """The pairs of these bodies that were not looked at; ``ignored`` are those of the first frame."""
+    kinds = possible_kinds(mesh, options)
+    parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in possible_kinds(mesh, Options()) if kind not in kinds]
+    is_left_out = mesh._is_free & ~mesh.self_collision
+    if (is_left_out & ~mesh.rigid).any():
+        parts.append("pairs within a body (--no-self-collision)")
+    if (is_left_out & mesh.rigid).any():
+        parts.append("pairs within a rigid body")
+    if fixed := [word for word in ("static", "kinematic") if getattr(mesh, word).any()]:
+        parts.append(f"pairs of {' and '.join(fixed)} bodies")
+    if ignored is not None:
+        parts.append(str(ignored))
+    at_start = ExcludedPairs() if ignored is None else ExcludedPairs(ignored.pairs)
+    for key, pairs in mesh.exclude_pairs.items():
+        count = len(pairs) - len(at_start.get(key, ()))
+        words = f"pairs of {key}" if key in ("bodies", "vertices") else f"{key.replace('_', '-')} pairs"
+        parts += [f"{count:,} {words} (--exclude)"] if count else []
+    if mesh.exclusion_rings > 1:
+        parts.append(f"pairs that fewer than {mesh.exclusion_rings} edges connect (--exclusion-rings)")
+    return "; ".join([*parts, "pairs that share a vertex"])
 
 
 def scope_lines(mesh: CollisionMesh, options: Options, ignored: StartContacts | None) -> list[str]:
     """What was left out, and what CCD does not see."""
-    return [f"left out  {left_out(mesh, options, ignored)}", f"not seen  {NOT_SEEN}"]
-
-
-def _bodies(step: SolvedStep) -> list[str]:
-    rows = [
-        (*row, format_toi(toi))
-        for row, toi in zip(body_rows(step.mesh, step.bodies), step.result.body_toi.tolist(), strict=True)
-    ]
-    header = ("body", "", "vertices", "faces", "earliest toi")
-    return body_table(header, rows, align="<<>><") + vertex_lines(step.mesh, step.bodies)
-
-
-def _outcome(step: SolvedStep) -> list[str]:
-    result, contacts = step.result, step.result.contacts
-    if not result.hit:
-        pairs = looked_at(step.mesh, step.options)
-        line = f"scene toi  none   (certain for the pairs looked at: {pairs})"
-        return [line, *_at_start(step), *scope_lines(step.mesh, step.options, step.ignored)]
-    lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
-    if len(contacts):
-        first = ContactTable.of(step.mesh, contacts, 1)
-        lines += [f"first contact  {first.described(0)}", f"               {first.placed(0)}"]
-        by_kind = result.counts.num_contacts.items()
-        counts = ", ".join(f"{count:,} {kind_name(kind)}" for kind, count in by_kind if count)
-        lines.append(f"contacts  {len(contacts):,}: {counts}")
-    lines += _at_start(step)
-    num_capped = int((contacts.status == int(CCDStatus.ITERATION_LIMIT)).sum())
-    if num_capped:
-        lines.append(
-            f"{num_capped:,} of {len(contacts):,} contacts stopped at the iteration limit: their toi is early, never "
-            "late; raise --max-iterations or --max-work to refine them"
-        )
-    return [*lines, *scope_lines(step.mesh, step.options, step.ignored)]
+    return [f"left out  {left_out(mesh, options, ignored)}", f"not seen  {_NOT_SEEN}"]
 
 
 def crossing_sentence(pairs: Counter[tuple[str, str]]) -> str:
@@ -154,24 +154,37 @@ def crossing_sentence(pairs: Counter[tuple[str, str]]) -> str:
     return f"{edges} through a face, so surfaces cross: {', '.join(named_counts(pairs))}"
 
 
-def _at_start(step: SolvedStep) -> list[str]:
-    """What touches, and what crosses, at the start."""
-    sentence = start_sentence(step.result.pairs_at_start)
-    crossing = crossing_sentence(step.start[step.start.is_crossing].by_bodies())
-    return [f"at the start  {each}" for each in (sentence, step.result.hidden_gaps, crossing) if each]
+def _outcome(step: SolvedStep) -> list[str]:
+    result, contacts = step.result, step.result.contacts
+    crossing = crossing_sentence(step.crossing.by_bodies())
+    sentences = filter(None, [start_sentence(result.pairs_at_start), result.hidden_gaps, crossing])
+    end = [f"at the start  {sentence}" for sentence in sentences]
+    if not result.hit:
+        lines = [f"scene toi  none   {looked_at(step.mesh, step.options)}"]
+    else:
+        lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
+    if len(contacts):
+        what, where = described(step.mesh, earliest(result, 1))
+        lines += [f"first contact  {what}", f"               {where}"]
+        by_kind = result.counts.num_contacts.items()
+        counts = ", ".join(f"{count:,} {kind_name(kind)}" for kind, count in by_kind if count)
+        lines.append(f"contacts  {len(contacts):,}: {counts}")
+    num_capped = int((contacts.status == int(CCDStatus.ITERATION_LIMIT)).sum())
+    if num_capped:
+        end.append(
+            f"{num_capped:,} of {len(contacts):,} contacts stopped at the iteration limit: their toi is early, never "
+            "late; raise --max-iterations or --max-work to refine them"
+        )
+    return [*lines, *end, *scope_lines(step.mesh, step.options, step.ignored)]
 
 
-def count_rows(counts: Counts) -> list[tuple[str, int]]:
+def _count_rows(counts: Counts) -> list[tuple[str, str]]:
     """Counts by what a reader calls them; codimensional primitives only where there are any."""
     rows: list[tuple[str, int]] = []
     for field in fields(counts):
-        value, name = getattr(counts, field.name), _spaced(field.name.removeprefix("num_"))
+        value, name = getattr(counts, field.name), field.name.removeprefix("num_").replace("_", " ")
         if isinstance(value, dict):
             rows += [(f"{kind_name(kind)} {name}", count) for kind, count in value.items()]
         elif value or not name.startswith("codimensional"):
             rows.append((name, value))
-    return rows
-
-
-def _spaced(name: str) -> str:
-    return name.replace("_", " ")
+    return [(name, f"{count:,}") for name, count in rows]

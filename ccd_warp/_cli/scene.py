@@ -1,91 +1,133 @@
-"""What the command line says of the mesh beside its bodies: radii, kinematic bodies, excluded pairs."""
+"""The scene of a command line: the bodies of its files, and the mesh that its arguments make of them."""
 
 import argparse
+import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.radii import radii_of
 from ccd_warp._display import counted
 from ccd_warp._files.frames import Body
-from ccd_warp._input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
+from ccd_warp._frames import mesh_of, static_bodies
+from ccd_warp._half_space import HalfSpace
+from ccd_warp._input.arguments import check_count
+from ccd_warp._input.excluded_pairs import KEYS, ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._input.messages import InputError, printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._input.options import Options
+from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
+from ccd_warp._pose_sequence import PoseSequence
 from ccd_warp._status import CCDStatus
 
-if TYPE_CHECKING:
-    from ccd_warp._intersections import Intersections
+_ROW = "expected rows KEY,A,B, as vertices,12,340 or bodies,cloth,wall"
 
 
-@dataclass(frozen=True)
-class SceneArguments:
-    """The arguments of the command line of which, with the bodies, a mesh is made.
-
-    Attributes:
-        self_collision: Whether a body may collide with itself.
-        radius: Of all bodies, or of one, see :func:`radii_of`.
-        kinematic: Names of bodies that move as they are told.
-        exclusion_rings: As of ``CollisionMesh.from_arrays``.
-        exclude: File of pairs that are excluded; None if there is none.
-    """
-
-    self_collision: bool = True
-    radius: Sequence[str] = ()
-    kinematic: Sequence[str] = ()
-    exclusion_rings: int = 1
-    exclude: Path | None = None
-
-    @classmethod
-    def of(cls, arguments: argparse.Namespace) -> "SceneArguments":
-        """Those that are given."""
-        return cls(
-            not arguments.no_self_collision,
-            arguments.radius,
-            arguments.kinematic,
-            arguments.exclusion_rings,
-            arguments.exclude,
-        )
-
-    def mesh(self, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
-        """The bodies as one mesh, of which some are rigid."""
-        from ccd_warp._frames import mesh_of
-
-        names = distinct_names([body.name for body in bodies])
-        mesh = mesh_of(
-            bodies,
-            self_collision=self.self_collision,
-            kinematic=_kinematic_bodies(self.kinematic, names, bodies),
-            radius=radii_of(self.radius, names, [body.half_space is not None for body in bodies]),
-            exclusion_rings=self.exclusion_rings,
-            rigid=rigid,
-        )
-        if self.exclude is None:
-            return mesh
-        from ccd_warp._cli.exclusions import read_exclusions
-
-        return read_exclusions(self.exclude, mesh)
-
-    def plain(self) -> dict[str, Any]:
-        """What JSON holds of them: the text of the file is its business."""
-        return {**vars(self), "exclude": self.exclude and str(self.exclude)}
+def how_to_read(arguments: argparse.Namespace) -> dict[str, Any]:
+    """What all readers of files take."""
+    limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
+    return {"max_bytes": limit, "surface": arguments.surface, "split": arguments.split}
 
 
-def _kinematic_bodies(given: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -> list[int]:
-    """The bodies that ``--kinematic`` names, each of which moves."""
+def obstacles(arguments: argparse.Namespace) -> list[Body]:
+    """The bodies of ``--static`` and ``--half-space``; these are called "half-space" where they have no name."""
+    bodies = static_bodies(arguments.static, **how_to_read(arguments))
+    for text in arguments.half_space:
+        name, _, numbers = text.rpartition("=")
+        try:
+            x, y, z, nx, ny, nz = map(float, numbers.split(","))
+        except ValueError:
+            expected = "X,Y,Z,NX,NY,NZ, a point and a normal, or NAME=X,Y,Z,NX,NY,NZ"
+            raise InputError(f"--half-space {printable(text)}: expected {expected}") from None
+        bodies.append(Body.of_half_space(name or "half-space", HalfSpace([x, y, z], [nx, ny, nz])))
+    return bodies
+
+
+def pose_sequence(mesh_path: str | Path, arguments: argparse.Namespace) -> PoseSequence | None:
+    """The bodies of a mesh file at the poses of ``--poses``, and obstacles; None where no poses are given."""
+    if arguments.poses is None:
+        if arguments.path is not None:
+            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
+        return None
+    for name in ("end", "displacement", "faces"):
+        if getattr(arguments, name, None) is not None:
+            raise InputError(f"{name} is given with --poses; expected one mesh file, with each body in its own frame")
+    return PoseSequence(
+        Path(mesh_path),
+        arguments.poses,
+        arguments.path or "linear",
+        obstacles(arguments),
+        partial(make_mesh, arguments),
+        **how_to_read(arguments),
+    )
+
+
+def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
+    """The bodies as one mesh, of which some are rigid."""
+    names = distinct_names([body.name for body in bodies])
     moving = [name for name, body in zip(names, bodies, strict=True) if not body.is_static]
-    for name in given:
-        if name not in moving:
-            known = ", ".join(map(printable, moving[:8])) + (", …" if len(moving) > 8 else "")
-            raise InputError(
-                f"--kinematic {printable(name)}: no body that moves has this name; expected one of {known}"
-            )
-    return [names.index(name) for name in given]
+    mesh = mesh_of(
+        bodies,
+        self_collision=not arguments.no_self_collision,
+        kinematic=[names.index(_known("--kinematic", name, moving)) for name in arguments.kinematic],
+        radius=_radii(arguments.radius, names, bodies),
+        exclusion_rings=arguments.exclusion_rings,
+        rigid=rigid,
+    )
+    return mesh if arguments.exclude is None else _without(mesh, arguments.exclude)
+
+
+def _known(option: str, name: str, names: Sequence[str]) -> str:
+    """The name, if it is one of these."""
+    if name not in names:
+        known = ", ".join(map(printable, names[:8])) + (", ..." if len(names) > 8 else "")
+        raise InputError(f"{option} {printable(name)}: no such body; expected one of {known}")
+    return name
+
+
+def _radii(texts: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -> list[float] | None:
+    """A radius for each body, the last one given for it, 0 where there is none; half-spaces take no part in "all"."""
+    radii = [0.0] * len(bodies)
+    for text in texts:
+        name, is_of_body, number = text.rpartition("=")  # a name may hold the sign itself
+        try:
+            radius = float(number)
+        except ValueError:
+            raise InputError(f"--radius {printable(text)}: expected a number, or NAME=NUMBER for one body") from None
+        if is_of_body:
+            radii[names.index(_known("--radius", name, names))] = radius
+        else:
+            radii = [radius if body.half_space is None else 0.0 for body in bodies]
+    return radii if texts else None
+
+
+def _without(mesh: CollisionMesh, path: Path) -> CollisionMesh:
+    """The mesh without the pairs of a file: rows ``KEY,A,B``, bodies by name or index, and ``#`` before a remark."""
+    if not path.is_file():
+        raise InputError(f"--exclude {path}: no such file")
+    pairs: dict[str, list[list[int]]] = {}
+    where = ""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = csv.reader(file, skipinitialspace=True, strict=True)
+            for row in rows:
+                if not any(row) or row[0].startswith("#"):
+                    continue
+                where = f"line {rows.line_num} is {','.join(row)!r}; {_ROW}: "
+                key, *pair = (cell.strip() for cell in row)
+                names = mesh.names if key == "bodies" else ()
+                if len(pair) != 2 or key not in KEYS:
+                    raise ValueError(f"keys are {', '.join(KEYS)}")
+                pairs.setdefault(key, []).append([names.index(cell) if cell in names else int(cell) for cell in pair])
+        where = ""
+        return mesh.excluding(pairs)
+    except (ValueError, csv.Error) as error:
+        raise InputError(f"--exclude {path}: {where}{error}") from error
 
 
 @dataclass(frozen=True)
@@ -112,7 +154,7 @@ class StartContacts:
         pairs = joined_pairs(*(validated_excluded_pairs(found, mesh) for found in (touching, near)))
         return cls(pairs, start.primitives[start.is_crossing])
 
-    def others(self, start: "Intersections") -> "Intersections":
+    def others(self, start: Intersections) -> Intersections:
         """What intersects at the start of a step, without the edges that passed through the same faces at first."""
         now, first = (each[:, 0].astype(np.int64) << 32 | each[:, 1] for each in (start.primitives, self.crossing))
         return start[~(start.is_crossing & np.isin(now, first))]

@@ -1,7 +1,7 @@
-"""The bodies of a scene as one mesh, and CCD of its steps."""
+"""CCD of one step of a scene."""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,20 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.half_spaces import half_space_bodies
-from ccd_warp._cli.motion import largest_displacement
-from ccd_warp._cli.process import warnings_on_stderr
-from ccd_warp._cli.progress import waiting
-from ccd_warp._cli.scene import SceneArguments, StartContacts
-from ccd_warp._cli.scope import check_kinds
+from ccd_warp._cli.process import waiting, warnings_on_stderr
+from ccd_warp._cli.scene import StartContacts
 from ccd_warp._contact_place import MovingVertices
-from ccd_warp._files.frames import Body, make_body
+from ccd_warp._display import kind_name
+from ccd_warp._engine.mesh.scene import possible_kinds
+from ccd_warp._files.frames import Body
+from ccd_warp._half_space import HalfSpace
+from ccd_warp._input.messages import InputError
 from ccd_warp._input.options import Options
 from ccd_warp._intersections import Intersections
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
+from ccd_warp._odd_motion import motion_warnings
 from ccd_warp._results import MeshResult
 from ccd_warp._runtime.kernel_cache import announced_compilation
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.progress_line import ProgressLine
 
 
@@ -35,8 +37,6 @@ class SolvedStep:
     Attributes:
         bodies: The scene, in the order of its vertices.
         mesh: The bodies as one mesh.
-        vertices_t0: Start positions of all vertices, shape [V, 3].
-        vertices_t1: End positions, shape [V, 3].
         options: Validated options.
         result: Of ``mesh_ccd``.
         start: What touches, or passes through another, at the start.
@@ -47,14 +47,17 @@ class SolvedStep:
 
     bodies: Sequence[Body]
     mesh: CollisionMesh
-    vertices_t0: NDArray[np.float64]
-    vertices_t1: NDArray[np.float64]
     options: Options
     result: MeshResult
     start: Intersections
     ignored: StartContacts | None
     timings: dict[str, float]
     motion: RigidMotion | None = None
+
+    @property
+    def crossing(self) -> Intersections:
+        """Edges that pass through faces at the start."""
+        return self.start[self.start.is_crossing]
 
     @cached_property
     def moving(self) -> MovingVertices:
@@ -65,7 +68,14 @@ class SolvedStep:
     def displacement(self) -> float:
         """The largest distance of a vertex from its place at the start."""
         start = self.moving.all_at(0.0)
-        return max(largest_displacement(start, self.moving.all_at(t)) for t in self.moving.times[1:])
+        with np.errstate(over="ignore"):
+            ways = [np.linalg.norm(self.moving.all_at(t) - start, axis=1) for t in self.moving.times[1:]]
+        return max(float(way.max(initial=0.0)) for way in ways)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is odd about the motion, a line each."""
+        return motion_warnings(self.mesh, *positions_of(self.bodies), self.options.t_max)
 
 
 def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -75,28 +85,26 @@ def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[n
 
 def moving_vertices(mesh: CollisionMesh, bodies: Sequence[Body], motion: RigidMotion | None) -> MovingVertices:
     """How the vertices of all bodies move; those that take no part as others of their bodies do."""
-    return MovingVertices.of(
-        mesh, *mesh._both_placed(*positions_of(bodies)), None if motion is None else motion._body_paths
-    )
-
-
-def moving_bodies(bodies: Sequence[Body]) -> list[int]:
-    """The bodies that are not static."""
-    return [k for k, body in enumerate(bodies) if not body.is_static]
+    places = mesh._both_placed(*positions_of(bodies))
+    return MovingVertices.of(mesh, *places, None if motion is None else motion._body_paths)
 
 
 def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
     """The options of the command line, with the length scale that they mean if they give none.
 
     It is that of the mesh: the longest side of the box around all bodies at the start, where ``start`` says where they
-    are if they have frames of their own. The options are validated here,
-    so that no message names a function that is not on the command line.
+    are if they have frames of their own.
 
     Raises:
         ValueError: If an option is out of its range, or the bodies cannot form a kind of pair that it names.
     """
-    options = Options(**given)
-    check_kinds(mesh, options)
+    options, possible = Options(**given), possible_kinds(mesh, Options())
+    for kind in options.kinds if options.pair_kinds is not None else ():
+        if kind not in possible:
+            raise InputError(
+                f"--pair-kinds holds {kind_name(kind)}, which these bodies cannot form, as they have no particles, "
+                f"cables or half-spaces; expected some of {', '.join(map(kind_name, possible))}"
+            )
     if options.length_scale is not None:
         return options
     size = 0.0 if start is None else float(np.ptp(start, axis=0).max())
@@ -110,6 +118,7 @@ def solve(
     line: ProgressLine,
     *,
     is_quiet: bool,
+    show: Callable[[Progress], None] | None = None,
     ignored: StartContacts | None = None,
     motion: RigidMotion | None = None,
 ) -> SolvedStep:
@@ -117,37 +126,33 @@ def solve(
 
     What intersects at its start is found, too. ``ignored`` is what the mesh leaves out from the first frame on.
     """
-    vertices_t0, vertices_t1 = positions_of(bodies)
-    with CollisionPipeline.borrowed(mesh, options) as pipeline:
-        pipeline._show_progress = line.show
-        with warnings_on_stderr(line.clear, is_quiet=is_quiet):
-            result = pipeline.mesh_ccd(vertices_t0, vertices_t1, motion=motion)
-            timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
-            begin = time.perf_counter()
-            start = pipeline.find_intersections(moving_vertices(mesh, bodies, motion).all_at(0.0))
-            timings["intersections at start"] = time.perf_counter() - begin
+    with CollisionPipeline.borrowed(mesh, options) as pipeline, warnings_on_stderr(line.clear, is_quiet=is_quiet):
+        pipeline._show_progress = line.show if show is None else show
+        result = pipeline.mesh_ccd(*positions_of(bodies), motion=motion)
+        timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
+        begin = time.perf_counter()
+        start = pipeline.find_intersections(moving_vertices(mesh, bodies, motion).all_at(0.0))
+        timings["intersections at start"] = time.perf_counter() - begin
     start = start if ignored is None else ignored.others(start)
-    return SolvedStep(bodies, mesh, vertices_t0, vertices_t1, options, result, start, ignored, timings, motion)
+    return SolvedStep(bodies, mesh, options, result, start, ignored, timings, motion)
 
 
 def solve_scene(
     bodies: Sequence[Body],
     given: dict[str, Any],
+    make_mesh: Callable[[Sequence[Body]], CollisionMesh],
     *,
-    scene: SceneArguments,
     is_quiet: bool,
-    shows_progress: bool = True,
     ignores_start: bool = False,
     motion: RigidMotion | None = None,
 ) -> SolvedStep:
-    """Make the mesh of one step and run ``mesh_ccd``; with a motion all bodies are rigid that are not static."""
+    """Make the mesh of one step and run ``mesh_ccd``."""
     begin = time.perf_counter()
-    with waiting("making the mesh", is_quiet=is_quiet or not shows_progress):
-        mesh = scene.mesh(bodies, rigid=[] if motion is None else moving_bodies(bodies))
-    build_seconds = time.perf_counter() - begin
+    with waiting("making the mesh", is_quiet=is_quiet):
+        mesh = make_mesh(bodies)
+    timings, ignored = {"build mesh": time.perf_counter() - begin}, None
     at_start = moving_vertices(mesh, bodies, motion).all_at(0.0)
-    options = make_options(given, mesh, None if motion is None else at_start)
-    line, ignored = ProgressLine(is_quiet or not shows_progress), None
+    options, line = make_options(given, mesh, None if motion is None else at_start), ProgressLine(is_quiet)
     if ignores_start:
         with warnings_on_stderr(is_quiet=is_quiet):
             ignored = StartContacts.of(mesh, at_start, options)
@@ -156,7 +161,7 @@ def solve_scene(
         step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored, motion=motion)
     finally:
         line.clear()
-    return replace(step, timings={"build mesh": build_seconds, **step.timings})
+    return replace(step, timings={**timings, **step.timings})
 
 
 def load_kernels(
@@ -167,23 +172,23 @@ def load_kernels(
     has_half_space: bool = False,
     has_poses: bool = False,
 ) -> float:
-    """Compile or load every kernel on a scene of two triangles, so that no stage's time holds a compilation."""
+    """Compile or load every kernel on two triangles, so that no stage's time holds a compilation; the seconds."""
     begin = time.perf_counter()
-    triangle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
-    above = [[x, y + 0.1, 0.5] for x, y, _ in triangle]
-    below = [[x, y + 0.1, -0.5] for x, y, _ in triangle]
-    bodies = [
-        make_body("moving", above, below, [[0, 1, 2]]),
-        make_body("resting", triangle, None, [[0, 1, 2]], is_static=True),
-    ]
-    motion = None
-    if has_poses:
-        bodies[0] = make_body("moving", triangle, triangle, [[0, 1, 2]])
-        motion = RigidMotion([[0.0, 0.1, 0.5, 0.0, 0.0, 0.0, 1.0]], [[0.0, 0.1, -0.5, 0.0, 0.0, 0.0, 1.0]])
-    bodies += half_space_bodies(["0,0,0,0,0,1"]) if has_half_space else []
+    low = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    start, end = (low, low) if has_poses else (low + [0.0, 0.1, 0.5], low + [0.0, 0.1, -0.5])
+    bodies = [(start, [[0, 1, 2]]), (low, [[0, 1, 2]])]
+    planes = [HalfSpace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])] * has_half_space
+    motion = RigidMotion([[0.0, 0.1, 0.5, 0, 0, 0, 1]], [[0.0, 0.1, -0.5, 0, 0, 0, 1]]) if has_poses else None
     chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
-    announced = nullcontext() if is_quiet else announced_compilation()
-    with announced, waiting("loading kernels", is_quiet=is_quiet):
-        scene = SceneArguments(self_collision=False, radius=["0.1"] if has_radius else [])
-        solve_scene(bodies, chosen, scene=scene, is_quiet=is_quiet, shows_progress=False, motion=motion)
+    with nullcontext() if is_quiet else announced_compilation(), waiting("loading kernels", is_quiet=is_quiet):
+        mesh = CollisionMesh.from_arrays(
+            [*bodies, *planes],
+            static=[1],
+            self_collision=False,
+            radius=[0.1, 0.1, 0.0][: 2 + len(planes)] if has_radius else None,
+            rigid=[0] if has_poses else [],
+        )
+        with CollisionPipeline.borrowed(mesh, Options(**chosen)) as pipeline:
+            pipeline.mesh_ccd(np.vstack([start, low]), np.vstack([end, low]), motion=motion)
+            pipeline.find_intersections(np.vstack([start, low]))
     return time.perf_counter() - begin

@@ -1,14 +1,12 @@
-"""The command `ccd-warp sequence`: every step of a sequence of frames, interrupted and resumed."""
+"""The command `ccd-warp sequence`: every step of a sequence of frames, also where it is interrupted."""
 
 import csv
-import json
-import shutil
-from types import SimpleNamespace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import gltf_files, ply
+from mesh_files import ply
 
 import ccd_warp as ccd
 from ccd_warp._cli import sequence as sequence_command
@@ -30,22 +28,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.fixture
-def solved(monkeypatch):
-    """The number of steps that were solved; Ctrl-C is pressed in place of that with the number of `stop`."""
-    solve, state = sequence_command.solve, SimpleNamespace(count=0, stop=None)
-
-    def solve_or_press(*arguments, **options):
-        if state.count == state.stop:
-            state.stop = None
-            raise KeyboardInterrupt
-        state.count += 1
-        return solve(*arguments, **options)
-
-    monkeypatch.setattr(sequence_command, "solve", solve_or_press)
-    return state
-
-
 def run(*arguments, status=0):
     assert main(["sequence", *map(str, arguments)]) == status
 
@@ -55,54 +37,44 @@ def rows(folder):
         return list(csv.DictReader(file))
 
 
-FOREIGN = b'\xff\xfe not text\n[1, 2]\n{"key": 9, "record": {}}\n{"key": "9", "record": {"toi": 0.5}}\n'
-
-
-def test_sequence_that_is_interrupted_goes_on_where_it_was(folder, solved, capfd):
-    """Each step is computed once, and the answers are those of a run that was left alone, and of the library."""
-    options = ["--length-scale", "1", "--minimum-separation", "0.01"]
-    for solved.stop in (3, 7):
-        run(*BALLS, *ON, *options, "--output", "out", status=130)
-        done = solved.count
-        assert f"interrupted after {done} of 10 steps; what was computed is kept" in capfd.readouterr().err
-        assert len(rows("out")) == done
-    with open("out/sequence.journal", "ab") as file:
-        file.write(FOREIGN)
-    run(*BALLS, *ON, *options, "--output", "out")
-    shown = capfd.readouterr()
-    assert "7 of 10 steps were computed before" in shown.out and solved.count == 10
-    assert "sequence.journal: 4 lines are no records of a step" in shown.err and shown.err.count("\n") == 1
-    run(*BALLS, *ON, *options, "--output", "at_once", "--quiet")
-    assert (folder / "out" / "steps.csv").read_bytes() == (folder / "at_once" / "steps.csv").read_bytes()
-    assert sorted(path.name for path in (folder / "out").iterdir()) == ["steps.csv", "steps.png"]
+def test_rows_are_those_of_the_library_bit_for_bit(folder, capfd):
+    run(*BALLS, *ON, "--length-scale", "1", "--minimum-separation", "0.01", "--output", "out", "--quiet")
     assert capfd.readouterr() == ("", "")
+    assert sorted(path.name for path in (folder / "out").iterdir()) == ["steps.csv", "steps.png"]
     steps = [*ccd.read_sequence([folder / name for name in BALLS], static=["floor.ply"]).steps()]
     how = {"length_scale": 1.0, "minimum_separation": 0.01}
     expected = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **how) for step in steps]
     assert [float(row["toi"]) for row in rows("out")] == [result.toi for result in expected]
+    assert [int(row["contacts"]) for row in rows("out")] == [len(result.contacts) for result in expected]
     (k, *_) = np.flatnonzero([result.hit for result in expected])
     assert [float(rows("out")[k][axis]) for axis in "xyz"] == expected[k].first.point.tolist()
 
 
-def test_other_options_or_frames_or_files_beside_them_begin_anew(folder, solved):
-    """The positions lie in files beside those that are given, which stay as they are."""
-    given = [*(f"ball_{k}.gltf" for k in range(4, 8)), *ON, "--quiet", "--output"]
-    for k in range(4, 8):
-        tree, buffer = gltf_files(FALL[k], SHAPE.faces)
-        tree["buffers"][0]["uri"] = f"{k}.bin"
-        (folder / f"{k}.bin").write_bytes(buffer)
-        (folder / f"ball_{k}.gltf").write_text(json.dumps(tree))
-    solved.stop = 2
-    run(*given, "out", status=130)  # the steps 4 to 5 and 5 to 6 are kept; the ball strikes in the second
-    shutil.copy("5.bin", "6.bin")
-    run(*given, "out")
-    assert solved.count == 2 + 2  # the second step again, and the last one
-    run(*given, "afresh")
-    assert (folder / "out" / "steps.csv").read_bytes() == (folder / "afresh" / "steps.csv").read_bytes()
-    solved.stop = 8
-    run(*given, "out", "--t-max", "0.9", status=130)
-    run(*given, "out")
-    assert solved.count == 7 + 1 + 3
+def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):
+    """Each is in the file as soon as its step is solved; what is left is a sequence of its own."""
+    run(*BALLS, *ON, "--length-scale", "1", "--output", "whole", "--quiet")
+    header, *lines = Path("whole/steps.csv").read_text().splitlines(keepends=True)
+    solve, seen = sequence_command.solve, []
+
+    def solve_or_press(*arguments, **options):
+        seen.append(Path("out/steps.csv").read_text() if Path("out").exists() else "")
+        if len(seen) == 8:
+            raise KeyboardInterrupt
+        return solve(*arguments, **options)
+
+    monkeypatch.setattr(sequence_command, "solve", solve_or_press)
+    for output in ("-", "out"):
+        seen.clear()
+        run(*BALLS, *ON, "--length-scale", "1", "--output", output, status=130)
+        shown = capfd.readouterr()
+        assert f"interrupted after 7 of 10 steps{'' if output == '-' else '; steps.csv holds these'}\n" in shown.err
+        assert "steps with contacts  2 of 7: 5-6\n" in (shown.err if output == "-" else shown.out)
+        assert output == "out" or shown.out == "".join([header, *lines[:7]])
+    assert seen == ["".join([header, *lines[:k]]) for k in range(8)]
+    assert sorted(path.name for path in Path("out").iterdir()) == ["steps.csv", "steps.png"]
+    run(*(f"ball_{k}.ply" for k in range(7, 11)), *ON, "--length-scale", "1", "--output", "rest", "--quiet")
+    tois = [[row["toi"] for row in rows(name)] for name in ("out", "rest", "whole")]
+    assert tois[0] + tois[1] == tois[2]
 
 
 def test_report_names_the_steps_with_contacts_and_the_first(capfd):
@@ -122,12 +94,15 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     assert "none of 2   (certain for the pairs looked at: edge-edge, in [0, 1])" in shown.err
 
 
-def test_a_sequence_of_poses_is_resumed_unless_its_path_is_another(folder, solved, capfd):
-    poses = [f"{t},ball_0.ply,0,0,{-t},0,0,{np.sin(t)},{np.cos(t)}\n" for t in range(3)]
+def test_a_sequence_of_poses_has_the_motions_of_the_library(folder):
+    poses = [f"{t},ball_0.ply,0,{t},{-t},{np.sin(0.5 * t)},0,0,{np.cos(0.5 * t)}\n" for t in range(3)]
     (folder / "all.csv").write_text("".join(poses))
-    given = ["ball_0.ply", "--poses", "all.csv", *ON, "--output", "out"]
-    for solved.stop, path in ((1, "screw"), (2, "linear")):
-        run(*given, "--path", path, status=130)
-    assert "computed before" not in capfd.readouterr().out
-    run(*given, "--path", path)
-    assert "1 of 2 steps were computed before" in capfd.readouterr().out
+    found = []
+    for path in ("linear", "screw"):
+        run("ball_0.ply", "--poses", "all.csv", *ON, "--output", "out", "--path", path, "--length-scale", "1")
+        found.append([float(row["toi"]) for row in rows("out")])
+        sequence = ccd.read_poses("ball_0.ply", "all.csv", path=path, static=["floor.ply"])
+        x = sequence.mesh.vertices
+        motions = sequence.steps()
+        assert found[-1] == [ccd.mesh_ccd(sequence.mesh, x, x, motion=each, length_scale=1.0).toi for each in motions]
+    assert found[0][0] == found[1][0] == np.inf > found[0][1] > found[1][1], found

@@ -1,47 +1,40 @@
-"""The command `ccd-warp explore`: the page is whole, and shows in a browser what the library says."""
+"""The page to play with the method: it opens from the disk, and shows in a browser what the library says."""
 
 import json
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
 from exact import exact_tois
 
 import ccd_warp as ccd
-from ccd_warp._cli.command import main
 
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "explore" / "index.html"
 NUM_CASES = 50  # for each tolerance
 TOLERANCES = np.repeat((1e-1, 1e-2, 1e-3, 1e-4), NUM_CASES)
 
 
-def test_the_page_is_written_whole_names_no_address_and_is_written_again(tmp_path, monkeypatch, capfd):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "page.HTM").write_text("old")
-    for line in ("explore", "explore --output page.HTM --quiet"):
-        assert main(line.split()) == 0
-    assert capfd.readouterr() == ("wrote ccd_warp_explore.html; open it in a browser\n", "")
-    text = (tmp_path / "ccd_warp_explore.html").read_text(encoding="utf-8")
-    assert text == (tmp_path / "page.HTM").read_text(encoding="utf-8") and text.startswith("<!DOCTYPE html>")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["ccd_warp_explore.html", "page.HTM"]
-    assert "{{" not in text and "}}</" not in text and f"ccd-warp {ccd.__version__}" in text
-    assert not re.search(r"\b(https?|ftp|wss?|file):", text)
-    assert not re.search(r"@import|\bfetch\(|XMLHttpRequest|\bimport\b[^;]*\bfrom\b|url\(", text)
-    identifiers = re.findall(r'\bid="([^"]*)"', text)
-    assert len(set(identifiers)) > 40 and "default-src 'none'" in text
-    assert {*re.findall(r'\b(?:src|href)="([^"]*)"', text)} == {"data:,"}
-
-
 @pytest.fixture(scope="module")
-def page(browser, tmp_path_factory):
-    """The page in a headless Chromium; in the end it must have asked for nothing else and complained of nothing."""
-    file = tmp_path_factory.mktemp("page") / "explore.html"
-    assert main(["explore", "--output", str(file), "--quiet"]) == 0
+def page(browser):
+    """The page in a headless Chromium, from the disk; it must have asked for its own files alone and not complained."""
     browser.messages.clear()
     browser.requests.clear()
     browser.resize(360)  # a telephone
-    browser.open(file)
+    browser.open(PAGE)
     yield browser
-    assert browser.messages == [] and browser.requests == [file.as_uri()]
+    assert browser.messages == [] and {*browser.requests} == {path.as_uri() for path in PAGE.parent.iterdir()}
+
+
+def test_the_page_names_nothing_but_the_files_beside_it():
+    html = PAGE.read_text(encoding="utf-8")
+    files = {path.name for path in PAGE.parent.iterdir()}
+    assert {*re.findall(r'\b(?:src|href)="([^"]*)"', html)} == files - {"index.html"} | {"data:,"}
+    identifiers = re.findall(r'\bid="([^"]*)"', html)
+    assert len(set(identifiers)) == len(identifiers) > 40 and "default-src 'none'" in html
+    text = "".join(path.read_text(encoding="utf-8") for path in PAGE.parent.iterdir())
+    assert not re.search(r"\b(https?|ftp|wss?):|file:/", text)
+    assert not re.search(r"@import|\bfetch\(|XMLHttpRequest|\bimport\b[^;]*\bfrom\b|url\(", text)
 
 
 def _cases() -> np.ndarray:
