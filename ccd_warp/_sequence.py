@@ -45,6 +45,7 @@ class FrameSequence:
     ) -> None:
         """Of the series of files that move, and obstacles; ``make_mesh`` joins the bodies of a step."""
         self._series: Sequence[Series] = series
+        self._name = ", ".join(each.name for each in series)
         self._split, self._seen = split, set[int]()
         self._parts: list[Parts | None] = []
         self._static = static
@@ -176,14 +177,17 @@ def read_sequence(
     given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
     if not given:
         raise ValueError("paths is empty; expected a path, or a list of paths")
-    files = [check_path("paths", path) for path in given]
-    obstacles, chosen = checked_static(static), check_items("kinematic", kinematic, "a list of body indices")
-    limit = check_count("max_bytes", max_bytes, 2**63 - 1)
     if displacement is not None and not isinstance(displacement, str):
         raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
-    surface, split = check_flag("surface", surface), check_split(split)
-    faces_path = None if faces is None else check_path("faces", faces)
-    how: dict[str, Any] = {"max_bytes": limit, "surface": surface, "split": split}
-    series = find_series(files, displacement=displacement, faces=faces_path, **how)
-    bodies = static_bodies(obstacles, **how)
-    return FrameSequence(series, bodies, partial(mesh_of, kinematic=chosen, self_collision=self_collision), split=split)
+    how: dict[str, Any] = {"max_bytes": check_count("max_bytes", max_bytes, 2**63 - 1)}
+    how |= {"surface": check_flag("surface", surface), "split": check_split(split)}
+    chosen = check_items("kinematic", kinematic, "a list of body indices")
+    series = find_series(
+        [check_path("paths", path) for path in given],
+        displacement=displacement,
+        faces=None if faces is None else check_path("faces", faces),
+        **how,
+    )
+    bodies = static_bodies(checked_static(static), **how)
+    make_mesh = partial(mesh_of, kinematic=chosen, self_collision=self_collision)
+    return FrameSequence(series, bodies, make_mesh, split=how["split"])

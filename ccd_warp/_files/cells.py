@@ -62,7 +62,7 @@ def grid_of(mesh: Any) -> Grid:
     return Grid(mesh.points, [(block.type, block.data) for block in mesh.cells], points, cells)
 
 
-def triangles(path: Path, grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
+def triangles(grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others.
 
     And of quadratic cells, which are taken by their corners, the ends and the node of each edge.
@@ -72,27 +72,22 @@ def triangles(path: Path, grid: Grid, surface: bool) -> tuple[np.ndarray, np.nda
     for kind, _ in grid.blocks:
         if kind not in (*SHELLS, *(VOLUMES if surface else ())):
             advice = "; --surface, in Python surface=True, takes the boundary surface" if kind in VOLUMES else ""
-            raise InputError(f"{path}: holds cells of the type {kind}; expected triangles and quads{advice}")
-    try:
-        cells, midsides = by_corners(grid.blocks, "cells", len(grid.points))
-        return surface_of(cells, "cells", len(grid.points)), midsides
-    except ValueError as error:
-        raise InputError(f"{path}: {error}") from error
+            raise InputError(f"holds cells of the type {kind}; expected triangles and quads{advice}")
+    cells, midsides = by_corners(grid.blocks, "cells", len(grid.points))
+    return surface_of(cells, "cells", len(grid.points)), midsides
 
 
-def displaced(path: Path, grid: Grid, displacement: str | None) -> np.ndarray:
+def displaced(grid: Grid, displacement: str | None) -> np.ndarray:
     """Positions in float64, with the displacements of this name added if one is given."""
     vertices = np.array(grid.points, dtype=np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
-        raise InputError(f"{path}: its points have shape {vertices.shape}; expected (n, 3)")
+        raise InputError(f"its points have shape {vertices.shape}; expected (n, 3)")
     if displacement is None:
         return vertices
     if displacement not in grid.fields:
         found = ", ".join(map(repr, grid.fields)) or "none"
-        raise InputError(f"{path}: has no field {displacement!r} at its points; expected one of them: {found}")
+        raise InputError(f"has no field {displacement!r} at its points; expected one of them: {found}")
     vectors = np.asarray(grid.fields[displacement](), dtype=np.float64)
     if vectors.shape != vertices.shape:
-        raise InputError(
-            f"{path}: the field {displacement!r} has shape {vectors.shape}; expected {vertices.shape}, like the points"
-        )
+        raise InputError(f"the field {displacement!r} has shape {vectors.shape}; expected {vertices.shape}, as points")
     return vertices + vectors

@@ -151,9 +151,9 @@ def mesh_of_grid(
     needs_field: bool = True,
 ) -> Mesh:
     """The surface of the cells of a file, called ``label`` where it is one frame of several."""
-    vertices, (faces, midsides) = displaced(path, grid, displacement), triangles(path, grid, surface)
+    vertices, (faces, midsides) = displaced(grid, displacement), triangles(grid, surface)
     check_part(vertices, faces)
-    parts = parts_of(path, grid, split, needs_field=needs_field)
+    parts = parts_of(grid, split, needs_field=needs_field)
     place = path if label is None else path.with_name(label)
     return Mesh(place, vertices, faces, "indexed", is_surface=surface, midsides=midsides, parts=parts)
 

@@ -138,7 +138,7 @@ BASE = {"ply": PLY, "off": OFF, "obj": OBJ, "stl": STL, "xdmf": XDMF}
 MALFORMED = [  # of a format: what stands in place of what, and what the message says
     ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds 7\.5; expected an integer"),
     ("ply", "3 6 7 8", "3 6 7 8_0", r"line 26 holds '8_0'; expected a number"),
-    ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
+    ("ply", "property double z", "property double w", "gives its vertices no x, y and z"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
     ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of a vertex that is none of the 3 of the file"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),

@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import json
 import tempfile
 import typing
 from pathlib import Path
@@ -100,11 +99,10 @@ def run(function, arguments, changed=()):
 
 def _every_call(folder):
     """Each public call by its name: the function, and arguments that it takes."""
-    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.json"
+    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.csv"
     write_mesh(start, START, FACE)
     write_mesh(end, END, FACE)
-    pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
-    poses.write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
+    poses.write_text("0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
     (folder / "arm.urdf").write_text('<robot name="a"><link name="base"/></robot>')
     launched = ccd.CollisionPipeline(MESH).launch(START, END)
     of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}
