@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ccd_warp._display import listed
-from ccd_warp._files.mesh import read_mesh
+from ccd_warp._files.mesh import Reading, read_mesh
 from ccd_warp._files.opened import PLAIN_BYTES
 from ccd_warp._input.arguments import check_path, shown
 from ccd_warp._joints import Joint, JointTree
@@ -143,7 +143,7 @@ def _shape(file: Path, folders: Mapping[str, Path], geometry: Any) -> Body:
     from trimesh import creation
 
     if geometry.mesh is not None:
-        mesh = read_mesh(_found(file, folders, geometry.mesh.filename), PLAIN_BYTES)
+        mesh = read_mesh(_found(file, folders, geometry.mesh.filename), Reading(PLAIN_BYTES))
         vertices, faces = np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
         used, faces = np.unique(faces, return_inverse=True)
         vertices, merged = np.unique(vertices[used], axis=0, return_inverse=True)

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.mesh import Mesh, read_mesh
+from ccd_warp._files.mesh import Mesh, Reading, read_mesh
 from ccd_warp._files.natural import are_swapped
 from ccd_warp._files.parts import Parts, Split, components, groups
 from ccd_warp._half_space import HalfSpace
@@ -124,34 +123,25 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
 
 
-def read_frames(
-    start_path: str | Path,
-    end_path: str | Path,
-    *,
-    max_bytes: int = MAX_BYTES,
-    surface: bool = False,
-    split: Split = False,
-) -> Body:
-    """Read the two ends of a step as a moving body.
-
-    Args:
-        start_path: Mesh file of the start positions.
-        end_path: Mesh file of the end positions, with the same faces.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
-        surface: Whether volume cells stand for their boundary surface.
-        split: Name of the field of cells at the start that tells the parts of the body; no other value does anything.
+def read_frames(start_path: Path, end_path: Path, **options: Any) -> Body:
+    """Read the two ends of a step, with the same faces, as a moving body; ``options`` are those of :class:`Reading`.
 
     Raises:
         InputError: If a file is missing, damaged, not finite, unpacks to more than the limit, or the two differ in
             topology.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    start = read_mesh(Path(start_path), max_bytes, surface=surface, split=split)
-    end = read_mesh(Path(end_path), max_bytes, surface=surface)
+    how = _reading(options)
+    start, end = read_mesh(start_path, how), read_mesh(end_path, how._replace(split=False))
     body = body_between(start, end)
     warn_of_step(start, end)
     return body
+
+
+def _reading(options: dict[str, Any]) -> Reading:
+    how = Reading(**options)
+    check_count("max_bytes", how.max_bytes, _MOST_BYTES)
+    return how
 
 
 def warn_of_step(start: Mesh, end: Mesh) -> None:
@@ -211,21 +201,9 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     return _body(start, end.vertices, (source_index, merged))
 
 
-def read_static(
-    path: str | Path,
-    *,
-    max_bytes: int = MAX_BYTES,
-    surface: bool = False,
-    split: Split = False,
-    needs_field: bool = False,
-) -> Body:
-    """Read an obstacle that does not move; its arguments are those of :func:`read_frames`.
-
-    Args:
-        needs_field: Whether the file must have the field by which it is split.
-    """
-    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    mesh = read_mesh(Path(path), max_bytes, surface=surface, split=split, needs_field=needs_field)
+def read_static(path: Path, **options: Any) -> Body:
+    """Read an obstacle that does not move; ``options`` are those of :class:`Reading`, and a field may be missing."""
+    mesh = read_mesh(path, _reading({"needs_field": False, **options}))
     warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
     return _body(mesh, None, None if mesh.sharing == "indexed" else _merge(mesh, mesh.vertices))
 

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ccd_warp._files.archive import unpack
+from ccd_warp._files.archive import MAX_BYTES, unpack
 from ccd_warp._files.cells import Grid, displaced, reading, triangles
 from ccd_warp._files.counts import stated_triangles
 from ccd_warp._files.obj import read_obj
@@ -59,6 +59,24 @@ XDMF_SUFFIXES = (".xdmf", ".xmf")
 CELL_SUFFIXES = (".vtu", ".vtk", *XDMF_SUFFIXES)
 
 
+class Reading(NamedTuple):
+    """How files are read.
+
+    Attributes:
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
+        displacement: Field that is added to the positions of VTK and XDMF files.
+        surface: Whether volume cells of these stand for their boundary surface.
+        split: How their cells are to be split, see :mod:`ccd_warp._files.parts`; other files are split by their faces.
+        needs_field: Whether a file must have the field by which it is split.
+    """
+
+    max_bytes: int = MAX_BYTES
+    displacement: str | None = None
+    surface: bool = False
+    split: Split = False
+    needs_field: bool = True
+
+
 class Part(NamedTuple):
     """A part of a scene: its positions and triangles, the names in it, and the index of the name of each triangle."""
 
@@ -95,24 +113,8 @@ class Mesh:
     parts: Parts | None = None
 
 
-def read_mesh(
-    path: Path,
-    max_bytes: int,
-    displacement: str | None = None,
-    surface: bool = False,
-    split: Split = False,
-    *,
-    needs_field: bool = True,
-) -> Mesh:
-    """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
-
-    Args:
-        path: Mesh file, or an archive of mesh files.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
-        displacement: Field of a VTK or XDMF file that is added to its positions.
-        surface: Whether volume cells of such a file stand for their boundary surface.
-        split: How its cells are to be split, see :mod:`ccd_warp._files.parts`; other files are split by their faces.
-        needs_field: Whether the file must have the field by which it is split.
+def read_mesh(path: Path, how: Reading) -> Mesh:
+    """Read a mesh file or an archive of such, with every part of its scene in place, nothing merged or rounded.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
@@ -121,13 +123,13 @@ def read_mesh(
     suffix = path.suffix.lower()
     if suffix in CELL_SUFFIXES:
         with reading(path):
-            grid = _read_cells(path, suffix, max_bytes, (displacement, split))
-            return mesh_of_grid(path, grid, displacement, surface, split, needs_field=needs_field)
-    if isinstance(split, str) and needs_field:
+            return mesh_of_grid(path, _read_cells(path, suffix, how), how)
+    if isinstance(how.split, str) and how.needs_field:
         raise InputError(
-            f"{path}: holds no fields of cells, and is to be split by {split!r}; expected a VTU, VTK, XDMF or NPZ "
+            f"{path}: holds no fields of cells, and is to be split by {how.split!r}; expected a VTU, VTK, XDMF or NPZ "
             "file, or --split (split=True) for connected components"
         )
+    max_bytes = how.max_bytes
     data = read_file(path, max_bytes)
     if suffix == ".zip":
         parts, sharing = _read_archive(path, data, max_bytes)
@@ -140,33 +142,23 @@ def read_mesh(
     return Mesh(path, vertices, faces, sharing, *_joined_names(parts))
 
 
-def mesh_of_grid(
-    path: Path,
-    grid: Grid,
-    displacement: str | None,
-    surface: bool,
-    split: Split,
-    *,
-    label: str | None = None,
-    needs_field: bool = True,
-) -> Mesh:
-    """The surface of the cells of a file, called ``label`` where it is one frame of several."""
-    vertices, (faces, midsides) = displaced(grid, displacement), triangles(grid, surface)
+def mesh_of_grid(path: Path, grid: Grid, how: Reading) -> Mesh:
+    """The surface of the cells of a file; messages call it ``path``."""
+    vertices, (faces, midsides) = displaced(grid, how.displacement), triangles(grid, how.surface)
     check_part(vertices, faces)
-    parts = parts_of(grid, split, needs_field=needs_field)
-    place = path if label is None else path.with_name(label)
-    return Mesh(place, vertices, faces, "indexed", is_surface=surface, midsides=midsides, parts=parts)
+    parts = parts_of(grid, how.split, needs_field=how.needs_field)
+    return Mesh(path, vertices, faces, "indexed", is_surface=how.surface, midsides=midsides, parts=parts)
 
 
-def _read_cells(path: Path, suffix: str, max_bytes: int, wanted: Sequence[Any]) -> Grid:
+def _read_cells(path: Path, suffix: str, how: Reading) -> Grid:
     if suffix == ".vtk":
-        return read_vtk(path, max_bytes)
+        return read_vtk(path, how.max_bytes)
     if suffix == ".vtu":
-        return read_vtu(read_file(path, max_bytes), max_bytes)
-    xdmf = Xdmf(path, max_bytes)
+        return read_vtu(read_file(path, how.max_bytes), how.max_bytes)
+    xdmf = Xdmf(path, how.max_bytes)
     if xdmf.is_series:
         raise InputError("holds a series of frames; expected one mesh")
-    return xdmf.grid(0, wanted)
+    return xdmf.grid(0, (how.displacement, how.split))
 
 
 def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:

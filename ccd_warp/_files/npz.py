@@ -8,9 +8,9 @@ import numpy as np
 
 from ccd_warp._files.archive import unpack
 from ccd_warp._files.cells import reading
-from ccd_warp._files.mesh import Mesh, check_part, read_mesh
+from ccd_warp._files.mesh import Mesh, Reading, check_part, read_mesh
 from ccd_warp._files.opened import read_file
-from ccd_warp._files.parts import Split, groups_of_field
+from ccd_warp._files.parts import groups_of_field
 from ccd_warp._input.messages import InputError
 
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
@@ -27,22 +27,25 @@ class NpzSeries:
     times: list[float] | None = None  # which the archive does not hold
 
     @classmethod
-    def open(cls, path: Path, max_bytes: int, faces_path: Path | None, split: Split = False) -> "NpzSeries":
+    def open(cls, path: Path, how: Reading, faces_path: Path | None) -> "NpzSeries":
         """Read an archive; ``faces_path`` is a mesh file whose faces it takes if it holds none.
 
         Raises:
             InputError: If the archive is damaged, too large, or lacks an array, such as that by which it is split.
         """
-        arrays = npz_arrays(path, max_bytes)
+        with reading(path):
+            files = unpack(read_file(path, how.max_bytes), how.max_bytes)
+            arrays = {name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(data)) for name, data in files}
         if "positions" not in arrays:
             raise InputError(f"{path}: holds {', '.join(map(repr, arrays)) or 'nothing'}; {_EXPECTED}")
         if "faces" not in arrays and faces_path is None:
             raise InputError(f"{path}: holds no 'faces'; add them, or give a mesh that has them with --faces FILE")
-        faces = arrays["faces"] if "faces" in arrays else read_mesh(faces_path or path, max_bytes).faces
+        faces = arrays["faces"] if "faces" in arrays else read_mesh(faces_path or path, Reading(how.max_bytes)).faces
         positions = arrays["positions"]
         for name, values, ndim, kinds in (("positions", positions, 3, "fiu"), ("faces", faces, 2, "iu")):
             if values.ndim != ndim or values.shape[-1] != 3 or values.dtype.kind not in kinds or not values.size:
                 raise InputError(f"{path}: {name!r} is {values.dtype} of shape {values.shape}; {_EXPECTED}")
+        split = how.split
         if isinstance(split, str) and split not in arrays:
             raise InputError(f"{path}: holds no array {split!r}; expected one with a number or a text for each face")
         field = (split, arrays[split]) if isinstance(split, str) else None
@@ -69,10 +72,3 @@ class NpzSeries:
         with reading(self.path):
             parts = groups_of_field(*self.field, [self.faces], len(mesh.vertices))
         return replace(mesh, path=label, parts=parts)
-
-
-def npz_arrays(path: Path, max_bytes: int) -> dict[str, np.ndarray]:
-    """All arrays of a NumPy archive that unpacks to at most ``max_bytes``, or to no more than it takes on the disk."""
-    with reading(path):
-        files = unpack(read_file(path, max_bytes), max_bytes)
-        return {name.removesuffix(".npy"): np.lib.format.read_array(io.BytesIO(data)) for name, data in files}

@@ -24,7 +24,7 @@ class _Element(NamedTuple):
     """An element of the header: how many rows it has, and by its name the type of each property and of its length."""
 
     name: str
-    count: int
+    num_rows: int
     types: dict[str, str]
     count_types: dict[str, str]  # of properties that are lists
 
@@ -37,7 +37,7 @@ class _Element(NamedTuple):
 
     def refuse_count(self, found: int) -> None:
         """Refuse a file that ends within the element."""
-        raise InputError(f"holds {found} rows of the element {self.name!r}, and its header says {self.count}; {CUT}")
+        raise InputError(f"holds {found} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
 
 
 def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -50,12 +50,12 @@ def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     rows = text_rows(data[start:], num_lines + 1) if not order else None
     vertices, faces, counts, at, last_index = np.zeros((0, 3)), NO_INDICES, NO_INDICES, start if order else 0, None
     for element in elements:
-        if not element.count:
+        if not element.num_rows:
             continue
         if rows is None:
             columns, at = _binary(data, at, element, order)
         else:
-            part, at = rows.part(at, at + element.count), at + element.count
+            part, at = rows.part(at, at + element.num_rows), at + element.num_rows
             columns, last_index = _text(part, element), None
         if element.name == "vertex":
             if not {*_AXES} <= element.types.keys() - element.count_types.keys():
@@ -119,7 +119,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int, int]:
 
 def _text(rows: Rows, element: _Element) -> dict[str, _Column]:
     """The properties of the rows of an element."""
-    if len(rows) < element.count:
+    if len(rows) < element.num_rows:
         element.refuse_count(len(rows))
     columns: dict[str, _Column] = {}
     values, at, ends = rows.numbers(), rows.first, rows.first + rows.counts
@@ -156,7 +156,7 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
         if length < 0 or start + size > len(data):
             element.refuse_count(0)
         fields.append((name, order + kind, (length,)))
-    found = min(element.count, (len(data) - start) // max(size, 1))
+    found = min(element.num_rows, (len(data) - start) // max(size, 1))
     rows = np.frombuffer(data, np.dtype(fields), found, start)
     columns = {name: (rows[name].reshape(-1), np.full(found, rows[name].shape[1])) for name in element.types}
     for name in element.count_types:
@@ -166,6 +166,6 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
                 f"the lists of {element.name} differ in length, {lengths[0]} and {lengths[lengths != lengths[0]][0]}, "
                 "which is read in ASCII alone; save triangles, or copy the file again if it was cut"
             )
-    if found < element.count:
+    if found < element.num_rows:
         element.refuse_count(found)
-    return columns, start + size * element.count
+    return columns, start + size * element.num_rows

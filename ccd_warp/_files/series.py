@@ -4,14 +4,13 @@ import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 from ccd_warp._files.cells import reading
-from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, XDMF_SUFFIXES, Mesh, mesh_of_grid, read_mesh
+from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, XDMF_SUFFIXES, Mesh, Reading, mesh_of_grid, read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
 from ccd_warp._files.npz import NpzSeries
 from ccd_warp._files.opened import read_file
-from ccd_warp._files.parts import Split
 from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._input.messages import InputError
 
@@ -39,23 +38,6 @@ class Series(Protocol):
         """Frame ``k``, completely or not at all."""
 
 
-@dataclass(frozen=True)
-class Reading:
-    """How the files of a series are read.
-
-    Attributes:
-        max_bytes: Limit on the unpacked size of an archive.
-        displacement: Field that is added to the positions of VTK and XDMF files.
-        surface: Whether volume cells of these stand for their boundary surface.
-        split: How their cells are to be split; the first frame has the parts.
-    """
-
-    max_bytes: int
-    displacement: str | None = None
-    surface: bool = False
-    split: Split = False
-
-
 @dataclass
 class FileSeries:
     """A mesh file for each frame."""
@@ -72,9 +54,7 @@ class FileSeries:
 
     def read(self, k: int) -> Mesh:
         """The mesh of file ``k``."""
-        how = self.how
-        split = how.split if k == 0 else False
-        return read_mesh(self.files[k], how.max_bytes, how.displacement, how.surface, split)
+        return read_mesh(self.files[k], of_frame(self.how, k))
 
 
 class XdmfSeries:
@@ -96,43 +76,39 @@ class XdmfSeries:
 
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""
-        path, how, split = self.xdmf.path, self.how, self.how.split if k == 0 else False
+        path, how = self.xdmf.path.with_name(self.labels[k]), of_frame(self.how, k)
         with reading(path):
-            grid = self.xdmf.grid(k, (how.displacement, split))
-            return mesh_of_grid(path, grid, how.displacement, how.surface, split, label=self.labels[k])
+            return mesh_of_grid(path, self.xdmf.grid(k, (how.displacement, how.split)), how)
 
 
-def find_series(
-    paths: Sequence[Path],
-    *,
-    max_bytes: int,
-    displacement: str | None = None,
-    faces: Path | None = None,
-    surface: bool = False,
-    split: Split = False,
-) -> list[Series]:
+def of_frame(how: Reading, k: int) -> Reading:
+    """How frame ``k`` is read: the first one has the parts."""
+    return how if k == 0 else how._replace(split=False)
+
+
+def find_series(paths: Sequence[Path], *, faces: Path | None = None, **options: Any) -> list[Series]:
     """The frames that files and folders hold, one series for each that moves.
 
     Args:
         paths: Mesh files, which are grouped by their names as in :func:`grouped_frames`; folders, each as if its files
             had been given; and files of all frames: ``.npz``, ``.pvd``, ``.xdmf``.
         faces: Mesh file whose faces a ``.npz`` without faces takes.
-        max_bytes, displacement, surface, split: As of :class:`Reading`.
+        options: As of :class:`Reading`.
 
     Raises:
         InputError: If a path is missing or not known, or they differ in the number of frames, or hold fewer than two.
     """
-    how = Reading(max_bytes, displacement, surface, split)
+    how = Reading(**options)
     frames: list[Path] = []
     series: list[Series] = []
 
     def add(path: Path) -> None:
         suffix = path.suffix.lower()
         if suffix == ".npz":
-            series.append(NpzSeries.open(path, max_bytes, faces, split))
+            series.append(NpzSeries.open(path, how, faces))
         elif suffix == ".pvd":
             series.extend(_pvd_series(path, how))
-        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf.open(path, max_bytes)).is_series:
+        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf.open(path, how.max_bytes)).is_series:
             series.append(XdmfSeries(xdmf, how))
         else:
             frames.append(path)

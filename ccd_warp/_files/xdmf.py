@@ -7,7 +7,6 @@ is not stated otherwise.
 
 import math
 from collections.abc import Iterable
-from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as ET
@@ -15,7 +14,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ccd_warp._files.cells import Grid, grid_of, load_meshio, reading, whole_numbers
-from ccd_warp._files.opened import check_file, check_size, read_file
+from ccd_warp._files.opened import PLAIN_BYTES, check_file, check_size, read_file
 from ccd_warp._files.text import CUT
 from ccd_warp._input.messages import InputError
 
@@ -96,9 +95,10 @@ class Xdmf:
         stated, count = topology.get("NumberOfElements"), sum(len(block.data) for block in mesh.cells)
         if stated is not None and math.prod(map(int, stated.split())) != count:
             raise InputError(f"holds {count} cells, and says that it has {stated}; {CUT}")
-        return grid_of(mesh)._replace(
-            fields={name: partial(mesh.point_data.__getitem__, name) for name in nodes},
-            cell_fields={name: partial(_joined, mesh.cell_data, name) for name in cells},
+        read = grid_of(mesh)  # without the names of the fields that are not wanted
+        return read._replace(
+            fields={**dict.fromkeys(nodes, _unread), **read.fields},
+            cell_fields={**dict.fromkeys(cells, _unread), **read.cell_fields},
         )
 
     def _part(self, k: int, tag: str) -> ET.Element:
@@ -113,12 +113,6 @@ class Xdmf:
         if len(items) != 1:
             raise InputError(f"a {parent.tag} has {len(items)} DataItem; expected one: {CUT}")
         item = items[0]
-        if (reference := item.get("Reference")) is not None:
-            place = ((item.text or "") if reference == "XML" else reference).strip()
-            found = self.root.findall("./" + place.partition("/Xdmf/")[2]) if place.startswith("/Xdmf/") else []
-            if len(found) != 1 or found[0].tag != "DataItem" or "Reference" in found[0].attrib:
-                raise InputError(f"refers to {place!r}, which is no DataItem in it")
-            item = found[0]
         try:
             kind = self._checked(item, kinds)
         except InputError as error:
@@ -138,7 +132,7 @@ class Xdmf:
         if kind not in kinds or min(shape, default=-1) < 0 or {"DataType", "NumberType"} <= set(item.keys()):
             expected = "integers" if "Float" not in kinds else "numbers" if "Int" in kinds else "reals"
             raise InputError(f"are {kind} of shape {shape}; expected {expected}: {CUT}")
-        check_size("the array", 8 * math.prod(shape), self.max_bytes)
+        check_size("the array", 8 * math.prod(shape), max(self.max_bytes, PLAIN_BYTES))
         how = item.get("Format")
         if how == "HDF":
             self._check_hdf5((item.text or "").strip(), shape, "f" if kind == "Float" else "iu")
@@ -158,5 +152,5 @@ class Xdmf:
                 raise InputError(f"in {place} are no dataset of shape {shape} of such numbers; {CUT}")
 
 
-def _joined(fields: dict[str, list[np.ndarray]], name: str) -> np.ndarray:
-    return np.concatenate(fields[name])
+def _unread() -> np.ndarray:
+    raise AssertionError("only fields that are wanted are read")
