@@ -1,7 +1,7 @@
 """Sequences of frames whose positions lie in one NumPy archive."""
 
 import io
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,18 +16,10 @@ from ccd_warp._input.messages import InputError
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
 
 
-@dataclass
 class NpzSeries:
     """The frames of a NumPy archive: ``positions`` of shape [T, n, 3] and ``faces`` of shape [m, 3]."""
 
-    path: Path
-    positions: np.ndarray
-    faces: np.ndarray
-    field: tuple[str, np.ndarray] | None = None
-    times: list[float] | None = None  # which the archive does not hold
-
-    @classmethod
-    def open(cls, path: Path, how: Reading, faces_path: Path | None) -> "NpzSeries":
+    def __init__(self, path: Path, how: Reading, faces_path: Path | None) -> None:
         """Read an archive; ``faces_path`` is a mesh file whose faces it takes if it holds none.
 
         Raises:
@@ -41,25 +33,15 @@ class NpzSeries:
         if "faces" not in arrays and faces_path is None:
             raise InputError(f"{path}: holds no 'faces'; add them, or give a mesh that has them with --faces FILE")
         faces = arrays["faces"] if "faces" in arrays else read_mesh(faces_path or path, Reading(how.max_bytes)).faces
-        positions = arrays["positions"]
+        positions, split = arrays["positions"], how.split
         for name, values, ndim, kinds in (("positions", positions, 3, "fiu"), ("faces", faces, 2, "iu")):
             if values.ndim != ndim or values.shape[-1] != 3 or values.dtype.kind not in kinds or not values.size:
                 raise InputError(f"{path}: {name!r} is {values.dtype} of shape {values.shape}; {_EXPECTED}")
-        split = how.split
         if isinstance(split, str) and split not in arrays:
             raise InputError(f"{path}: holds no array {split!r}; expected one with a number or a text for each face")
-        field = (split, arrays[split]) if isinstance(split, str) else None
-        return cls(path, positions, faces.astype(np.int64), field)
-
-    @property
-    def name(self) -> str:
-        """Name of the file."""
-        return self.path.name
-
-    @property
-    def labels(self) -> list[str]:
-        """Number of each frame."""
-        return [f"{self.name}[{k}]" for k in range(len(self.positions))]
+        self.path, self.name, self.positions, self.faces = path, path.name, positions, faces.astype(np.int64)
+        self.field = (split, arrays[split]) if isinstance(split, str) else None
+        self.labels, self.times = [f"{self.name}[{k}]" for k in range(len(positions))], None
 
     def read(self, k: int) -> Mesh:
         """Frame ``k``."""

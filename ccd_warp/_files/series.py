@@ -2,9 +2,8 @@
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from ccd_warp._files.cells import reading
 from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, XDMF_SUFFIXES, Mesh, Reading, mesh_of_grid, read_mesh
@@ -17,40 +16,12 @@ from ccd_warp._input.messages import InputError
 _ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
 
 
-class Series(Protocol):
-    """The frames of one file or of several, which move together.
-
-    Attributes:
-        times: Time of each frame; None where the files do not say it.
-    """
-
-    times: list[float] | None
-
-    @property
-    def name(self) -> str:
-        """What to call them."""
-
-    @property
-    def labels(self) -> list[str]:
-        """Name of each frame."""
-
-    def read(self, k: int) -> Mesh:
-        """Frame ``k``, completely or not at all."""
-
-
-@dataclass
 class FileSeries:
     """A mesh file for each frame."""
 
-    name: str
-    files: list[Path]
-    how: Reading
-    times: list[float] | None = None
-
-    @property
-    def labels(self) -> list[str]:
-        """Names of the files."""
-        return [path.name for path in self.files]
+    def __init__(self, name: str, files: list[Path], how: Reading, times: list[float] | None = None) -> None:
+        self.name, self.files, self.how, self.times = name, files, how, times
+        self.labels = [path.name for path in files]
 
     def read(self, k: int) -> Mesh:
         """The mesh of file ``k``."""
@@ -86,6 +57,11 @@ def of_frame(how: Reading, k: int) -> Reading:
     return how if k == 0 else how._replace(split=False)
 
 
+# The frames of one file or of several, which move together: what to call them, the name of each, their times where the
+# files say these, and each frame, read completely or not at all.
+Series = FileSeries | XdmfSeries | NpzSeries
+
+
 def find_series(paths: Sequence[Path], *, faces: Path | None = None, **options: Any) -> list[Series]:
     """The frames that files and folders hold, one series for each that moves.
 
@@ -105,7 +81,7 @@ def find_series(paths: Sequence[Path], *, faces: Path | None = None, **options: 
     def add(path: Path) -> None:
         suffix = path.suffix.lower()
         if suffix == ".npz":
-            series.append(NpzSeries.open(path, how, faces))
+            series.append(NpzSeries(path, how, faces))
         elif suffix == ".pvd":
             series.extend(_pvd_series(path, how))
         elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf.open(path, how.max_bytes)).is_series:
