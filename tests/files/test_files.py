@@ -86,6 +86,17 @@ def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(
         assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0)) and len(found) == len(BALL)
 
 
+@pytest.mark.parametrize("kind, module", [("dae", "collada"), ("3mf", "lxml")])
+def test_scenes_of_other_formats_have_their_vertices_once(tmp_path, kind, module):
+    """Of COLLADA, trimesh gives the corners of each triangle, which without merging would touch one another."""
+    pytest.importorskip(module)
+    frames = _frames(tmp_path, f"a.{kind}", *(exported(kind, x, BALL_FACES) for x in (BALL, BALL + 1.0)))
+    assert len(frames.vertices_t0) == len(BALL) and frames.mesh.num_faces == len(BALL_FACES)
+    for found, x in ((frames.vertices_t0, BALL), (frames.vertices_t1, BALL + 1.0)):
+        corners = found[frames.mesh.faces]
+        assert np.abs(corners - x[BALL_FACES]).max() < 1e-6  # single precision, and decimals of trimesh
+
+
 def test_glb_vertices_that_touch_and_part_stay_two(tmp_path):
     start, faces = np.vstack([TRIANGLE, -TRIANGLE]), np.arange(6).reshape(-1, 3)
     contents = [exported("glb", x, faces) for x in (start, start - (np.arange(6) > 2)[:, None])]
