@@ -11,14 +11,14 @@ import nox
 
 nox.needs_version = ">=2025.2.9"
 nox.options.error_on_missing_interpreters = False
-nox.options.reuse_existing_virtualenvs = True
+nox.options.default_venv_backend = "uv|virtualenv"  # uv where it is installed
 nox.options.sessions = ["tests"]
 # What the Pythons have compiled of the kernels, by its source, for each other and for later runs.
 OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp", "ccd_warp_objects")
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
-FEW = ["input/test_options", "input/test_mesh", "files/test_files", "files/test_read_frames"]
+FEW = ["input/test_options", "input/test_mesh", "files/test_files", "files/test_public_data"]
 
 
 @nox.session(python=PYTHONS)
@@ -28,10 +28,10 @@ def tests(session: nox.Session) -> None:
     session.run("python", "-m", "pytest", "-n", "auto", "-m", "not long", *session.posargs)
 
 
-@nox.session(python=[PYTHONS[0], PYTHONS[-1]], reuse_venv=False)
+@nox.session(python=[PYTHONS[0], PYTHONS[-1]], venv_backend="virtualenv")
 def users(session: nox.Session) -> None:
-    """Under the oldest and the newest Python: install a wheel and nothing else, act as three users in an empty folder,
-    and run a few tests: `-- WHEEL`; not under a Python that follows it, under which all tests run anyway.
+    """Under the oldest and the newest Python: install a wheel by pip and nothing else, act as the README's users in an
+    empty folder, and run a few tests: `-- WHEEL`; not under a Python that follows it, under which all tests run anyway.
     """
     if not session.posargs:
         session.error("expected the path of one wheel: nox --session users -- dist/NAME.whl")
@@ -44,11 +44,11 @@ def users(session: nox.Session) -> None:
     with TemporaryDirectory() as kernels, TemporaryDirectory() as empty, session.chdir(empty):
         variables["WARP_CACHE_PATH"] = kernels
         session.run("python", "-P", str(TESTS / "as_users.py"), str(OBJECTS), env=variables)
-    session.install("pytest", "hypothesis")
+    session.install("pytest")
     session.run("python", "-P", "-m", "pytest", "-q", *(str(TESTS / f"{name}.py") for name in FEW))
 
 
-@nox.session(python=PYTHONS[0], reuse_venv=False)
+@nox.session(python=PYTHONS[0])
 def lowest(session: nox.Session) -> None:
     """Before a release: all tests with the lowest versions that pyproject.toml allows, all of them wheels.
 
@@ -63,7 +63,7 @@ def lowest(session: nox.Session) -> None:
     session.run("python", "-m", "pytest", "-n", "auto", *session.posargs)
 
 
-@nox.session(python=PYTHONS[0], reuse_venv=False)
+@nox.session(python=PYTHONS[0])
 def newest(session: nox.Session) -> None:
     """All tests with the newest Warp of the index, pre-releases too: three modules use names that it may change."""
     session.install(".[test]")

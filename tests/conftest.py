@@ -1,35 +1,22 @@
 """Set-up of the test suite: the installed package, a quiet Warp, its device, and the fixtures every module shares."""
 
 import gc
-import importlib.util
 import os
 import signal
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpers", "")]
 
 import pytest
 import warp as wp
-from browser import find_browser, opened_browser
+from programs import programs
 
 wp.config.log_level = wp.LOG_WARNING
 if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
     wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as of a command in the background of a script
     signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-@contextmanager
-def loaded_example(name: str):
-    """An example as a module; Warp looks up the source of its kernels among the modules."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).resolve().parents[1] / "examples" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[name]
 
 
 def pytest_addoption(parser):
@@ -116,11 +103,5 @@ def precision(request) -> str:
     return request.param
 
 
-@pytest.fixture(scope="session")
-def browser():
-    """A page of a headless Chromium; what needs it is skipped where there is none."""
-    path = find_browser()
-    if path is None:
-        pytest.skip("no Chromium found: apt-get install chromium, or set CCD_WARP_BROWSER to its path")
-    with opened_browser(path) as page:
-        yield page
+# Runs `python ARGUMENTS` in a folder, in a process of its own: its status and output.
+python = pytest.fixture(scope="session", name="python")(programs)

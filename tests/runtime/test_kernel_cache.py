@@ -1,9 +1,12 @@
 """Damaged files in Warp's kernel cache: the folder is named, and the module compiled again."""
 
 import warnings
+from pathlib import Path
 
 import pytest
 import warp as wp
+from shared_objects import SharedObjects
+from warp._src import build
 
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.launch import start_warp
@@ -16,14 +19,14 @@ def fill(begin: int, values: wp.array[float]):
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory):
-    """A cache that holds the kernel alone."""
+    """A cache that holds the kernel alone; what the compiler makes of it is kept in the usual one."""
     start_warp()
-    before, wp.config.kernel_cache_dir = wp.config.kernel_cache_dir, str(tmp_path_factory.mktemp("cache"))
-    try:
+    with pytest.MonkeyPatch.context() as patch:
+        objects = SharedObjects(Path(wp.config.kernel_cache_dir) / "ccd_warp_objects")
+        patch.setattr(build, "build_cpu", objects.build_cpu)
+        patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path_factory.mktemp("cache")))
         _load_anew()
-        yield tmp_path_factory.getbasetemp() / wp.config.kernel_cache_dir
-    finally:
-        wp.config.kernel_cache_dir = before
+        yield Path(wp.config.kernel_cache_dir)
 
 
 def _load_anew():

@@ -9,7 +9,6 @@ from pathlib import Path
 TESTS = """
 import os, signal, time
 import warp as wp
-from ccd_warp import edge_edge_ccd
 
 def test_dies():
     os._exit(3)

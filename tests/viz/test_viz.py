@@ -20,6 +20,7 @@ NO_FACES = np.zeros((0, 3), dtype=int)
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
 
 
+@cache
 def _reason_not_to_draw() -> str:
     try:
         with drawing_without_display():
@@ -28,8 +29,13 @@ def _reason_not_to_draw() -> str:
         return str(error)
 
 
-REASON = _reason_not_to_draw()
-requires_drawing = pytest.mark.skipif(bool(REASON), reason=REASON)
+@pytest.fixture
+def drawing():
+    if reason := _reason_not_to_draw():
+        pytest.skip(reason)
+
+
+requires_drawing = pytest.mark.usefixtures("drawing")
 
 
 # ---- Scenes: a mesh, and positions at both ends of a step ------------------------------------------------------------
@@ -192,7 +198,7 @@ def test_bodies_that_turn_are_placed_on_their_arcs():
     assert np.allclose(moved, unit * (bar_at(0.3) - bar_at(0.0)), atol=1e-12)
     # the path of the bar reaches farther than its places at both ends, and all of it is in the picture
     assert 0.99 < np.abs(scene.between).max() <= 1.0 + 1e-12 and len(scene.trails) > 2
-    if not REASON:
+    if not _reason_not_to_draw():
         block = viz.to_pyvista(*step, result, t=result.toi, motion=motion)["bar"]
         assert np.allclose(block.points, bar_at(result.toi), atol=1e-6) and block.field_data["static"].tolist() == [0]
         assert np.allclose(block.point_data["displacement"], bar_at(1.0) - bar_at(0.0), atol=1e-12)
@@ -211,7 +217,7 @@ def test_results_and_files_that_do_not_fit_are_refused(tmp_path, monkeypatch, ca
     ):
         with pytest.raises(ValueError, match=words):
             viz.render_step(*arguments)
-    if not REASON:
+    if not _reason_not_to_draw():
         monkeypatch.delenv("DISPLAY", raising=False)
         with pytest.raises(RuntimeError, match="show_step found no display"):
             viz.show_step(*step)
