@@ -12,8 +12,7 @@ from checkout import ROOT
 from distance_queries import size_of as size_of_motion
 from hard_cases import FAMILIES
 from methods import KINDS
-
-from ccd_warp import datasets
+from public_data import find_queries
 
 GENERATED = ("random_colliding", "cloth_like")
 
@@ -85,10 +84,10 @@ def make_set(
     return QuerySet(name, kind, p0, p1, exact, separation, length_scale, len(points_t0), disagreements)
 
 
-def published_sets(folder: Path, most: int, *, progress: bool = False) -> list[QuerySet]:
+def published_sets(folder: Path, most: int) -> list[QuerySet]:
     """Sets of a folder in the public formats; the scenes of each part, such as ``handcrafted``, form one set."""
     parts: dict[tuple[str, str], list] = {}
-    for queries in datasets.find_queries(folder, progress=progress):
+    for queries in find_queries(folder):
         parts.setdefault((queries.name.split("/")[0], queries.kind), []).append(queries)
     sets = []
     for (name, kind), queries in parts.items():

@@ -10,8 +10,7 @@ import checkout  # noqa: F401
 import numpy as np
 import trimesh
 from fine_meshes import Scene, grid, joined, sphere, spheres_through_each_other
-
-from ccd_warp import datasets
+from public_data import find_steps, read_step
 
 
 def cloth_over_sphere(num_faces: int) -> Scene:
@@ -158,10 +157,10 @@ def published_scenes(folder: Path | None) -> list[tuple[str, Callable[[], Scene]
         return []
 
     def load(name: str, frames: tuple[Path, Path]) -> Scene:
-        step = datasets.read_step(*frames)
+        step = read_step(*frames)
         return Scene(name, step.vertices_t0, step.vertices_t1, step.faces)
 
-    steps = datasets.find_steps(folder)
+    steps = find_steps(folder)
     return [(Path(name).name, lambda n=name, f=frames: load(Path(n).name, f)) for name, frames in steps.items()]
 
 

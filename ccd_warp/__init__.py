@@ -101,7 +101,6 @@ __all__ = [
     "ToiGradient",
     "__version__",
     "collision_free_step",
-    "datasets",
     "displacement_bounds",
     "edge_edge_ccd",
     "find_candidates",
@@ -121,10 +120,10 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
-    from ccd_warp import datasets, viz
+    from ccd_warp import viz
 
 # Loaded when they are first asked for.
-_PARTS = ("datasets", "viz")
+_PARTS = ("viz",)
 
 
 def __getattr__(name: str) -> Any:

@@ -1,7 +1,7 @@
 """Rigid bodies from a mesh file and their poses at several times from a table, and the steps between these."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, read_static
-from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.parts import Split, check_split
 from ccd_warp._frames import checked_static, mesh_of, static_bodies
 from ccd_warp._half_space import HalfSpace
@@ -20,15 +19,6 @@ from ccd_warp._input.messages import printable
 from ccd_warp._input.names import distinct_names
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._motion import RigidMotion
-
-
-@dataclass(frozen=True)
-class _Source:
-    """What a sequence says of the file from which it comes."""
-
-    name: str
-    labels: list[str]
-    files: list[Path]
 
 
 class PoseSequence:
@@ -60,25 +50,16 @@ class PoseSequence:
         """Of the files; ``make_mesh`` joins bodies, with the rigid ones as ``rigid=``."""
         from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
 
-        with noted_files() as self._opened:
-            how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
-            bodies = read_static(mesh_path, needs_field=True, **how).split(split)
-            table = read_poses(poses_path, max_bytes)
+        how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
+        bodies = read_static(mesh_path, needs_field=True, **how).split(split)
+        table = read_poses(poses_path, max_bytes)
         chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
-        self._first_bodies = [
-            *(replace(body, is_static=k not in chosen) for k, body in enumerate(bodies)),
-            *static,
-        ]
-        order = np.argsort(chosen)
-        self.times, self.poses, self.path = table.times, table.poses[:, order], path
+        self._first_bodies = [*(replace(body, is_static=k not in chosen) for k, body in enumerate(bodies)), *static]
+        self.times, self.poses, self.path = table.times, table.poses[:, np.argsort(chosen)], path
         self.poses.flags.writeable = False
         self.labels = [f"t = {t!r}" for t in self.times.tolist()]
         self.mesh = make_mesh(self._first_bodies, rigid=sorted(chosen))
-        self._series: Sequence[Any] = [
-            _Source(f"{printable(mesh_path.name)} at {printable(poses_path.name)}", self.labels, [])
-        ]
-
-    _opened: list[Stamp]
+        self._name = f"{printable(mesh_path.name)} at {printable(poses_path.name)}"
 
     def __repr__(self) -> str:
         return f"PoseSequence({len(self)} times of {self.mesh!r})"
@@ -136,9 +117,9 @@ def read_poses(
 
     Args:
         mesh_path: Mesh file of all bodies, each in its own frame.
-        poses_path: Table of poses, a row for each body and time: ``t, body, px, py, pz, qx, qy, qz, qw``, the
-            quaternion **x y z w**. CSV, with these names in the first row or without, or JSON, a list of objects with
-            these keys. A body is given by its name, or by its index in the mesh file; one without poses is static.
+        poses_path: CSV, a row for each body and time: ``t, body, px, py, pz, qx, qy, qz, qw``, the quaternion
+            **x y z w**, with these names in the first row or without. A body is given by its name, or by its index in
+            the mesh file; one without poses is static.
         path: How bodies move from one pose to the next, as of :class:`ccd_warp.RigidMotion`.
         static: Mesh files of bodies that do not move, or half-spaces.
         kinematic: Indices or names of the bodies that move as they are told.

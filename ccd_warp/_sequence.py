@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._files.frames import Body, InputError, body_between, warn_of_step
 from ccd_warp._files.mesh import Mesh
-from ccd_warp._files.opened import Stamp, noted_files
 from ccd_warp._files.parts import Parts, check_split
 from ccd_warp._files.series import Series, find_series
 from ccd_warp._frames import Frames, checked_static, mesh_of, read_frames, static_bodies
@@ -46,16 +45,17 @@ class FrameSequence:
     ) -> None:
         """Of the series of files that move, and obstacles; ``make_mesh`` joins the bodies of a step."""
         self._series: Sequence[Series] = series
+        self._name = ", ".join(each.name for each in series)
         self._split, self._seen = split, set[int]()
         self._parts: list[Parts | None] = []
         self._static = static
         self._make_mesh = make_mesh
-        self._read: dict[int, tuple[list[Mesh], list[Stamp]]] = {}
+        self._read: dict[int, list[Mesh]] = {}
         self.labels = [printable(label) for label in series[0].labels]
         found = [each.times for each in series if each.times is not None]
         self.times = np.array(found[0] if found else range(len(self.labels)), dtype=np.float64)
         self._first_bodies = self._bodies(0)
-        for start, end in zip(*(meshes for meshes, _ in self._read.values()), strict=True):
+        for start, end in zip(*self._read.values(), strict=True):
             warn_of_step(start, end)
         self.mesh = make_mesh(self._first_bodies)
 
@@ -113,8 +113,8 @@ class FrameSequence:
 
     def _bodies(self, k: int) -> list[Body]:
         """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
-        self._read = {n: self._read.get(n) or self._frame(n) for n in (k, k + 1)}
-        (starts, _), (ends, _) = self._read.values()
+        self._read = {n: self._read.get(n) or [each.read(n) for each in self._series] for n in (k, k + 1)}
+        starts, ends = self._read.values()
         if k == 0:
             self._parts = [start.parts for start in starts]
         moving = [
@@ -126,15 +126,6 @@ class FrameSequence:
 
     def _motion(self, k: int) -> None:
         """How bodies turn in the step: vertices move straight from frame to frame."""
-
-    def _frame(self, n: int) -> tuple[list[Mesh], list[Stamp]]:
-        with noted_files() as stamps:
-            return [each.read(n) for each in self._series], stamps
-
-    @property
-    def _opened(self) -> list[Stamp]:
-        """The stamps of all files from which the bodies were read that were asked for last."""
-        return [each for _, stamps in self._read.values() for each in stamps]
 
     def _mesh_of(self, bodies: list[Body]) -> CollisionMesh:
         """The mesh of these bodies: that of the first step, unless vertices are merged in another way."""
@@ -186,14 +177,17 @@ def read_sequence(
     given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
     if not given:
         raise ValueError("paths is empty; expected a path, or a list of paths")
-    files = [check_path("paths", path) for path in given]
-    obstacles, chosen = checked_static(static), check_items("kinematic", kinematic, "a list of body indices")
-    limit = check_count("max_bytes", max_bytes, 2**63 - 1)
     if displacement is not None and not isinstance(displacement, str):
         raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
-    surface, split = check_flag("surface", surface), check_split(split)
-    faces_path = None if faces is None else check_path("faces", faces)
-    how: dict[str, Any] = {"max_bytes": limit, "surface": surface, "split": split}
-    series = find_series(files, displacement=displacement, faces=faces_path, **how)
-    bodies = static_bodies(obstacles, **how)
-    return FrameSequence(series, bodies, partial(mesh_of, kinematic=chosen, self_collision=self_collision), split=split)
+    how: dict[str, Any] = {"max_bytes": check_count("max_bytes", max_bytes, 2**63 - 1)}
+    how |= {"surface": check_flag("surface", surface), "split": check_split(split)}
+    chosen = check_items("kinematic", kinematic, "a list of body indices")
+    series = find_series(
+        [check_path("paths", path) for path in given],
+        displacement=displacement,
+        faces=None if faces is None else check_path("faces", faces),
+        **how,
+    )
+    bodies = static_bodies(checked_static(static), **how)
+    make_mesh = partial(mesh_of, kinematic=chosen, self_collision=self_collision)
+    return FrameSequence(series, bodies, make_mesh, split=how["split"])

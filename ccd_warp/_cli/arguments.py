@@ -134,7 +134,7 @@ def _add_bench(add: _Add) -> None:
 
 def _add_scene(add: _Add) -> None:
     """What `run` and `sequence` take alike: obstacles, limits, and what decides the exit status."""
-    text = "rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV or .json with"
+    text = "rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV with"
     more = "a row for each body and time: t, body, px, py, pz, qx, qy, qz, qw; a body without rows does not move"
     add("--poses", f"{text} {more}", **_file())
     text = "how a body of --poses moves: its origin on a straight line, or the body on a screw (linear)"

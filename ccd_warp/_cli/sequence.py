@@ -204,7 +204,7 @@ def _report(
 ) -> str:
     """The report of the steps that were solved, without a final newline."""
     mesh = sequence.mesh
-    title = f"{len(sequence)} frames of {', '.join(each.name for each in sequence._series)}"
+    title = f"{len(sequence)} frames of {sequence._name}"
     lines = [format_title(title, options), "", *body_lines(mesh, sequence._first_bodies), ""]
     hits, crossing = [row for row in rows if row.hit], [row for row in rows if row.crossing]
     if not hits:

@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.mesh import Mesh, read_mesh
+from ccd_warp._files.mesh import Mesh, Reading, read_mesh
 from ccd_warp._files.natural import are_swapped
 from ccd_warp._files.parts import Parts, Split, components, groups
 from ccd_warp._half_space import HalfSpace
@@ -32,7 +31,6 @@ class Body:
         faces: Vertex indices within the body, shape [m, 3].
         source_index: Index of each vertex in its file (the first of merged ones), shape [n].
         is_static: True for an obstacle that does not move.
-        merged: Number of the file's vertices that were merged into others.
         names: Names of the objects, groups and nodes in the file.
         face_name: Index of the name of each face, shape [m]; None where there is one name.
         num_copies: Number of vertices that were merged into each, shape [n]; None where none were.
@@ -47,7 +45,6 @@ class Body:
     faces: np.ndarray
     source_index: np.ndarray
     is_static: bool = False
-    merged: int = 0
     names: Sequence[str] = ("",)
     face_name: np.ndarray | None = None
     num_copies: np.ndarray | None = None
@@ -60,6 +57,11 @@ class Body:
         """A half-space as a body, which has no vertices of its own."""
         none = np.zeros((0, 3))
         return replace(make_body(name, none, None, none, is_static=True), half_space=half_space)
+
+    @property
+    def merged(self) -> int:
+        """Number of the file's vertices that were merged into others."""
+        return 0 if self.num_copies is None else int(self.num_copies.sum())
 
     @property
     def arrays(self) -> tuple[Any, ...] | HalfSpace:
@@ -102,7 +104,7 @@ class Body:
                     local[self.faces[of_part]],
                     self.source_index[chosen],
                     self.is_static,
-                    0 if self.num_copies is None else int(self.num_copies[chosen].sum()),
+                    num_copies=None if self.num_copies is None else self.num_copies[chosen],
                     is_surface=self.is_surface,
                 )
             )
@@ -121,37 +123,25 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
 
 
-def read_frames(
-    start_path: str | Path,
-    end_path: str | Path,
-    *,
-    max_bytes: int = MAX_BYTES,
-    surface: bool = False,
-    split: Split = False,
-) -> Body:
-    """Read the two ends of a step.
-
-    Args:
-        start_path: Mesh file of the start positions.
-        end_path: Mesh file of the end positions, with the same faces.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
-        surface: Whether volume cells stand for their boundary surface.
-        split: Name of the field of cells at the start that tells the parts of the body; no other value does anything.
-
-    Returns:
-        A moving body.
+def read_frames(start_path: Path, end_path: Path, **options: Any) -> Body:
+    """Read the two ends of a step, with the same faces, as a moving body; ``options`` are those of :class:`Reading`.
 
     Raises:
         InputError: If a file is missing, damaged, not finite, unpacks to more than the limit, or the two differ in
             topology.
         ValueError: If ``max_bytes`` is not a positive integer.
     """
-    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    start = read_mesh(Path(start_path), max_bytes, surface=surface, split=split)
-    end = read_mesh(Path(end_path), max_bytes, surface=surface)
+    how = _reading(options)
+    start, end = read_mesh(start_path, how), read_mesh(end_path, how._replace(split=False))
     body = body_between(start, end)
     warn_of_step(start, end)
     return body
+
+
+def _reading(options: dict[str, Any]) -> Reading:
+    how = Reading(**options)
+    check_count("max_bytes", how.max_bytes, _MOST_BYTES)
+    return how
 
 
 def warn_of_step(start: Mesh, end: Mesh) -> None:
@@ -193,103 +183,61 @@ def body_between(start: Mesh, end: Mesh) -> Body:
             f"and {end.faces[k].tolist()} in {end.path} ({different.size} of {len(start.faces)} faces differ); "
             "both frames need the same faces in the same order"
         )
-    name = start.path.name
     if start.sharing == "indexed":
-        body = make_body(name, start.vertices, end.vertices, start.faces)
-        return replace(
-            body,
-            names=start.names,
-            face_name=start.face_name,
-            is_surface=start.is_surface or len(start.midsides) > 0,
-            parts=start.parts,
-        )
-    if start.sharing == "soup":
-        source_index, merged = _merge(np.hstack([start.vertices, _node_of_vertex(start)]))
-        torn = np.flatnonzero((end.vertices[source_index][merged] != end.vertices).any(axis=1))
-        if torn.size:
-            k = int(torn[0])
-            raise InputError(
-                f"{end.path}: corner {k % 3} of face {k // 3} leaves corner {source_index[merged[k]] % 3} of face "
-                f"{source_index[merged[k]] // 3}, although they are one vertex in {start.path}; an STL file does not "
-                "say which corners are one vertex, so save both frames in a format that does, PLY for example"
-            )
-    else:
+        return _body(start, end.vertices)
+    if start.sharing == "split":
         # The file gives different indices to copies of a vertex that coincide throughout the step: they agree at both
         # ends and hence on the whole trajectory. Without merging, every seam would be in contact with itself at t = 0.
-        source_index, merged = _merge(np.hstack([start.vertices, end.vertices, _node_of_vertex(start)]))
-    return Body(
-        name,
-        start.vertices[source_index],
-        end.vertices[source_index],
-        merged[start.faces],
-        source_index,
-        False,
-        len(merged) - len(source_index),
-        start.names,
-        start.face_name,
-        np.bincount(merged) - 1,
-    )
+        return _body(start, end.vertices, _merge(start, start.vertices, end.vertices))
+    source_index, merged = _merge(start, start.vertices)
+    torn = np.flatnonzero((end.vertices[source_index][merged] != end.vertices).any(axis=1))
+    if torn.size:
+        k, other = int(torn[0]), int(source_index[merged[torn[0]]])
+        raise InputError(
+            f"{end.path}: corner {k % 3} of face {k // 3} leaves corner {other % 3} of face {other // 3}, although "
+            f"they are one vertex in {start.path}; an STL file does not say which corners are one vertex, so save both "
+            "frames in a format that does, PLY for example"
+        )
+    return _body(start, end.vertices, (source_index, merged))
 
 
-def read_static(
-    path: str | Path,
-    *,
-    max_bytes: int = MAX_BYTES,
-    surface: bool = False,
-    split: Split = False,
-    needs_field: bool = False,
-) -> Body:
-    """Read an obstacle that does not move.
+def read_static(path: Path, **options: Any) -> Body:
+    """Read an obstacle that does not move; ``options`` are those of :class:`Reading`, and a field may be missing."""
+    mesh = read_mesh(path, _reading({"needs_field": False, **options}))
+    warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
+    return _body(mesh, None, None if mesh.sharing == "indexed" else _merge(mesh, mesh.vertices))
 
-    Args:
-        path: Mesh file.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
-        surface: Whether volume cells stand for their boundary surface.
-        split: Name of the field of cells that tells the parts of the body, if the file has it.
-        needs_field: Whether the file must have it.
 
-    Returns:
-        A static body.
-
-    Raises:
-        InputError: If the file is missing, damaged or not finite, or unpacks to more than the limit.
-        ValueError: If ``max_bytes`` is not a positive integer.
-    """
-    max_bytes = check_count("max_bytes", max_bytes, _MOST_BYTES)
-    mesh = read_mesh(Path(path), max_bytes, surface=surface, split=split, needs_field=needs_field)
-    if mesh.sharing == "indexed":
-        warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
-        body = make_body(mesh.path.name, mesh.vertices, None, mesh.faces, is_static=True)
-        is_surface = mesh.is_surface or len(mesh.midsides) > 0
-        return replace(body, names=mesh.names, face_name=mesh.face_name, is_surface=is_surface, parts=mesh.parts)
-    source_index, merged = _merge(np.hstack([mesh.vertices, _node_of_vertex(mesh)]))
-    vertices = mesh.vertices[source_index]
+def _body(mesh: Mesh, vertices_t1: np.ndarray | None, merged: tuple[np.ndarray, np.ndarray] | None = None) -> Body:
+    """The body of a mesh, static without end positions; ``merged`` is what :func:`_merge` gives."""
+    index = np.arange(len(mesh.vertices))
+    source_index, of_vertex = (index, index) if merged is None else merged
     return Body(
         mesh.path.name,
-        vertices,
-        vertices,
-        merged[mesh.faces],
+        mesh.vertices[source_index],
+        (mesh.vertices if vertices_t1 is None else vertices_t1)[source_index],
+        of_vertex[mesh.faces],
         source_index,
-        True,
-        len(merged) - len(source_index),
-        mesh.names,
-        mesh.face_name,
-        np.bincount(merged) - 1,
+        is_static=vertices_t1 is None,
+        names=mesh.names,
+        face_name=mesh.face_name,
+        num_copies=None if merged is None else np.bincount(of_vertex) - 1,
+        is_surface=mesh.is_surface or len(mesh.midsides) > 0,
+        parts=mesh.parts,
     )
 
 
-def _node_of_vertex(mesh: Mesh) -> np.ndarray:
-    """The node of each vertex, shape [n, 1]: vertices of different nodes are not one, wherever they are."""
+def _merge(mesh: Mesh, *frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The first of each set of vertices that are one, in order of appearance, and for each vertex the set's number.
+
+    They are in the same place in all frames, and in one node: those of two nodes are two bodies that touch.
+    """
     node = np.zeros((len(mesh.vertices), 1))
     if mesh.face_name is not None:
         node[mesh.faces, 0] = mesh.face_name[:, None]
-    return node
-
-
-def _merge(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The first index of each distinct row, in order of appearance, and for each row the number of its distinct row."""
     # Adding 0.0 turns -0.0 into 0.0, because they are the same position; bits compare what is no number, too.
-    _, first, inverse = np.unique((rows + 0.0).view(np.int64), axis=0, return_index=True, return_inverse=True)
+    rows = (np.hstack([*frames, node]) + 0.0).view(np.int64)
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))

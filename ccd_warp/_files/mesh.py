@@ -10,10 +10,9 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ccd_warp._files.archive import ARCHIVES, archive_end, unpack
+from ccd_warp._files.archive import MAX_BYTES, unpack
 from ccd_warp._files.cells import Grid, displaced, reading, triangles
-from ccd_warp._files.collada import check_collada
-from ccd_warp._files.gltf import check_glb, check_gltf
+from ccd_warp._files.counts import stated_triangles
 from ccd_warp._files.obj import read_obj
 from ccd_warp._files.off import read_off
 from ccd_warp._files.opened import read_file
@@ -23,7 +22,7 @@ from ccd_warp._files.stl import read_stl
 from ccd_warp._files.vtk import read_vtk
 from ccd_warp._files.vtu import read_vtu
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError, reason_of
+from ccd_warp._input.messages import InputError, printable, reason_of
 from ccd_warp._input.trimesh_bodies import transformed
 
 # How a format stores a vertex that several faces share.
@@ -31,7 +30,10 @@ from ccd_warp._input.trimesh_bodies import transformed
 #   split:   once per normal, texture coordinate or material (glTF), so one vertex may appear several times.
 #   soup:    once per face corner (STL).
 Sharing = Literal["indexed", "split", "soup"]
-_SHARING: dict[str, Sharing] = {".stl": "soup", ".stl_ascii": "soup", ".glb": "split", ".gltf": "split"}
+_SHARING: dict[str, Sharing] = {
+    **{".stl": "soup", ".stl_ascii": "soup"},
+    **{".glb": "split", ".gltf": "split", ".dae": "split"},
+}
 _BY_SHARING: tuple[Sharing, ...] = ("indexed", "split", "soup")
 
 # trimesh would read these formats leniently: it pads, skips and truncates inconsistent data.
@@ -51,9 +53,28 @@ _BESIDE = frozenset(
     ]
 )
 _ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"
-MESH_SUFFIXES = (*_READERS, *_OF_TRIMESH, *ARCHIVES)
+MESH_SUFFIXES = (*_READERS, *_OF_TRIMESH, ".zip")
 # Endings of files of cells, which may hold fields, too.
-CELL_SUFFIXES = (".vtu", ".vtk", ".xdmf", ".xmf")
+XDMF_SUFFIXES = (".xdmf", ".xmf")
+CELL_SUFFIXES = (".vtu", ".vtk", *XDMF_SUFFIXES)
+
+
+class Reading(NamedTuple):
+    """How files are read.
+
+    Attributes:
+        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
+        displacement: Field that is added to the positions of VTK and XDMF files.
+        surface: Whether volume cells of these stand for their boundary surface.
+        split: How their cells are to be split, see :mod:`ccd_warp._files.parts`; other files are split by their faces.
+        needs_field: Whether a file must have the field by which it is split.
+    """
+
+    max_bytes: int = MAX_BYTES
+    displacement: str | None = None
+    surface: bool = False
+    split: Split = False
+    needs_field: bool = True
 
 
 class Part(NamedTuple):
@@ -92,54 +113,52 @@ class Mesh:
     parts: Parts | None = None
 
 
-def read_mesh(
-    path: Path,
-    max_bytes: int,
-    displacement: str | None = None,
-    surface: bool = False,
-    split: Split = False,
-    *,
-    needs_field: bool = True,
-) -> Mesh:
-    """Read one file with every part of its scene in place, nothing merged, reordered or rounded.
-
-    Args:
-        path: Mesh file, or an archive of mesh files.
-        max_bytes: Limit on the unpacked size of an archive; a plain file may have as much, or 1 GiB.
-        displacement: Field of a VTK or XDMF file that is added to its positions.
-        surface: Whether volume cells of such a file stand for their boundary surface.
-        split: How its cells are to be split, see :mod:`ccd_warp._files.parts`; other files are split by their faces.
-        needs_field: Whether the file must have the field by which it is split.
+def read_mesh(path: Path, how: Reading) -> Mesh:
+    """Read a mesh file or an archive of such, with every part of its scene in place, nothing merged or rounded.
 
     Raises:
         InputError: If the file is missing, damaged, not finite or of an unsupported format, or an archive that exceeds
             the limit.
     """
-    if path.suffix.lower() in CELL_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix in CELL_SUFFIXES:
         with reading(path):
-            grid = _read_cells(path, max_bytes)
-            vertices, (faces, midsides) = displaced(path, grid, displacement), triangles(path, grid, surface)
-            if not len(faces):
-                raise InputError("holds no triangles; give a triangle mesh")
-            check_part(vertices, faces)
-            split_parts = parts_of(path, grid, split, needs_field=needs_field)
-        return Mesh(path, vertices, faces, "indexed", is_surface=surface, midsides=midsides, parts=split_parts)
-    if isinstance(split, str) and needs_field:
+            return mesh_of_grid(path, _read_cells(path, suffix, how), how)
+    if isinstance(how.split, str) and how.needs_field:
         raise InputError(
-            f"{path}: holds no fields of cells, and is to be split by {split!r}; expected a VTU, VTK, XDMF or NPZ "
+            f"{path}: holds no fields of cells, and is to be split by {how.split!r}; expected a VTU, VTK, XDMF or NPZ "
             "file, or --split (split=True) for connected components"
         )
+    max_bytes = how.max_bytes
     data = read_file(path, max_bytes)
-    end = archive_end(path.name)
-    if end is None or end == ".3mf":
-        parts = _read_parts(str(path), path.name, data, _resolver(path, max_bytes), max_bytes)
-        sharing = _SHARING.get(path.suffix.lower(), "indexed")
-    else:
+    if suffix == ".zip":
         parts, sharing = _read_archive(path, data, max_bytes)
+    else:
+        parts = _read_parts(str(path), path.name, data, _resolver(path, max_bytes), max_bytes)
+        sharing = _SHARING.get(suffix, "indexed")
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts])
     vertices = np.vstack([part.vertices for part in parts])
     faces = np.vstack([part.faces + offset for part, offset in zip(parts, offsets, strict=False)])
     return Mesh(path, vertices, faces, sharing, *_joined_names(parts))
+
+
+def mesh_of_grid(path: Path, grid: Grid, how: Reading) -> Mesh:
+    """The surface of the cells of a file; messages call it ``path``."""
+    vertices, (faces, midsides) = displaced(grid, how.displacement), triangles(grid, how.surface)
+    check_part(vertices, faces)
+    parts = parts_of(grid, how.split, needs_field=how.needs_field)
+    return Mesh(path, vertices, faces, "indexed", is_surface=how.surface, midsides=midsides, parts=parts)
+
+
+def _read_cells(path: Path, suffix: str, how: Reading) -> Grid:
+    if suffix == ".vtk":
+        return read_vtk(path, how.max_bytes)
+    if suffix == ".vtu":
+        return read_vtu(read_file(path, how.max_bytes), how.max_bytes)
+    xdmf = Xdmf(path, how.max_bytes)
+    if xdmf.is_series:
+        raise InputError("holds a series of frames; expected one mesh")
+    return xdmf.grid(0, (how.displacement, how.split))
 
 
 def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:
@@ -156,10 +175,8 @@ def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:
 def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], Sharing]:
     from trimesh.resolvers import ZipResolver
 
-    try:
-        files = unpack(path.name, data, max_bytes)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+    with reading(path):
+        files = unpack(data, max_bytes)
     resolver = ZipResolver({name: io.BytesIO(content) for name, content in files})
     parts: list[Part] = []
     sharing: Sharing = "indexed"
@@ -175,17 +192,6 @@ def _read_archive(path: Path, data: bytes, max_bytes: int) -> tuple[list[Part], 
     if not parts:
         raise InputError(f"{path}: holds no mesh file; {_ADVICE}")
     return parts, sharing
-
-
-def _read_cells(path: Path, max_bytes: int) -> Grid:
-    suffix = path.suffix.lower()
-    if suffix in (".xdmf", ".xmf"):
-        xdmf = Xdmf(path, max_bytes)
-        if xdmf.is_series:
-            raise InputError("holds a series of frames; expected one mesh")
-        return xdmf.grid(0)
-    data = read_file(path, max_bytes)
-    return read_vtk(data) if suffix == ".vtk" else read_vtu(data, max_bytes)
 
 
 def _resolver(path: Path, max_bytes: int) -> Any:
@@ -206,23 +212,25 @@ def _read_parts(label: str, name: str, data: bytes, resolver: Any, max_bytes: in
         if suffix in _READERS:
             parts = [Part(*_READERS[suffix](data.removeprefix(b"\xef\xbb\xbf")))]
         elif suffix in _OF_TRIMESH:
-            parts = _read_with_trimesh(name, suffix, data, resolver, max_bytes)
+            parts = _read_with_trimesh(suffix, data, resolver, max_bytes)
         else:
             raise InputError(f"files that end in {suffix or 'nothing'!r} are not read; {_ADVICE}")
-        parts = [part for part in parts if len(part.faces)]
-        if not parts:
-            raise InputError("holds no triangles; give a triangle mesh")
-        for part in parts:
+        filled = [part for part in parts if len(part.faces)]
+        for part in filled or parts[:1]:
             check_part(part.vertices, part.faces)
-        return parts
+        return filled
     except InputError as error:
         raise InputError(f"{label}: {reason_of(error)}") from error
     except Exception as error:  # trimesh raises whatever its parsers raise
-        raise InputError(f"{label}: trimesh cannot read it as a mesh ({reason_of(error)}); {_ADVICE}") from error
+        raise InputError(
+            f"{label}: trimesh cannot read it as a mesh ({printable(reason_of(error))}); {_ADVICE}"
+        ) from error
 
 
 def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Refuse faces of vertices that do not exist, and positions of vertices of faces that are not finite."""
+    """Refuse no faces, faces of vertices that do not exist, and positions of vertices of faces that are not finite."""
+    if not len(faces):
+        raise InputError("holds no triangles; give a triangle mesh")
     if faces.min() < 0 or faces.max() >= len(vertices):
         k = int(np.flatnonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1))[0])
         raise InputError(f"face {k} is {faces[k].tolist()}, but the file has {len(vertices)} vertices; repair the file")
@@ -236,37 +244,25 @@ def check_part(vertices: np.ndarray, faces: np.ndarray) -> None:
         )
 
 
-def _read_with_trimesh(name: str, suffix: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:
+def _read_with_trimesh(suffix: str, data: bytes, resolver: Any, max_bytes: int) -> list[Part]:
+    """Every mesh of a scene, with the scene's transformation applied, called by its node."""
     import trimesh
 
-    match suffix:
-        case ".glb":
-            check_glb(data, resolver.get)
-        case ".gltf":
-            check_gltf(data, resolver.get)
-        case ".3mf":
-            unpack(name, data, max_bytes)
-        case ".dae":
-            check_collada(data)
+    stated = stated_triangles(suffix, data, max_bytes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # `process` would merge and drop vertices; the other two keep textures from causing the same.
         keep: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
         scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], resolver=resolver, **keep)
-        return _flatten(scene)
-
-
-def _flatten(scene: Any) -> list[Part]:
-    """Every mesh of a scene, with the scene's transformation applied, called by its node."""
     parts = []
     for node in scene.graph.nodes_geometry:
         matrix, name = scene.graph[node]
         mesh = scene.geometry[name]
-        faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64)
-        if faces.size == 0:
-            continue
+        faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64).reshape(-1, 3)
         if mesh.metadata.get("from_gltf_primitive"):
             # trimesh makes a node for each material of a mesh, below the node of the mesh.
             node = scene.graph.transforms.parents.get(node, node)
-        parts.append(Part(transformed(mesh.vertices, matrix), faces.reshape(-1, 3), [str(node)]))
+        parts.append(Part(transformed(mesh.vertices, matrix), faces, [str(node)]))
+    if (found := sum(len(part.faces) for part in parts)) != stated or not found:
+        raise InputError(f"says that its scene has {stated} triangles, and {found} of them can be read; {_ADVICE}")
     return parts

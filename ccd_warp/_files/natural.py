@@ -7,15 +7,6 @@ from pathlib import Path
 from ccd_warp._input.messages import InputError
 
 _NUMBER = re.compile(r"([0-9]+)")
-# Words by which the names of two frames tell which comes later.
-_LATER = (
-    ("start", "end"),
-    ("begin", "end"),
-    ("before", "after"),
-    ("first", "last"),
-    ("old", "new"),
-    ("initial", "final"),
-)
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
@@ -42,11 +33,9 @@ def series_name(paths: Sequence[Path]) -> str:
 
 
 def are_swapped(start: Path, end: Path) -> bool:
-    """Whether the names of two frames say that the second comes before the first."""
-    if pattern_of(start) == pattern_of(end) and "#" in pattern_of(start):
-        return _last_number(start) > _last_number(end)
-    first, second = start.stem.lower(), end.stem.lower()
-    return first != second and any(late in first and first.replace(late, early) == second for early, late in _LATER)
+    """Whether the numbers in the names of two frames say that the second comes before the first."""
+    is_numbered = pattern_of(start) == pattern_of(end) and "#" in pattern_of(start)
+    return is_numbered and _last_number(start) > _last_number(end)
 
 
 def grouped_frames(paths: Sequence[Path]) -> list[list[Path]]:

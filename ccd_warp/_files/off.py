@@ -4,8 +4,10 @@ import re
 
 import numpy as np
 
-from ccd_warp._files.text import CUT, Rows, check_last_index, counted_polygons, fan, shown, text_rows
+from ccd_warp._files.text import CUT, check_last_index, fan, integers, lists_in, shown, text_rows
 from ccd_warp._input.messages import InputError
+
+_MOST_BEHIND = 4  # numbers of a colour that may follow the corners of a face
 
 
 def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -33,21 +35,17 @@ def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
         )
     if found > num_vertices + num_faces:
         raise InputError(f"line {rows.lines[at + num_vertices + num_faces]} is one more than its counts say; {CUT}")
-    vertices = _vertices(rows.part(at, at + num_vertices))
-    faces = rows.part(at + num_vertices)
-    corners, counts = counted_polygons(faces, most_behind=4)
-    # A colour may follow the corners of a face.
+    points, faces = rows.part(at, at + num_vertices), rows.part(at + num_vertices)
+    length = max(int(points.counts[0]), 3) if len(points) else 3
+    points.refuse_where(points.counts != length, f"holds {{}} numbers; expected {length}, a vertex", points.counts)
+    corners, counts = lists_in(faces, faces.numbers(), faces.first)
+    corners = integers(corners, faces, counts)
+    faces.refuse_where(
+        (counts < 3) | (faces.counts > counts + 1 + _MOST_BEHIND),
+        "is a face of {} corners in {} numbers; expected 3 corners or more",
+        counts,
+        faces.counts,
+    )
     last_index = int(corners[-1]) if len(faces) and faces.counts[-1] == counts[-1] + 1 else None
     check_last_index(text, last_index, num_vertices)
-    return vertices, fan(corners, counts)
-
-
-def _vertices(rows: Rows) -> np.ndarray:
-    if not len(rows):
-        return np.zeros((0, 3))
-    length = max(int(rows.counts[0]), 3)
-    bad = np.flatnonzero(rows.counts != length)
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(f"line {rows.lines[k]} holds {rows.counts[k]} numbers; expected {length}, a vertex: {CUT}")
-    return np.concatenate([block.numbers(float).reshape(-1, length)[:, :3] for block in rows.blocks()])
+    return points.numbers().reshape(-1, length)[:, :3], fan(corners, counts)

@@ -1,7 +1,6 @@
 """The parts of one mesh file, each a body of its own: groups of cells, or what hangs together."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,14 +47,7 @@ def components(cells: Sequence[np.ndarray], num_vertices: int) -> Parts:
 
 
 def groups(names: Sequence[str], group: np.ndarray, cells: Sequence[np.ndarray], num_vertices: int) -> Parts:
-    """Groups of cells, those that share a vertex as one part, in the order of their names.
-
-    Args:
-        names: Name of each group.
-        group: Index of the group of each cell, shape [m].
-        cells: Vertices of the cells, as of :func:`components`.
-        num_vertices: Number of vertices.
-    """
+    """Groups of cells, of which ``group`` has the index of each; those that share a vertex are one part."""
     part, of_vertex = _numbered(cells, num_vertices, group)
     found: list[list[str]] = [[] for _ in range(int(part.max(initial=-1)) + 1)]
     for number, first in zip(*(each.tolist() for each in np.unique(group, return_index=True)), strict=True):
@@ -70,8 +62,8 @@ def groups_of_field(field: str, values: np.ndarray, cells: Sequence[np.ndarray],
         InputError: If there is no number or text for each cell.
     """
     values, count = np.asarray(values), sum(map(len, cells))
-    is_bad = values.shape != (count,) or values.dtype.kind not in "biufU"
-    if is_bad or (values.dtype.kind == "f" and not np.isfinite(values).all()):
+    is_text = values.dtype.kind == "U"
+    if values.shape != (count,) or not (is_text or (values.dtype.kind in "biuf" and np.isfinite(values).all())):
         raise InputError(
             f"the field {field!r} is {values.dtype} of shape {values.shape}; expected a finite number for each of the "
             f"{count} cells"
@@ -85,17 +77,14 @@ def groups_of_field(field: str, values: np.ndarray, cells: Sequence[np.ndarray],
     return parts
 
 
-def parts_of(path: Path, grid: Grid, split: Split, *, needs_field: bool) -> Parts | None:
+def parts_of(grid: Grid, split: Split, *, needs_field: bool) -> Parts | None:
     """The parts into which the cells are to be split; None where they are not."""
     cells = [corners for _, corners in grid.blocks]
     if isinstance(split, str) and split in grid.cell_fields:
-        try:
-            return groups_of_field(split, grid.cell_fields[split](), cells, len(grid.points))
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
+        return groups_of_field(split, grid.cell_fields[split](), cells, len(grid.points))
     if isinstance(split, str) and needs_field:
         found = ", ".join(map(repr, grid.cell_fields)) or "none"
-        raise InputError(f"{path}: has no field {split!r} of its cells; expected one of them: {found}")
+        raise InputError(f"has no field {split!r} of its cells; expected one of them: {found}")
     return components(cells, len(grid.points)) if split is True else None
 
 

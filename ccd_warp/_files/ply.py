@@ -1,64 +1,43 @@
 """Read ASCII and binary PLY files: exactly as many elements as the header says."""
 
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from ccd_warp._files.text import CUT, NO_INDICES, Tokens, check_last_index, counted_polygons, fan, shown, text_rows
+from ccd_warp._files.text import CUT, NO_INDICES, Rows, check_last_index, fan, integers, lists_in, shown, text_rows
 from ccd_warp._input.messages import InputError
 
 _TYPES = {
-    b"char": "i1",
-    b"int8": "i1",
-    b"uchar": "u1",
-    b"uint8": "u1",
-    b"short": "i2",
-    b"int16": "i2",
-    b"ushort": "u2",
-    b"uint16": "u2",
-    b"int": "i4",
-    b"int32": "i4",
-    b"uint": "u4",
-    b"uint32": "u4",
-    b"int64": "i8",
-    b"uint64": "u8",
-    b"float": "f4",
-    b"float32": "f4",
-    b"double": "f8",
-    b"float64": "f8",
+    **{b"char": "i1", b"uchar": "u1", b"short": "i2", b"ushort": "u2", b"int": "i4", b"uint": "u4"},
+    **{f"int{8 * size}".encode(): f"i{size}" for size in (1, 2, 4, 8)},
+    **{f"uint{8 * size}".encode(): f"u{size}" for size in (1, 2, 4, 8)},
+    **{b"float": "f4", b"float32": "f4", b"double": "f8", b"float64": "f8"},
 }
 _FORMATS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
-_CORNERS = (b"vertex_indices", b"vertex_index")
+_AXES = ("x", "y", "z")
+_CORNERS = ("vertex_indices", "vertex_index")
+# The numbers of a property, and how many each row has: one, or those of its list.
+_Column = tuple[np.ndarray, np.ndarray]
 
 
-@dataclass(frozen=True)
-class _Element:
-    """An element of the header, which describes one kind of rows.
+class _Element(NamedTuple):
+    """An element of the header: how many rows it has, and by its name the type of each property and of its length."""
 
-    Attributes:
-        name: Name, such as vertex.
-        count: Number of rows.
-        types: Type of each property, by its name.
-        count_types: Type of the length of each property that is a list.
-    """
+    name: str
+    num_rows: int
+    types: dict[str, str]
+    count_types: dict[str, str]  # of properties that are lists
 
-    name: bytes
-    count: int
-    types: dict[bytes, str] = field(default_factory=dict)
-    count_types: dict[bytes, str] = field(default_factory=dict)
-
-    def corners(self) -> bytes:
+    def corners(self) -> str:
         """The property that holds the vertices of a face."""
-        for name in _CORNERS:
-            if name in self.count_types:
-                break
-        else:
-            if len(self.count_types) != 1:
-                raise InputError("the header gives its faces no list vertex_indices; export the file again")
-            (name,) = self.count_types
-        if self.types[name][0] == "f":
-            raise InputError(f"the header gives {shown(name)} a type of real numbers; expected integers")
-        return name
+        names = [name for name in _CORNERS if name in self.count_types] or list(self.count_types)
+        if not names or (len(names) > 1 and names[0] not in _CORNERS) or self.types[names[0]][0] == "f":
+            raise InputError("the header gives its faces no list vertex_indices of integers; export the file again")
+        return names[0]
+
+    def refuse_count(self, found: int) -> None:
+        """Refuse a file that ends within the element."""
+        raise InputError(f"holds {found} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
 
 
 def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -68,10 +47,35 @@ def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
         InputError: If the file is malformed or does not hold what its header says.
     """
     order, elements, start, num_lines = _header(data)
-    if order:
-        vertices, faces, counts = _read_binary(data, start, elements, order)
+    rows = text_rows(data[start:], num_lines + 1) if not order else None
+    vertices, faces, counts, at, last_index = np.zeros((0, 3)), NO_INDICES, NO_INDICES, start if order else 0, None
+    for element in elements:
+        if not element.num_rows:
+            continue
+        if rows is None:
+            columns, at = _binary(data, at, element, order)
+        else:
+            part, at = rows.part(at, at + element.num_rows), at + element.num_rows
+            columns, last_index = _text(part, element), None
+        if element.name == "vertex":
+            if not {*_AXES} <= element.types.keys() - element.count_types.keys():
+                raise InputError("the header gives its vertices no x, y and z; export the file again")
+            vertices = np.column_stack([columns[axis][0].astype(np.float64) for axis in _AXES])
+        elif element.name == "face":
+            numbers, counts = columns[element.corners()]
+            faces = numbers.astype(np.int64) if rows is None else integers(numbers, part, counts)
+            if (counts < 3).any():
+                raise InputError(f"face {int(np.argmax(counts < 3))} has fewer than 3 corners; {CUT}")
+            last_index = int(faces[-1]) if len(element.types) == 1 else None
+        elif element.name == "tristrips":
+            raise InputError("holds strips of triangles, which are not read; export the file with faces")
+    if rows is None:
+        if at != len(data):
+            raise InputError(f"holds {len(data) - at} bytes more than its header says; {CUT}")
     else:
-        vertices, faces, counts = _read_ascii(data[start:], num_lines + 1, elements)
+        if at < len(rows):
+            raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
+        check_last_index(rows.text, last_index, len(vertices))
     return vertices, fan(faces, counts)
 
 
@@ -88,178 +92,80 @@ def _header(data: bytes) -> tuple[str, list[_Element], int, int]:
             raise InputError(f"ends within its header; {CUT}")
         words = data[start:end].split()
         start, number = end + 1, number + 1
+        element, name = elements[-1] if elements else None, words[-1].decode("latin-1") if words else ""
         match words:
             case [b"ply"] if number == 1:
                 pass
             case [b"comment" | b"obj_info", *_] | []:
                 pass
-            case [b"format", name, b"1.0"] if name in _FORMATS and order is None:
-                order = _FORMATS[name]
-            case [b"element", name, count] if count.isdigit() and len(count) < 19:
-                if name in [element.name for element in elements]:
-                    raise InputError(f"line {number} states the element {shown(name)} a second time; {CUT}")
-                elements.append(_Element(name, int(count)))
-            case [b"property", kind, name] if kind in _TYPES and elements and name not in elements[-1].types:
-                elements[-1].types[name] = _TYPES[kind]
-            case [b"property", b"list", count, kind, name] if (
-                count in _TYPES
-                and _TYPES[count][0] != "f"
-                and kind in _TYPES
-                and elements
-                and name not in elements[-1].types
+            case [b"format", kind, b"1.0"] if kind in _FORMATS and order is None:
+                order = _FORMATS[kind]
+            case [b"element", kind, count] if count.isdigit() and len(count) < 19:
+                if kind.decode("latin-1") in [each.name for each in elements]:
+                    raise InputError(f"line {number} states the element {shown(kind)} a second time; {CUT}")
+                elements.append(_Element(kind.decode("latin-1"), int(count), {}, {}))
+            case [b"property", kind, _] if kind in _TYPES and element and name not in element.types:
+                element.types[name] = _TYPES[kind]
+            case [b"property", b"list", count, kind, _] if (
+                {count, kind} <= _TYPES.keys() and _TYPES[count][0] != "f" and element and name not in element.types
             ):
-                elements[-1].types[name] = _TYPES[kind]
-                elements[-1].count_types[name] = _TYPES[count]
-            case [b"end_header"]:
-                break
+                element.types[name], element.count_types[name] = _TYPES[kind], _TYPES[count]
+            case [b"end_header"] if order is not None:
+                return order, elements, start, number
             case _:
                 line = shown(b" ".join(words))
                 raise InputError(f"line {number} of the header is {line}; expected format, element or property: {CUT}")
-    if order is None:
-        raise InputError(f"the header states no format; {CUT}")
-    _check_elements(elements)
-    return order, elements, start, number
 
 
-def _check_elements(elements: list[_Element]) -> None:
-    for element in elements:
-        if element.name == b"vertex" and not {b"x", b"y", b"z"} <= element.types.keys() - element.count_types.keys():
-            raise InputError("the header gives its vertices no x, y and z; export the file again")
-        if element.name == b"face" and element.count:
-            element.corners()
-        if element.name == b"tristrips" and element.count:
-            raise InputError("holds strips of triangles, which are not read; export the file with faces")
-
-
-def _read_ascii(text: bytes, first_line: int, elements: list[_Element]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    rows = text_rows(text, first_line)
-    vertices, corners, counts = np.zeros((0, 3)), NO_INDICES, NO_INDICES
-    last_index = None
-    at = 0
-    for element in elements:
-        part = rows.part(at, at + element.count)
-        if len(part) < element.count:
-            _refuse_count(element, len(part))
-        at += element.count
-        if not element.count:
-            continue
-        last_index = None
-        if element.name == b"face" and len(element.types) == 1:
-            corners, counts = counted_polygons(part)
-            last_index = int(corners[-1])
-            continue
-        if element.name == b"vertex":
-            vertices = np.concatenate([_vertices(element, block) for block in part.blocks()])
-            continue
-        blocks = [_columns(element, block) for block in part.blocks()]
-        if element.name == b"face":
-            lists = [columns[element.corners()] for columns in blocks]
-            corners = np.concatenate([block.numbers(int) for block in lists])
-            counts = np.concatenate([block.counts for block in lists])
-            if (counts < 3).any():
-                k = int(np.argmax(counts < 3))
-                raise InputError(f"line {part.lines[k]} is a face of {counts[k]} corners; expected 3 or more: {CUT}")
-    if at < len(rows):
-        raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
-    check_last_index(text, last_index, len(vertices))
-    return vertices, corners, counts
-
-
-def _refuse_count(element: _Element, found: int) -> None:
-    raise InputError(
-        f"holds {found} rows of the element {shown(element.name)}, and its header says {element.count}; {CUT}"
-    )
-
-
-def _vertices(element: _Element, rows: Tokens) -> np.ndarray:
-    if element.count_types:
-        columns = _columns(element, rows)
-        return np.column_stack([columns[axis].numbers(float) for axis in (b"x", b"y", b"z")])
-    _check_lengths(rows, len(element.types))
-    names = list(element.types)
-    values = rows.numbers(float).reshape(-1, len(names))
-    return values[:, [names.index(axis) for axis in (b"x", b"y", b"z")]]
-
-
-def _columns(element: _Element, rows: Tokens) -> dict[bytes, Tokens]:
-    """The tokens of each property of an element, with one row for each row of the element."""
-    columns: dict[bytes, Tokens] = {}
-    end = np.zeros(len(rows.counts), dtype=np.int64)
+def _text(rows: Rows, element: _Element) -> dict[str, _Column]:
+    """The properties of the rows of an element."""
+    if len(rows) < element.num_rows:
+        element.refuse_count(len(rows))
+    columns: dict[str, _Column] = {}
+    values, at, ends = rows.numbers(), rows.first, rows.first + rows.counts
+    one = np.ones_like(at)
+    says = "holds {} numbers; expected others, as the header says"
     for name in element.types:
-        length: int | np.ndarray = 1
         if name in element.count_types:
-            _check_lengths(rows, end + 1, at_least=True)
-            length = np.maximum(rows.columns(end, end + 1).numbers(int), 0)
-            end = end + 1
-        columns[name] = rows.columns(end, end + length)
-        end = end + length
-    _check_lengths(rows, end)
+            columns[name] = lists_in(rows, values, at)
+            at = at + 1
+        else:
+            rows.refuse_where(at >= ends, says, rows.counts)
+            columns[name] = values[at], one
+        at = at + columns[name][1]
+    rows.refuse_where(at != ends, says, rows.counts)
     return columns
 
 
-def _check_lengths(rows: Tokens, lengths: int | np.ndarray, *, at_least: bool = False) -> None:
-    lengths = np.broadcast_to(lengths, rows.counts.shape)
-    bad = np.flatnonzero(rows.counts < lengths if at_least else rows.counts != lengths)
-    if bad.size:
-        k = int(bad[0])
-        raise InputError(
-            f"line {rows.lines[k]} holds {rows.counts[k]} numbers; expected {lengths[k]}, as the header says: {CUT}"
-        )
+def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dict[str, _Column], int]:
+    """The properties of the rows of an element that begin at a byte, and where they end.
 
-
-def _read_binary(
-    data: bytes, start: int, elements: list[_Element], order: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    vertices, corners, counts = np.zeros((0, 3)), NO_INDICES, NO_INDICES
-    for element in elements:
-        if not element.count:
-            continue
-        dtype = _row_dtype(data, start, element, order)
-        available = (len(data) - start) // max(dtype.itemsize, 1)
-        rows = np.frombuffer(data, dtype, min(element.count, available), start)
-        for name in element.count_types:
-            lengths = rows[_length_name(name)]
-            bad = np.flatnonzero(lengths != lengths[0]) if len(lengths) else lengths
-            if bad.size:
-                raise InputError(
-                    f"the lists of {shown(element.name)} differ in length, {lengths[0]} and {lengths[bad[0]]} in row "
-                    f"{bad[0]}, which is read in ASCII alone; save triangles, or copy the file again if it was cut"
-                )
-        if available < element.count:
-            _refuse_count(element, available)
-        start += element.count * dtype.itemsize
-        if element.name == b"vertex":
-            vertices = np.column_stack([rows[axis].astype(np.float64) for axis in "xyz"])
-        elif element.name == b"face":
-            lists = rows[element.corners().decode("latin-1")].astype(np.int64)
-            if lists.shape[1] < 3:
-                raise InputError(f"face 0 has {lists.shape[1]} corners; expected 3 or more: {CUT}")
-            corners, counts = lists.reshape(-1), np.full(len(lists), lists.shape[1])
-    if start != len(data):
-        raise InputError(f"holds {len(data) - start} bytes more than its header says; {CUT}")
-    return vertices, corners, counts
-
-
-def _length_name(name: bytes) -> str:
-    return f"length of {name.decode('latin-1')}"
-
-
-def _row_dtype(data: bytes, start: int, element: _Element, order: str) -> np.dtype:
-    """Layout of the rows of an element, all of whose lists must be as long as those of its first row."""
+    All lists of a property must be as long as that of the first row.
+    """
     fields: list[tuple] = []
     size = 0
     for name, kind in element.types.items():
-        plain = name.decode("latin-1")
-        if name not in element.count_types:
-            fields.append((plain, order + kind))
-            size += np.dtype(kind).itemsize
-            continue
-        count_type = np.dtype(order + element.count_types[name])
-        if len(data) < start + size + count_type.itemsize:
-            _refuse_count(element, 0)
-        length = int(np.frombuffer(data, count_type, 1, start + size)[0])
-        size += count_type.itemsize + length * np.dtype(kind).itemsize
+        length, count_type = 1, np.dtype(order + element.count_types.get(name, "u1"))
+        if name in element.count_types:
+            if len(data) < start + size + count_type.itemsize:
+                element.refuse_count(0)
+            length = int(np.frombuffer(data, count_type, 1, start + size)[0])
+            fields.append((f"length of {name}", count_type))
+            size += count_type.itemsize
+        size += length * np.dtype(kind).itemsize
         if length < 0 or start + size > len(data):
-            _refuse_count(element, 0)
-        fields += [(_length_name(name), count_type), (plain, order + kind, (length,))]
-    return np.dtype(fields)
+            element.refuse_count(0)
+        fields.append((name, order + kind, (length,)))
+    found = min(element.num_rows, (len(data) - start) // max(size, 1))
+    rows = np.frombuffer(data, np.dtype(fields), found, start)
+    columns = {name: (rows[name].reshape(-1), np.full(found, rows[name].shape[1])) for name in element.types}
+    for name in element.count_types:
+        lengths = rows[f"length of {name}"]
+        if (lengths != lengths[:1]).any():
+            raise InputError(
+                f"the lists of {element.name} differ in length, {lengths[0]} and {lengths[lengths != lengths[0]][0]}, "
+                "which is read in ASCII alone; save triangles, or copy the file again if it was cut"
+            )
+    if found < element.num_rows:
+        element.refuse_count(found)
+    return columns, start + size * element.num_rows

@@ -5,20 +5,26 @@ import re
 import zlib
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from itertools import pairwise
 from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from ccd_warp._files.cells import Blocks, Grid, vtk_blocks
+from ccd_warp._files.cells import Blocks, Grid
 from ccd_warp._files.opened import check_size
 from ccd_warp._files.text import CUT, all_numbers
 from ccd_warp._input.messages import InputError
 
 _TYPES = {f"{name}{8 * size}": f"{kind}{size}" for name, kind in (("Int", "i"), ("UInt", "u")) for size in (1, 2, 4, 8)}
 _TYPES |= {"Float32": "f4", "Float64": "f8"}
+# Cells of a fixed number of corners, by VTK's number: their names and corners.
+_CELLS = {
+    **{1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4), 12: ("hexahedron", 8)},
+    **{13: ("wedge", 6), 14: ("pyramid", 5), 21: ("line3", 3), 22: ("triangle6", 6), 23: ("quad8", 8)},
+    **{24: ("tetra10", 10), 25: ("hexahedron20", 20)},
+}
 _ATTRIBUTES = {"type", "version", "byte_order", "header_type", "compressor"}
-_LZMA_BYTES = 1 << 28  # that LZMA may take for its dictionary
+_Fields = dict[str, Callable[[], np.ndarray]]
 
 
 def read_vtu(data: bytes, max_bytes: int) -> Grid:
@@ -35,17 +41,15 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
         if end < appended.end() or not body.startswith(b"_"):
             raise InputError(f"its appended data do not begin with '_'; {CUT}")
     root = ET.fromstring(data)
-    unknown = set(root.keys()) - _ATTRIBUTES
-    if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or unknown:
+    if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or set(root.keys()) - _ATTRIBUTES:
         raise InputError(f"is no VTKFile of the type UnstructuredGrid with {', '.join(sorted(_ATTRIBUTES))} alone")
     arrays = _Arrays(root, body[1:], max_bytes)
     points, blocks, first = [np.zeros((0, 3))], [], 0
-    fields: dict[str, list[dict[str, Callable[[], np.ndarray]]]] = {"PointData": [], "CellData": []}
+    fields: dict[str, list[_Fields]] = {"PointData": [], "CellData": []}
     for piece in _one(root, "UnstructuredGrid").findall("Piece"):
         num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
-        (positions,) = _one(piece, "Points")
-        points.append(arrays.read(positions, "f", num_points, 3))
-        for name, cells in _cells(arrays, _one(piece, "Cells"), num_cells):
+        points.append(arrays.read(_one(_one(piece, "Points"), "DataArray"), "f", num_points, 3))
+        for name, cells in _blocks(arrays, _one(piece, "Cells"), num_cells):
             if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
                 raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
             blocks.append((name, cells + first))
@@ -56,24 +60,38 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
     return Grid(np.concatenate(points), blocks, _of_all(fields["PointData"]), _of_all(fields["CellData"]))
 
 
-def _of_all(pieces: list[dict[str, Callable[[], np.ndarray]]]) -> dict[str, Callable[[], np.ndarray]]:
+def _of_all(pieces: list[_Fields]) -> _Fields:
     """The fields that all pieces have."""
-    names = [name for name in pieces[0] if all(name in each for each in pieces)] if pieces else []
-    return {name: partial(_joined, [each[name] for each in pieces]) for name in names}
+
+    def joined(name: str) -> np.ndarray:
+        return np.concatenate([piece[name]() for piece in pieces])
+
+    return {name: partial(joined, name) for name in (pieces or [{}])[0] if all(name in piece for piece in pieces)}
 
 
-def _cells(arrays: "_Arrays", parent: ET.Element, count: int) -> Blocks:
+def _blocks(arrays: "_Arrays", parent: ET.Element, num_cells: int) -> Blocks:
+    """The cells of a piece, those of one type that follow one another in a block."""
     by_name = {array.get("Name"): array for array in parent}
     if len(by_name) != len(parent):
         raise InputError(f"two arrays of its cells have one name; {CUT}")
-    ends = arrays.read(by_name["offsets"], "iu", count).astype(np.int64)
-    types = arrays.read(by_name["types"], "iu", count)
-    corners = arrays.read(by_name["connectivity"], "iu", int(ends[-1]) if count else 0).astype(np.int64)
-    return vtk_blocks(types, ends, corners)
-
-
-def _joined(parts: list[Callable[[], np.ndarray]]) -> np.ndarray:
-    return np.concatenate([read() for read in parts])
+    ends = arrays.read(by_name["offsets"], "iu", num_cells).astype(np.int64)
+    types = arrays.read(by_name["types"], "iu", num_cells)
+    corners = arrays.read(by_name["connectivity"], "iu", int(ends[-1]) if num_cells else 0).astype(np.int64)
+    begins = np.append(0, ends[:-1])
+    blocks: Blocks = []
+    bounds = [0, *(np.flatnonzero(types[1:] != types[:-1]) + 1).tolist(), num_cells] if num_cells else []
+    for begin, end in pairwise(bounds):
+        if int(types[begin]) not in _CELLS:
+            raise InputError(f"cell {begin} is of VTK's type {types[begin]}, which is not read; save triangles")
+        name, count = _CELLS[int(types[begin])]
+        bad = np.flatnonzero(ends[begin:end] - begins[begin:end] != count)
+        if bad.size:
+            k = begin + int(bad[0])
+            raise InputError(f"cell {k} is a {name} of {ends[k] - begins[k]} corners; expected {count}: it is damaged")
+        cells = corners[begins[begin] : ends[end - 1]].reshape(-1, count)
+        # VTK's wedge is the mirror image of everybody else's.
+        blocks.append((name, cells[:, [0, 2, 1, 3, 5, 4]] if name == "wedge" else cells))
+    return blocks
 
 
 def _one(parent: ET.Element, tag: str) -> ET.Element:
@@ -103,17 +121,17 @@ class _Arrays:
         found = int(array.get("NumberOfComponents") or 1)
         if array.tag != "DataArray" or dtype.kind not in kinds or found != (width or found) or found < 1 or count < 0:
             raise InputError(f"its array {name!r} has {found} components of {dtype}; expected {width or 1}: {CUT}")
-        size = count * found * dtype.itemsize
+        size, text = count * found * dtype.itemsize, (array.text or "").encode()
         check_size(f"its array {name!r}", size, self.max_bytes)
-        how = array.attrib["format"]
-        if how == "ascii":
-            values = all_numbers((array.text or "").encode(), float if dtype.kind == "f" else int)
-        elif how == "binary":
-            values = np.frombuffer(self._unpacked(_decoded((array.text or "").encode()), size), dtype)
-        elif how == "appended":
-            values = np.frombuffer(self._unpacked(self._appended(int(array.attrib["offset"])), size), dtype)
-        else:
-            raise InputError(f"its array {name!r} has the format {how!r}; expected ascii, binary or appended")
+        match array.attrib["format"]:
+            case "ascii":
+                values = all_numbers(text, float if dtype.kind == "f" else int)
+            case "binary":
+                values = np.frombuffer(self._unpacked(_decoded(text), size), dtype)
+            case "appended":
+                values = np.frombuffer(self._unpacked(self._appended(int(array.attrib["offset"])), size), dtype)
+            case how:
+                raise InputError(f"its array {name!r} has the format {how!r}; expected ascii, binary or appended")
         if len(values) != count * found:
             raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * found}: {CUT}")
         return values if width is None and found == 1 else values.reshape(count, found)
@@ -126,43 +144,31 @@ class _Arrays:
         return self.appended[offset:end] if self.is_raw else _decoded(self.appended[offset:end])
 
     def _unpacked(self, data: bytes, size: int) -> bytes:
-        """The content of a block of bytes, which begins with its sizes."""
+        """The content of an array of this size; its size or, where it is packed, those of its blocks come first."""
         unit = self.header.itemsize
+        number = int(np.frombuffer(data, self.header, 1)[0])
         if self.compressor is None:
-            found, begin = int(np.frombuffer(data, self.header, 1)[0]), unit
-            sizes, content = [found], data[begin : begin + found]
+            end, content = unit + number, data[unit : unit + number]
+        elif self.compressor != "vtkZLibDataCompressor":
+            raise InputError(f"is packed by {self.compressor!r}, which is not read; save it with zlib")
         else:
-            number = int(np.frombuffer(data, self.header, 1)[0])
-            begin = (3 + number) * unit if number else unit
-            if begin > len(data):
-                raise InputError(f"ends within the sizes of an array; {CUT}")
-            _, full, last, *sizes = np.frombuffer(data[:begin], self.header).tolist() if number else (0, 0, 0)
-            if number and (number - bool(last)) * full + last != size:
-                raise InputError(f"an array unpacks to another size than {size} bytes; {CUT}")
-            at, parts = begin, []
-            for k, packed in enumerate(sizes):
-                parts.append(self._block(data[at : at + packed], last if last and k == number - 1 else full))
-                at += packed
-            content = b"".join(parts)
+            head = np.frombuffer(data, self.header, 3 + number if number else 1).tolist()
+            _, full, _, *sizes = head if number else (0, 0, 0)
+            ends = np.cumsum([len(head) * unit, *sizes]).tolist()
+            end, content = ends[-1], b"".join(_block(data[a:b], full) for a, b in pairwise(ends))
         # At the end of appended data, the XML goes on with white space.
-        if len(content) != size or data[begin + sum(sizes) :].strip(b" \t\r\n"):
+        if len(content) != size or data[end:].strip(b" \t\r\n"):
             raise InputError(f"an array has {len(content)} bytes; expected {size}, and none behind it: {CUT}")
         return content
 
-    def _block(self, data: bytes, size: int) -> bytes:
-        stream: Any
-        if self.compressor == "vtkZLibDataCompressor":
-            stream = zlib.decompressobj()
-        elif self.compressor == "vtkLZMADataCompressor":
-            import lzma  # which some builds of Python lack
 
-            stream = lzma.LZMADecompressor(memlimit=_LZMA_BYTES)
-        else:
-            raise InputError(f"is packed by {self.compressor!r}, which is not read; save it with zlib")
-        content = stream.decompress(data, size + 1)  # one byte more would be an excess
-        if len(content) != size or not stream.eof or stream.unused_data:
-            raise InputError(f"a block of an array does not unpack to {size} bytes; {CUT}")
-        return content
+def _block(data: bytes, size: int) -> bytes:
+    """The content of a packed block, at most so many bytes."""
+    stream = zlib.decompressobj()
+    content = stream.decompress(data, size + 1)  # one byte more would be an excess
+    if len(content) > size or not stream.eof or stream.unused_data:
+        raise InputError(f"a block of an array does not unpack to {size} bytes; {CUT}")
+    return content
 
 
 def _decoded(text: bytes) -> bytes:

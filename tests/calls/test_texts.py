@@ -13,10 +13,10 @@ import warp as wp
 from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball, random_pairs
 
 import ccd_warp as ccd
-from ccd_warp import datasets, distributed
+from ccd_warp import distributed
 from ccd_warp._display import point_text
 
-PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, datasets, distributed) for name in part.__all__]
+PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, distributed) for name in part.__all__]
 INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
 CALLS = [each for each in PUBLIC if inspect.isfunction(each)]
 CALLS += [
@@ -78,8 +78,7 @@ def public():
     objects = [mesh, named_cloth_and_ball()[0].replicate(1000), pipeline, result, result.first, result.contacts]
     objects += [result.counts, launched, launched.contacts, launched.to_host(), ccd.line_search(mesh, start, end)]
     objects += [ccd.find_candidates(mesh, start, end), ccd.edge_edge_ccd(points, points_t1)]
-    objects += [datasets.Queries("a", "edge-edge", points, points, None, (("a.csv", 2500), ("b.csv", 2500)))]
-    objects += [datasets.SimulationStep(start, end, mesh.faces), ccd.RigidMotion(poses, poses, path="screw")]
+    objects += [ccd.RigidMotion(poses, poses, path="screw")]
     return [*objects, ccd.AffineMotion(affine, affine)]
 
 

@@ -70,7 +70,7 @@ def _public_names() -> set[str]:
     from ccd_warp import distributed, viz
 
     names = {f"ccd_warp.{name}" for name in ccd.__all__ if not isinstance(getattr(ccd, name), ModuleType)}
-    for module in (ccd.datasets, distributed, viz):
+    for module in (distributed, viz):
         names |= {f"{module.__name__}.{name}" for name in module.__all__}
     for name in ("jax", "torch"):
         source = Path(ccd.__file__).with_name(f"{name}.py").read_text(encoding="utf-8")

@@ -75,7 +75,7 @@ def test_files_of_an_archive_are_bodies(tmp_path):
 @pytest.fixture(params=["vtu", "vtk", "xdmf"])
 def cubes(request, tmp_path):
     """Files of three hollow cubes above one another, cells of all in turn; the highest comes down on the middle one."""
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
     places = np.array([place for place in np.ndindex(3, 3, 3) if place != (1, 1, 1)])
     nodes = np.concatenate([np.array([*np.ndindex(4, 4, 4)]) / 3.0 + [0.0, 0.0, 2.0 * k] for k in range(3)])

@@ -1,17 +1,15 @@
 """A damaged file is refused in one line or read as the whole one is; it is never a smaller obstacle."""
 
-import bz2
 import json
 import os
 import re
 import struct
 import sys
 import zipfile
-import zlib
 
 import numpy as np
 import pytest
-from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, tarred, whole, zipped
+from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, whole, zipped
 
 import ccd_warp as ccd
 
@@ -94,7 +92,7 @@ _ITEM = '<DataItem DataType="{}" Precision="8" Dimensions="{}" Format="{}">{}</D
 XDMF = (
     '<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Triangle" NumberOfElements="1">'
     f'{_ITEM.format("Int", "1 3", "XML", "0 1 2")}</Topology><Geometry GeometryType="XYZ">'
-    f"{_ITEM.format('Float', '3 3', 'Binary', 'data')}</Geometry></Grid></Domain></Xdmf>"
+    f"{_ITEM.format('Float', '3 3', 'XML', '0 0 0 1 0 0 0 1 0')}</Geometry></Grid></Domain></Xdmf>"
 )
 NAMES = ["a.ply", "a.obj", "a.stl", "a.off", "a.glb", "a.zip", "a.vtu", "a.vtk", "a.npz", "a.pvd", "a.xmf"]
 SAID = {
@@ -108,7 +106,7 @@ SAID = {
 
 @pytest.mark.parametrize("kind", SAID)
 def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kind):
-    (tmp_path / "a.xdmf").write_text(XDMF)
+    (tmp_path / "a.xdmf").write_text(XDMF.replace('"XML">0 0', '"HDF">data:/0 0'))
     tree, buffer = gltf_files()
     tree["buffers"][0]["uri"] = "my%20data"
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
@@ -136,26 +134,36 @@ def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kin
 
 OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
 STL = "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
-BASE = {"ply": PLY, "off": OFF, "obj": OBJ, "stl": STL, "xdmf": XDMF, "dae": "<COLLADA>?</COLLADA>"}
+BASE = {"ply": PLY, "off": OFF, "obj": OBJ, "stl": STL, "xdmf": XDMF}
 MALFORMED = [  # of a format: what stands in place of what, and what the message says
-    ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds '7\.5'; expected an integer"),
-    ("ply", "property double z\n", "", "gives its vertices no x, y and z"),
+    ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds 7\.5; expected an integer"),
+    ("ply", "3 6 7 8", "3 6 7 8_0", r"line 26 holds '8_0'; expected a number"),
+    ("ply", "property double z", "property double w", "gives its vertices no x, y and z"),
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
-    ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of vertex -4, but the file has 3 vertices"),
+    ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of a vertex that is none of the 3 of the file"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    # Three numbers less are a vertex less, and an input less makes other faces.
-    ("dae", "?", '<float_array id="a" count="9">0 0 0 1 0 0</float_array>', "'a' holds 6 values; it says 9"),
     # Integers taken for reals are nearly zero, and would be the corners 0, 0, 0 of every face.
     ("xdmf", 'DataType="Int"', 'DataType="Float"', "are Float of shape .*; expected integers"),
-    ("xdmf", 'Precision="8" Dimensions="3 3"', 'Precision="4" Dimensions="3 3"', "18 numbers of float32; expected 9"),
+    ("xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
+    ("xdmf", "0 1 2", "0 1 2 9", "cannot reshape array of size 4"),
+    ("xdmf", "0 1 0<", "0 1 z<", "cannot be read"),
+    ("xdmf", "Format=", 'Seek="8" Format=', "have attributes that are not read: .*Seek"),
+    ("xdmf", '"XML">0 0 0 1', '"Binary">data', "have the format 'Binary'; expected XML or HDF"),
 ]
 
 
 @pytest.mark.parametrize("suffix, old, new, message", MALFORMED)
-def test_malformed_content_is_named(tmp_path, monkeypatch, suffix, old, new, message):
-    monkeypatch.chdir(tmp_path)
-    np.eye(3).tofile("data")  # of the XDMF
-    refused(tmp_path / f"a.{suffix}", BASE.get(suffix, "").replace(old, new, 1), message)
+def test_malformed_content_is_named(tmp_path, suffix, old, new, message):
+    if suffix == "xdmf":
+        pytest.importorskip("meshio", reason="the extra formats is not installed")
+    refused(tmp_path / f"a.{suffix}", BASE[suffix].replace(old, new, 1), message)
+
+
+INSTANCES = {"EXT_mesh_gpu_instancing": {}}
+
+
+def _primitive(tree) -> dict:
+    return tree["meshes"][0]["primitives"][0]
 
 
 def gltf(change):
@@ -173,14 +181,32 @@ def gltf(change):
     [
         ("binary.ply", lambda data: data + b"\n", "holds 1 bytes more than its header says"),
         # A row of three corners that says one, and one that takes a number of the next row.
-        ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "is a triangle of 1 corners"),
+        ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "cannot be read"),
+        ("text_42.vtk", lambda data: data.replace(b"CELLS 6", b"CELLS 7"), r"says \[\(7, 25\)\], .* \(6, 25\)"),
+        ("text_51.vtk", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "other numbers of corners than"),
+        ("text_51.vtk", lambda data: data.replace(b"5\n9\nP", b"5\n99\nP"), r"\(7, 19\)\], .* makes \(6, 15\)"),
+        ("text_51.vtk", lambda data: data.rstrip(), "may have lost digits"),
         ("text.vtu", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "cell 1 is a triangle of 2 corners"),
         # Of a damaged header_type, a default of half the size would be taken.
         ("text.vtu", lambda data: data.replace(b"<VTKFile", b'<VTKFile headez_type="U"'), "no VTKFile .* header_type"),
         ("scene.gltf", gltf(lambda tree: tree.update(extensionsRequired=["KHR_d"])), "requires the extension 'KHR_d"),
-        ("scene.gltf", gltf(lambda tree: tree["accessors"][0].update(sparse={})), "mesh 0 is compressed or sparse"),
-        ("scene.gltf", gltf(lambda tree: tree["bufferViews"][1].update(byteLength=999)), "buffer view 1 goes be"),
-        ("scene.gltf", gltf(lambda tree: tree["buffers"][0].update(byteLength=9999)), r"has \d+ bytes, expected 9999"),
+        (
+            "scene.gltf",
+            gltf(lambda tree: tree["accessors"][0].update(sparse={})),
+            "a mesh that is compressed or sparse",
+        ),
+        ("scene.gltf", gltf(lambda tree: tree["accessors"][1].update(normalized=True)), "in normalized integers"),
+        ("scene.gltf", gltf(lambda tree: _primitive(tree).update(mode=6)), "its scene has 16 triangles, and 0 of them"),
+        ("scene.gltf", gltf(lambda tree: tree["nodes"][0].update(camera=0)), "its scene has 6 triangles, and 0"),
+        ("scene.gltf", gltf(lambda tree: tree["nodes"][-1].update(extensions=INSTANCES)), "has instances by EXT_mesh"),
+        # Three numbers less are a vertex less, and an input less makes other faces.
+        ("scene.dae", lambda data: data.replace(b'count="36"', b'count="39"', 1), "does not hold 39 values"),
+        ("scene.dae", lambda data: data.replace(b"triangles", b"tristrips"), "holds tristrips, which are not read"),
+        (
+            "scene.dae",
+            lambda data: data.replace(b'<triangles count="6"', b'<triangles count="7"'),
+            "has 7 triangles, and 6",
+        ),
         ("archive.zip", lambda data: zipped({"whole.ply": PLY, "cut.ply": PLY[:-20]}), r"archive\.zip, cut\.ply: "),
     ],
 )
@@ -191,23 +217,20 @@ def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, mess
 
 
 def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
-    h5py = pytest.importorskip("h5py", reason="the extra formats is not installed")
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    pytest.importorskip("h5py", reason="the extra formats is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "a.xdmf"
     meshio.Mesh(np.eye(7, 3), [("triangle", FACES[:3])]).write(path, data_format="HDF")
     data = path.read_bytes()
     assert content(path)[1].tolist() == FACES[:3].tolist()
-    with h5py.File(tmp_path / "a.h5", "a") as file:
-        file["link"] = h5py.ExternalLink("other.h5", "data0")
-        bomb = file.create_dataset("bomb", (7, 3), "f8", chunks=(7, 3), compression="gzip")
-        bomb.id.write_direct_chunk((0, 0), zlib.compress(bytes(1 << 22)))
     name = re.search(rb"a\.h5:/(\w+)", data)[1]
     refused(path, data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"'), "no dataset of shape")
-    refused(path, data.replace(b"/" + name, b"/link"), "as a link alone")
-    refused(path, data.replace(b"/" + name, b"/bomb"), "a chunk that unpacks to more than its 168 bytes")
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    refused(path, data, r"lie in an HDF5 file; install with: pip install 'ccd-warp\[formats\]'")
+    refused(path, data.replace(b"/" + name, b"/other"), "no dataset of shape")
+    for module in ("h5py", "meshio"):
+        with monkeypatch.context() as patch:
+            patch.setitem(sys.modules, module, None)
+            refused(path, data, rf"{module} reads it; install with: pip install 'ccd-warp\[formats\]'")
 
 
 # ---- Archives --------------------------------------------------------------------------------------------------------
@@ -221,11 +244,10 @@ def test_meshes_of_an_archive_are_read_and_what_systems_leave_beside_them_is_pas
     assert same(read(tmp_path / "a.zip", zipped({"a.stl": soup})), read(tmp_path / "a.stl", soup))
 
 
-@pytest.mark.parametrize("name", ["bomb.zip", "bomb.tar.gz", "bomb.ply.bz2"])
-def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path, name):
-    data, path = PLY.encode() + bytes(3_000_000), tmp_path / name
-    packed = {"zip": zipped({"a.ply": data}), "gz": tarred({"a.ply": data}), "bz2": bz2.compress(data)}
-    path.write_bytes(packed[name.rpartition(".")[2]])
+def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path):
+    name = "bomb.zip"
+    path = tmp_path / name
+    path.write_bytes(zipped({"a.ply": PLY.encode() + bytes(3_000_000)}))
     with pytest.raises(ValueError, match=r"the limit is 1,000,000 bytes; raise it with --max-bytes \(max_bytes= in"):
         ccd.read_frames(path, path, max_bytes=1_000_000)
     with pytest.raises(ValueError, match=f"{name}(?!.*limit)"):
@@ -254,4 +276,4 @@ def test_archive_whose_end_loses_a_member_is_refused(tmp_path, name):
     fewer = struct.pack("<II", end - last, last)  # size and place of the directory
     without_last = data[:last] + data[end : end + 12] + struct.pack("<II", last - first, first) + data[end + 20 :]
     for damaged in (data[: end + 12] + fewer + data[end + 20 :], without_last):
-        refused(tmp_path / name, damaged, "that its directory does not list")
+        refused(tmp_path / name, damaged, r"its directory lists \d files, and says")

@@ -25,10 +25,10 @@ def _obj(vertices, faces, corner="{0}") -> str:
     return "\n".join(["mtllib none.mtl", "o ball", *rows, ""])
 
 
-def _of_cells(name):
+def _of_cells(name, **options):
     def write(vertices, faces):
-        meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
-        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]))
+        meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]), **options)
 
     return write
 
@@ -40,6 +40,8 @@ FORMATS = {
     "0.obj": _obj,
     "1.obj": lambda *mesh: _obj(*mesh, "{0}/{1}/{1}"),
     **{name: _of_cells(name) for name in ("a.vtu", "a.vtk")},
+    "text.vtk": _of_cells("a.vtk", binary=False),
+    "a.xdmf": _of_cells("a.xdmf", data_format="XML"),
 }
 
 
@@ -83,6 +85,20 @@ def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(
         found = frames.vertices_t0[frames.mesh.vertex_body == body]
         expected = BALL.astype(np.float32).astype(np.float64) + [10.0 * (name != "left"), 0, 0]
         assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0)) and len(found) == len(BALL)
+
+
+@pytest.mark.parametrize("kind, module, is_soup", [("dae", "collada", True), ("3mf", "lxml", False)])
+def test_scenes_of_other_formats_have_their_vertices_once(tmp_path, kind, module, is_soup):
+    """In COLLADA, faces with normals of their own are corners of their own, which would touch one another."""
+    pytest.importorskip(module)
+    ends = [BALL, BALL + 1.0]
+    faces = np.arange(3 * len(BALL_FACES)).reshape(-1, 3) if is_soup else BALL_FACES
+    contents = [exported(kind, x[BALL_FACES].reshape(-1, 3) if is_soup else x, faces) for x in ends]
+    frames = _frames(tmp_path, f"a.{kind}", *contents)
+    assert len(frames.vertices_t0) == len(BALL) and frames.mesh.num_faces == len(BALL_FACES)
+    for found, x in zip((frames.vertices_t0, frames.vertices_t1), ends, strict=True):
+        # single precision, and decimals of trimesh
+        assert np.abs(found[frames.mesh.faces] - x[BALL_FACES]).max() < 1e-6
 
 
 def test_glb_vertices_that_touch_and_part_stay_two(tmp_path):
@@ -135,7 +151,7 @@ def test_all_pieces_of_a_vtu_are_read(tmp_path):
 
 def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
     """One tetrahedron, of which a node is a tenth off the middle of its edge."""
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     points, edges, path = np.eye(4, 3, k=-1), [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)], tmp_path / "a.vtu"
     nodes = np.concatenate([points, points[edges].mean(axis=1) - 0.1 * np.eye(6, 3)])
     meshio.Mesh(nodes, [("tetra10", np.arange(10)[None])]).write(path)

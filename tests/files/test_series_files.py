@@ -1,4 +1,4 @@
-"""Frames of a sequence from files: natural order, bodies by name, caches of NumPy, series of ParaView and XDMF."""
+"""Frames of a sequence from files: natural order, bodies by name, archives of NumPy, series of ParaView and XDMF."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def write_frames(folder, *names, suffix=".ply"):
             if suffix == ".ply":
                 path.write_bytes(ply(frame, FACES))
             else:
-                meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+                meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
                 path.write_bytes(of_meshio(path.name, meshio.Mesh(frame, [("triangle", FACES)])))
 
 
@@ -67,7 +67,7 @@ def test_files_that_are_no_frames_of_bodies_are_refused(tmp_path, names, message
     refused([tmp_path / f"{name}.ply" for name in names] or tmp_path, message)
 
 
-def test_caches_of_positions(tmp_path):
+def test_archives_of_positions(tmp_path):
     np.savez(tmp_path / "both.npz", positions=POSITIONS, faces=FACES)
     np.savez_compressed(tmp_path / "bare.npz", positions=POSITIONS + 1.0)
     write_frames(tmp_path, "{}")
@@ -76,7 +76,7 @@ def test_caches_of_positions(tmp_path):
     assert sequence.labels == ["both.npz[0]", "both.npz[1]", "both.npz[2]"]
     refused(tmp_path / "bare.npz", "holds no 'faces'; add them, or give a mesh that has them with --faces")
     np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((4, 1000, 3)), faces=FACES)
-    refused(tmp_path / "a.npz", "unpacks to .* bytes, and the limit is 9,000; raise it with", max_bytes=9000)
+    refused(tmp_path / "a.npz", "unpacks to .* bytes, and the limit is 9,000 bytes; raise it with", max_bytes=9000)
 
 
 def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_each_part(tmp_path):
@@ -96,7 +96,7 @@ def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_eac
 
 
 def test_series_of_xdmf_moves_by_its_displacements(tmp_path, monkeypatch):
-    meshio = pytest.importorskip("meshio", reason="the extra examples is not installed")
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
     pytest.importorskip("h5py", reason="the extra formats is not installed")
     monkeypatch.chdir(tmp_path)
     with meshio.xdmf.TimeSeriesWriter("a.xdmf") as writer:  # with its numbers in a.h5

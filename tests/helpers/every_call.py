@@ -2,7 +2,6 @@
 
 import functools
 import inspect
-import json
 import tempfile
 import typing
 from pathlib import Path
@@ -11,7 +10,8 @@ import numpy as np
 import trimesh
 
 import ccd_warp as ccd
-from ccd_warp import datasets, viz
+from ccd_warp import viz
+from ccd_warp._files.frames import write_mesh
 
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 FACE = np.array([[0, 1, 2]])
@@ -28,8 +28,6 @@ PIPELINE = ccd.CollisionPipeline(MESH)
 POSES = np.array([[[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]], [[0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]])
 AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
 MOTION, MAPS = ccd.RigidMotion(*POSES), ccd.AffineMotion(AFFINE, 2.0 * AFFINE)
-QUERIES = datasets.Queries("a", "vertex-face", POINTS_T0, POINTS_T1, np.array([True]), (("a.csv", 1),))
-STEP = datasets.SimulationStep(START, END, FACE.astype(np.int32))
 
 # What a parameter of a name is given, wherever a call takes it and says nothing else.
 VALUES = {
@@ -49,10 +47,10 @@ VALUES = {
         "body": np.array([0, 1, 1]),
         "gradient": ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, bool)),
     },
-    **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "kind": None, "truth": None, "progress": False},
+    **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "progress": False},
     **{"surface": False, "split": False, "max_bytes": 10**6, "displacement": None, "faces": None},
     **{"result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
-    **{"displacements": None, "contacts": RESULT.contacts, "ids": np.array([[0, 1]]), "step": STEP, "i": 0, "k": 0},
+    **{"displacements": None, "contacts": RESULT.contacts, "k": 0},
 }
 
 
@@ -101,11 +99,10 @@ def run(function, arguments, changed=()):
 
 def _every_call(folder):
     """Each public call by its name: the function, and arguments that it takes."""
-    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.json"
-    datasets.write_step(start, end, STEP)
-    datasets.write_queries(folder / "a_vf.csv", POINTS_T0, POINTS_T1)
-    pose = dict.fromkeys(["t", "body", "px", "py", "pz", "qx", "qy", "qz"], 0) | {"qw": 1}
-    poses.write_text(json.dumps([pose, pose | {"t": 1, "px": 1}]))
+    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.csv"
+    write_mesh(start, START, FACE)
+    write_mesh(end, END, FACE)
+    poses.write_text("0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
     launched = ccd.CollisionPipeline(MESH).launch(START, END)
     of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}
     solids = [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]
@@ -143,16 +140,7 @@ def _every_call(folder):
     add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
     add(viz.draw_step, viz.show_step, viz.to_pyvista, viz.contact_points)
     add(ccd.read_poses, mesh_path=start, poses_path=poses, static=[])
-    add(ccd.read_frames, ccd.read_sequence, datasets.read_step, datasets.write_step, **of_files)
-    add(datasets.Queries, **{name: getattr(QUERIES, name) for name in parameters_of(datasets.Queries)})
-    add(QUERIES.id, datasets.Queries.joined, name="", parts=[QUERIES])
-    add(datasets.read_queries, datasets.write_queries, path=folder / "a_vf.csv", kind="vertex-face")
-    add(datasets.find_queries, datasets.find_steps, folder=folder)
-    add(datasets.write_truth, datasets.read_truth, path=folder / "truth.json", truth=np.array([True]))
-    add(datasets.write_boxes, datasets.read_boxes, path=folder / "boxes.json")
-    add(datasets.edges_by_max, faces=FACE)
-    datasets.write_truth(folder / "truth.json", np.array([True]))
-    datasets.write_boxes(folder / "boxes.json", np.array([[0, 1]]))
+    add(ccd.read_frames, ccd.read_sequence, **of_files)
     return calls
 
 

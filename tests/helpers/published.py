@@ -1,7 +1,7 @@
 """The published sample queries and meshes, which the project reads where they are present.
 
 The folder is `../shared/data` beside the repository, or what the environment variable CCD_WARP_DATA names; its README
-states the formats, `ccd_warp.datasets` reads them.
+states the formats, `public_data` reads them.
 """
 
 from __future__ import annotations
@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from public_data import Queries, find_queries, find_steps, read_boxes, read_step
 
-from ccd_warp.datasets import Queries, SimulationStep, find_queries, find_steps, read_boxes, read_step
+from ccd_warp._files.frames import Body
 
 DATA = Path(os.environ.get("CCD_WARP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
@@ -60,6 +61,6 @@ def simulation_boxes(scene: str, kind: str) -> np.ndarray:
     return np.concatenate([read_boxes(path) for path in paths])
 
 
-def simulation_step(scene: str) -> SimulationStep:
+def simulation_step(scene: str) -> Body:
     """The mesh of one simulation scene at both ends of its step."""
     return read_step(*find_steps(DATA)[f"simulation/{scene}"])

@@ -20,7 +20,7 @@ import warp as wp
 from every_call import CALLS, END, FACE, MESH, PIPELINE, POSES, START, TRIANGLE, run
 
 import ccd_warp as ccd
-from ccd_warp import datasets, viz
+from ccd_warp import viz
 
 REAL, NONE, TEXTS = ("fraction", "longdouble", "float16"), ("None",), ("text", "text with a null")
 ZERO, FLAG, BIG = (*REAL, "negative zero"), ("bool", "numpy bool"), ("int beyond float64",)
@@ -62,7 +62,7 @@ ARGUMENTS = {
     "vertices_t1": (r"(shape )?\(6, 3\) like vertices_t0|both vertices_t0 and vertices_t1|" + DEVICE, [], ()),
     **{"vertices_t1 of launch of displacements": ("one of them", [], NONE), "displacements": (DEVICE, [], ())},
     "vertices_t1 of mesh_ccd beside a static body": (r"(shape )?(\(n, 3\)|\(6, 3\) like .* or \(3, 3\))", [], ()),
-    **{"displacements of CollisionPipeline.launch": ("one of them", [], NONE), "step": ("a SimulationStep", [], ())},
+    **{"displacements of CollisionPipeline.launch": ("one of them", [], NONE)},
     **{"vertices of CollisionPipeline.reserve": (ROWS, [], NONE), "colour": ("'vertex_toi' or 'body'", ["red"], ())},
     "vertices of CollisionMesh.from_volume": (r"(shape )?\(n, 3\)|indices in \[0, 0\)", [], ()),
     "vertices of body 0": (r"(shape )?\(n, 3\)|positions|indices in \[0, 0\)", [], ()),
@@ -106,18 +106,9 @@ ARGUMENTS = {
     **dict.fromkeys(["progress", "surface"], ("True or False", [], FLAG)),
     **{f"path of {call}": ("'linear' or 'screw'", ["arc"], ()) for call in WITH_PATHS},
     "name": ("a text", [], (*TEXTS, "empty text")),
-    "kind": ("'vertex-face' or 'edge-edge'", ["point-point", ccd.PairKind.POINT_POINT, ["edge-edge"]], NONE),
-    "kind of Queries": ("'vertex-face' or 'edge-edge'", ["ee"], ()),
-    "truth": (r"bool of shape \((n|1),\)|a NumPy array", [np.ones(1)], NONE),
-    **{"truth of write_truth": (r"bool of shape \(n,\)", [np.ones(3)], ()), "truth of read_queries": (PATH, [], NONE)},
-    "sources": (r"pairs \(label of a file, its queries\)|1 like points_t0", [(("a", 2),)], ()),
-    "parts": ("sets of queries|one or more parts of one kind", [], ()),
-    "i": ("an index of 1 queries|the index of a query", [1], ("minus one",)),
-    "ids": (r"integers of shape \(n, 2\)|integers from 0", [np.ones((3, 2)), np.array([[0, -1]])], ()),
     "split": ("True, False or the name of a field of cells|a VTU, VTK, XDMF or NPZ file", [], FLAG),
     **{"displacement": ("the name of a field", [], (*NONE, *TEXTS, "empty text")), "faces": (PATH, [], NONE)},
-    "faces of edges_by_max": (r"integers of shape \(F, 3\)", [], ()),
-    **{"paths": (rf"{PATH}|a path, or a list of paths", [], ()), "folder": (PATH, [], ())},
+    "paths": (rf"{PATH}|a path, or a list of paths", [], ()),
     **dict.fromkeys(["path", "mesh_path", "poses_path", "start_path", "end_path"], (PATH, [], ())),
 }
 
@@ -179,7 +170,7 @@ EVERY = [(call, argument) for call, (_, arguments) in CALLS.items() for argument
 # What a message calls an argument that has parts.
 NAMES = {"bodies": "bod", "others": "", "vertices of body 0": "of body 0", "vertices": ""}
 OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "per", "safety", "max_rounds"}
-IS_PATH = {"mesh_path", "poses_path", "path", "folder", "start_path", "end_path", "paths", "truth", "faces", "static"}
+IS_PATH = {"mesh_path", "poses_path", "path", "start_path", "end_path", "paths", "faces", "static"}
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
@@ -215,9 +206,8 @@ ARRAYS = [
     if type(value) is np.ndarray and (value.ndim > 1 or value.dtype.kind == "i")
     if call not in ("render_step", "draw_step", "show_step")  # which read what `to_pyvista` does
 ]
-# Launches read arrays where they are, and what is written to a file is not converted.
-ON_DEVICE, WRITTEN = ("launch", "points_at"), ("Queries", "write_queries", "write_boxes", "edges_by_max")
-ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "ids", "faces"}
+ON_DEVICE = ("launch", "points_at")  # which read arrays where they are
+ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "faces"}
 ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
 
 
@@ -225,7 +215,7 @@ ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of Collis
 def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument):
     function, arguments = CALLS[call]
     array, is_on_device = arguments[argument], any(word in call for word in ON_DEVICE)
-    may_refuse, own = is_on_device or call in WRITTEN, {NAMES.get(argument, argument)}
+    own = {NAMES.get(argument, argument)}
     own |= {"vertices_t1"} if is_on_device else set()
     expected = run(function, arguments)
     if is_on_device:
@@ -236,27 +226,25 @@ def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_num
         try:
             result = run(function, arguments, {argument: made})
         except Exception as error:
-            assert word is not None or may_refuse, error
+            assert word is not None or is_on_device, error
             assert any(name in str(error) for name in own), error
-            check_refusal(error, [] if may_refuse else [word], "")
+            check_refusal(error, [] if is_on_device else [word], "")
         else:
             assert word is None, f"{made!r} is taken"
-            if call != "edges_by_max":  # has the dtype of its argument
-                check_same(arrays_of(result) if is_on_device else result, expected)
+            check_same(arrays_of(result) if is_on_device else result, expected)
 
     for made in hostile.same(array, Path(of.FOLDER.name)):
         check(made)
     for made, word in hostile.hidden(array):
         is_number = type(made) is np.ndarray and made.dtype in (np.float32, np.float64)
-        takes_any = call in ("Queries", "write_boxes", "edges_by_max") and (is_number or word == str(2**64 - 1))
-        if not ((is_on_device and is_number) or takes_any):
+        if not (is_on_device and is_number):
             check(made, word)
     any_length = {argument, f"{argument} of {call}"} & ANY_LENGTH
     for made in (array[..., :1], array[None, None], *([] if any_length else [array[:-1]])):
         check(made, f"shape {made.shape}")
 
 
-HANDED_ON = ("launch", "CollisionMesh.frame", "Queries", "write_", "to_host")  # these give their arrays back
+HANDED_ON = ("launch", "CollisionMesh.frame", "to_host")  # these give their arrays back
 
 
 @pytest.mark.parametrize("call", [call for call in CALLS if not any(word in call for word in HANDED_ON)])
@@ -332,7 +320,7 @@ TOGETHER = {
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
         ({"poses_t0": WORLDS, "poses_t1": WORLDS, "pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
-        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "within": [0.5]}, r"a finite length of at least 0, or such .* \(3, 2\)"),
+        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "within": [0.5]}, r"a finite length of at least 0, or such .* \(3"),
         (
             {"poses_t0": WORLDS, "poses_t1": WORLDS, "within": put(np.zeros((3, 2)), (2, 1), -1)},
             "within is -1.0 for body 1 of world 2",
@@ -392,10 +380,6 @@ TOGETHER = {
         ({"path": "step.jpg"}, "must end in .png"),
         ({"path": "none/step.png"}, "does not exist"),
         ({"mesh": "step.png"}, r"mesh is .*; expected the mesh first.*vertices_t1, result, path\)"),
-    ],
-    "write_step": [
-        ({"step": datasets.SimulationStep(START, END[:4], FACE)}, r"vertices_t1 has shape \(4, 3\); expected \(6, 3\)"),
-        ({"step": datasets.SimulationStep(START, END, FACE + 4)}, "faces holds indices from 4 to 6; expected 0 to 5"),
     ],
 }
 
@@ -555,7 +539,7 @@ def test_every_public_function_is_among_those_tried():
     for function, arguments in CALLS.values():
         tried.setdefault(function.__qualname__, set()).update(arguments)
     left_out = (ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
-    for public in (getattr(part, name) for part in (ccd, datasets, viz) for name in part.__all__):
+    for public in (getattr(part, name) for part in (ccd, viz) for name in part.__all__):
         members = vars(public) if isinstance(public, type) and public not in left_out else {}
         names = [name for name in members if not name.startswith("_") and name != "borrowed"]
         functions = [getattr(public, name) for name in names] + [public] * inspect.isfunction(public)

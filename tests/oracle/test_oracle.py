@@ -52,7 +52,7 @@ def touches(kind, points_t0, points_t1, t):
 def test_oracle_agrees_with_every_published_truth():
     for queries in published.all_queries():
         results = exact_tois(queries.kind, queries.points_t0, queries.points_t1)
-        assert len(queries) and [queries.id(i) for i, r in enumerate(results) if r.hit != queries.truth[i]] == []
+        assert len(queries) and [i for i, r in enumerate(results) if r.hit != queries.truth[i]] == []
 
 
 def falls(x, y, start, end, *still):

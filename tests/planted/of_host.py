@@ -218,8 +218,7 @@ PLANTED = [
           ("input/test_motion.py::test_a_nut_on_a_bolt_moves_on_a_screw",)),
     # --- files ---
     Fault("a vertex too far back", "ccd_warp/_files/obj.py",
-          "np.repeat(num_above, rows.counts) + corners, corners - 1",
-          "np.repeat(num_above, rows.counts) + corners - 1, corners - 1",
+          "else num_vertices + corner for", "else num_vertices + corner - 1 for",
           ("files/test_damaged_files.py::test_polygons_become_fans_in_the_order_of_the_file",)),
     Fault("rows beyond those of the header", "ccd_warp/_files/ply.py",
           "    if at < len(rows):\n", "    if False:\n",
