@@ -5,6 +5,7 @@ import time
 import numpy as np
 from laws.calls import EVERY_PER
 from laws.outputs import different, outputs_of
+from mpi4py import MPI
 
 import ccd_warp as ccd
 from ccd_warp.distributed import DistributedMesh
@@ -107,7 +108,19 @@ def wait_for_all(comm):
     """A barrier at which ranks sleep: elsewhere MPI asks all the time, on cores that the others need."""
     request = comm.Ibarrier()
     while not request.Test():
-        time.sleep(1e-3)
+        time.sleep(1e-4)
+
+
+class Patient(MPI.Intracomm):
+    """A communicator, and those made of it, whose ranks sleep until all have come to agree, and to hear of all."""
+
+    def Allreduce(self, *given, **named):
+        wait_for_all(self)
+        super().Allreduce(*given, **named)
+
+    def allgather(self, value):
+        wait_for_all(self)
+        return super().allgather(value)
 
 
 def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):

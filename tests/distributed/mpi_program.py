@@ -27,14 +27,14 @@ import warp as wp
 from laws.calls import PRECISIONS
 from laws.scenes import drawn
 from mpi4py import MPI
-from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare_call, wait_for_all, whole_mesh
+from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, Patient, compare_call, wait_for_all, whole_mesh
 from scenes import FACE, NO_FACES, TRIANGLE, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh import topology
 from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _exchange, _part, _ranks
 
-COMM = MPI.COMM_WORLD
+COMM = Patient(MPI.COMM_WORLD)
 RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
 LAST = SIZE - 1
 IDS = np.arange(3)
