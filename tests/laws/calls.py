@@ -34,7 +34,7 @@ class StepCase:
 
     make: Callable[[], Made]
     options: dict[str, Any] = field(default_factory=dict)
-    capacity: int = 10_000
+    capacity: int = 3_000
     is_thorough: bool = False
 
     # What a drawn scene may have besides: what all lengths are in proportion to, and the motion of rigid bodies, anew.
