@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._plan import Bounds, scene_box
 
@@ -126,10 +125,3 @@ def test_boxes_of_what_is_equal_in_quantized_coordinates_overlap(place, size, ra
     assert x[0, 0] < x[1, 0] and (at[0] == at[1]).all()
     lower, upper = Bounds.of(0.0, 0.0, *scene_box(x, x)).boxes(x, x, np.zeros(2, dtype=int), radius)
     assert (lower[:3, 1] <= upper[:3, 0] - 2.0 * radius).all()
-
-
-def test_an_edge_is_codimensional_only_if_no_rank_has_a_face_with_it():
-    edges = np.array([[0, 1], [2, 3], [0, 1], [1, 2]])
-    home, is_codimensional = numbering.edges_at_home(edges, np.array([False, False, True, False]))
-    assert edges[home.chosen].tolist() == [[0, 1], [1, 2], [2, 3]]
-    assert is_codimensional.tolist() == [False, True, True]

@@ -10,7 +10,7 @@ import pytest
 import ccd_warp as ccd
 from ccd_warp import _motion_worlds
 from laws.moving import Moves
-from laws.outputs import different, outputs_of
+from laws.outputs import different, outputs_of, tois_of
 from laws.scenes import drawn
 from laws.truth import PLANE, UNITS
 from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of, turned, unit
@@ -81,11 +81,6 @@ class Scene:
 
 
 scene_of = cache(Scene)
-
-
-def tois_of(contacts):
-    keys = map(tuple, np.column_stack([contacts.kind, contacts.primitives]).tolist())
-    return dict(zip(keys, contacts.toi.tolist(), strict=True))
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from laws.outputs import tois_of
 from laws.scenes import drawn
 from laws.truth import (
     NAMES,
@@ -161,9 +162,7 @@ def test_contacts_of_a_step(seed, precision):
     scene, mesh, start, end, pairs = scene_of(seed)
     result = ccd.mesh_ccd(mesh, start, end, precision=precision, **scene.options)
     contacts = result.contacts
-    keys = np.column_stack([contacts.kind, contacts.primitives]).tolist()
-    found = dict(zip(map(tuple, keys), contacts.toi.tolist(), strict=True))
-    truth = exact_contacts(scene, start, end, pairs, scene.options["t_max"])
+    found, truth = tois_of(contacts), exact_contacts(scene, start, end, pairs, scene.options["t_max"])
     assert truth.keys() <= found.keys()
     assert not [key for key, time in truth.items() if time.late(found[key])]
     allowed = {(kind, *pair) for kind, of_kind in enumerate(pairs.of_kinds) for pair in of_kind.tolist()}
