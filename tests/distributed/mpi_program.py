@@ -9,6 +9,7 @@ the case ``killed`` the last rank is killed as the others wait for it; that they
 
 import contextlib
 import copy
+import gc
 import io
 import os
 import pickle
@@ -471,6 +472,7 @@ CASES += [a_bound_from_a_sample, many_steps, one_rank_has_more_work, together, t
 
 
 def main(given):
+    gc.set_threshold(20_000, 10, 10)  # as in `conftest.py`
     wp.config.log_level = wp.LOG_ERROR
     every_rank = EVERY.Get_rank()
     pair = EVERY.Split(every_rank < 2, every_rank)

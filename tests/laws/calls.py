@@ -50,7 +50,7 @@ class StepCase:
     def pipeline(self, mesh: ccd.CollisionMesh, precision: str, *left_out: str, **more: Any) -> ccd.CollisionPipeline:
         """A pipeline with the options but for some, and with the capacities."""
         given = {name: value for name, value in self.options.items() if name not in left_out}
-        given = {"max_pairs": self.capacity, "max_contacts": self.capacity, "precision": precision} | given | more
+        given |= {"max_pairs": self.capacity, "max_contacts": self.capacity // 2, "precision": precision} | more
         return ccd.CollisionPipeline(mesh, **given)
 
 

@@ -168,7 +168,7 @@ class _Drawing:
             rows = mesh.rigid[mesh.vertex_body][:, None]
             start, end = (np.where(rows, mesh.vertices, x) for x in (start, end))
             motion = self.motion(mesh)
-        return Scene(lambda: (make_mesh(), start, end), options, 1_000, False, self.family, self.size, motion)
+        return Scene(lambda: (make_mesh(), start, end), options, 1_000, self.family, self.size, motion)
 
     # --- the mesh ---
 
