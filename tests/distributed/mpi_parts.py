@@ -5,7 +5,6 @@ import time
 import numpy as np
 from laws.calls import EVERY_PER
 from laws.outputs import different, outputs_of
-from mpi4py import MPI
 
 import ccd_warp as ccd
 from ccd_warp.distributed import DistributedMesh
@@ -110,18 +109,6 @@ def wait_for_all(comm):
     while not request.Test():
         time.sleep(pause)
         pause = min(1.2 * pause, 2e-3)
-
-
-class Patient(MPI.Intracomm):
-    """A communicator, and those made of it, whose ranks sleep until all have come to agree, and to hear of all."""
-
-    def Allreduce(self, *given, **named):
-        wait_for_all(self)
-        super().Allreduce(*given, **named)
-
-    def allgather(self, value):
-        wait_for_all(self)
-        return super().allgather(value)
 
 
 def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):

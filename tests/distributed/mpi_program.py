@@ -28,14 +28,14 @@ import warp as wp
 from laws.calls import PRECISIONS
 from laws.scenes import drawn
 from mpi4py import MPI
-from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, Patient, compare_call, wait_for_all, whole_mesh
+from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare_call, wait_for_all, whole_mesh
 from scenes import FACE, NO_FACES, TRIANGLE, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh import topology
 from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _exchange, _part, _ranks
 
-EVERY = Patient(MPI.COMM_WORLD)
+EVERY = MPI.COMM_WORLD
 IDS = np.arange(3)
 GROUND = ccd.HalfSpace([0, 0, -1], [0, 0, 1])
 
