@@ -182,11 +182,11 @@ def test_contacts_of_a_step(seed, precision):
     assert step == least or (scene.options["start_gap_fraction"] == "hold" and step > least)
 
 
-@pytest.mark.parametrize("seed", [seed for seed in SEEDS if scene_of(seed)[1].radius is not None])
-def test_radii_written_on_the_device_are_those_of_the_next_launch(seed):
-    scene, mesh, start, end, _ = scene_of(seed)
-    pipeline = scene.pipeline(mesh, "float64")
-    for radius in (0.0 * mesh.radius, mesh.radius):
-        pipeline.radius.assign(radius)
-        found = pipeline.launch(start, end).vertex_toi.numpy().copy()
-    np.testing.assert_array_equal(found, ccd.mesh_ccd(mesh, start, end, **scene.options).vertex_toi)
+def test_radii_written_on_the_device_are_those_of_the_next_launch():
+    for scene, mesh, start, end, _ in map(scene_of, SEEDS):
+        if mesh.radius is not None:
+            pipeline = scene.pipeline(mesh, "float64")
+            for radius in (0.0 * mesh.radius, mesh.radius):
+                pipeline.radius.assign(radius)
+                found = pipeline.launch(start, end).vertex_toi.numpy().copy()
+            np.testing.assert_array_equal(found, ccd.mesh_ccd(mesh, start, end, **scene.options).vertex_toi)
