@@ -13,6 +13,8 @@ import warp as wp
 from programs import programs
 
 wp.config.log_level = wp.LOG_WARNING
+# calls make many objects, few of them in circles: at the default the collector takes a sixth of the time
+gc.set_threshold(20_000, 10, 10)
 if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py
     wp.config.kernel_cache_dir, wp.config.cuda_output = folder, "cubin"
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as of a command in the background of a script

@@ -2,13 +2,14 @@
 
     mpiexec -n 3 python -m mpi4py tests/distributed/mpi_program.py [CASE ...]
 
-One program goes through many cases, because starting processes and compiling kernels takes most of the time: on two
-ranks and on three half of them each. It prints a line for each, on rank 0; by ``-m mpi4py``, a failure on one rank ends
-all. In the case ``killed`` the last rank is killed as the others wait for it; that they end is up to MPI.
+One program goes through many cases, because starting processes and loading kernels takes most of the time: of three
+ranks two make half of them. It prints a line for each, on rank 0; by ``-m mpi4py``, a failure on one rank ends all. In
+the case ``killed`` the last rank is killed as the others wait for it; that they end is up to MPI.
 """
 
 import contextlib
 import copy
+import gc
 import io
 import os
 import pickle
@@ -34,11 +35,16 @@ import ccd_warp as ccd
 from ccd_warp._engine.mesh import topology
 from ccd_warp.distributed import DistributedMesh, DistributedPipeline, _exchange, _part, _ranks
 
-COMM = MPI.COMM_WORLD
-RANK, SIZE = COMM.Get_rank(), COMM.Get_size()
-LAST = SIZE - 1
+EVERY = MPI.COMM_WORLD
 IDS = np.arange(3)
 GROUND = ccd.HalfSpace([0, 0, -1], [0, 0, 1])
+
+
+def use(comm):
+    """Let the cases run on these ranks."""
+    global COMM, RANK, SIZE, LAST
+    COMM, RANK, SIZE = comm, comm.Get_rank(), comm.Get_size()
+    LAST = SIZE - 1
 
 
 def interleaved(mesh, seed=0):
@@ -57,9 +63,13 @@ def cut_of(mesh, rank_of_face, with_owners=False):
     return mesh, Cut(COMM, mesh, rank_of_face(mesh), np.random.default_rng(RANK), with_owners)
 
 
-def check(mesh, start, end, rank_of_face, calls, *, with_owners=False, motion=None, **options):
+def check(mesh, start, end, rank_of_face, calls, **options):
     """Make the calls on all ranks and in one process, and compare; returns the pipeline of the ranks."""
-    mesh, cut = cut_of(mesh, rank_of_face, with_owners)
+    return check_cut(*cut_of(mesh, rank_of_face, options.pop("with_owners", False)), start, end, calls, **options)
+
+
+def check_cut(mesh, cut, start, end, calls, *, motion=None, **options):
+    """The same of a mesh whose part on this rank is made."""
     start, end = (np.asarray(x).reshape(-1, mesh.dimension) for x in (start, end))
     pipelines = DistributedPipeline(cut.mesh, **options), ccd.CollisionPipeline(mesh, **options)
     for call in calls:
@@ -87,11 +97,11 @@ def drawn_scenes(seeds, family=None):
         of_search["precision"] = PRECISIONS[seed % 2]
         motion = None if case.make_motion is None else case.make_motion()
         groups = ([*CALLS[:2], *SCALARS], of_step), (OF_STARTS * (motion is None), {}), (SEARCHES, of_search)
+        own = cut_of(mesh, (interleaved, in_blocks)[seed // 3 % 2], with_owners=seed % 5 == 0)
         for calls, options in groups:
             calls = [call for call in calls if CALLS.index(call) % 3 == seed % 3]
             if calls:
-                cut = (interleaved, in_blocks)[seed // 3 % 2]
-                check(mesh, start, end, cut, calls, with_owners=seed % 5 == 0, motion=motion, **options)
+                check_cut(*own, start, end, calls, motion=motion, **options)
 
 
 def scenes_that_are_drawn():
@@ -462,17 +472,24 @@ CASES += [a_bound_from_a_sample, many_steps, one_rank_has_more_work, together, t
 
 
 def main(given):
+    gc.set_threshold(20_000, 10, 10)  # as in `conftest.py`
     wp.config.log_level = wp.LOG_ERROR
-    chosen = {2: CASES[::2], 3: CASES[1::2]}.get(SIZE, CASES)
-    for case in [case for case in [*CASES, killed] if case.__name__ in given] or chosen:
+    every_rank = EVERY.Get_rank()
+    pair = EVERY.Split(every_rank < 2, every_rank)
+    chosen = [case for case in [*CASES, killed] if case.__name__ in given] or CASES
+    for number, case in enumerate(chosen):
+        of_two = EVERY.Get_size() == 3 and chosen is CASES and number % 2 == 0
+        use(pair if of_two else EVERY)
         begin = time.perf_counter()
-        case()
-        wait_for_all(COMM)
-        if RANK == 0:
-            print(f"{case.__name__}: done, {time.perf_counter() - begin:.1f} s", flush=True)
-    if RANK == 0:
+        if every_rank < SIZE:
+            case()
+        wait_for_all(EVERY)
+        if every_rank == 0:
+            print(f"{case.__name__} on {SIZE} ranks: done, {time.perf_counter() - begin:.1f} s", flush=True)
+    if every_rank == 0:
         print(f"all of {len(chosen)} cases", flush=True)
-    if SIZE == 3:
+    if EVERY.Get_size() == 3:
+        use(EVERY)
         killed()
 
 

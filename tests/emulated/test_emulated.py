@@ -75,10 +75,10 @@ def test_needles_that_cross_at_many_speeds():
     """Each is solved by a whole warp, as it takes long."""
     options = {"tolerance": 1e-15, "length_scale": 1.0}
     start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
+    solved = kept("hardest", lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
+    hardest = np.argmax(solved[".iterations"] * np.isfinite(solved[".toi"]))
 
     def step():
-        solved = kept("hardest", lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
-        hardest = np.argmax(solved[".iterations"] * np.isfinite(solved[".toi"]))
         speeds = np.random.default_rng(5).permutation(np.linspace(0.5, 1, 8))[:, None, None]
         x = np.repeat(start[hardest : hardest + 1], 8, axis=0)
         y = (x + speeds * (end[hardest] - x)).reshape(-1, 3)

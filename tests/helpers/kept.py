@@ -21,8 +21,9 @@ _WORTH_KEEPING = 0.005
 
 
 @cache
-def _source_of(modules: tuple[ModuleType, ...]) -> bytes:
-    return "\n".join(inspect.getsource(module) for module in modules).encode()
+def _begun(modules: tuple[ModuleType, ...]) -> Any:
+    """The hash of their sources, of which each question takes a copy."""
+    return hashlib.sha256("\n".join(inspect.getsource(module) for module in modules).encode())
 
 
 def _add(question: Any, value: Any) -> None:
@@ -56,7 +57,7 @@ def kept(
     """
 
     def ask(*arguments: Any, **options: Any) -> Any:
-        question = hashlib.sha256(_source_of(modules))
+        question = _begun(modules).copy()
         question.update(oracle.__name__.encode())
         _add(question, list(question_of(*arguments, **options)))
         path = _FOLDER / question.hexdigest()

@@ -77,6 +77,12 @@ def _of_device_contacts(contacts: ccd.DeviceContacts, name: str) -> Outputs:
     return found | {f"{name}.count": count.copy(), f"{name}.order_by_toi": by_toi}
 
 
+def tois_of(contacts: ccd.Contacts) -> dict[tuple[int, int, int], float]:
+    """The toi of each contact, by kind and primitives."""
+    keys = map(tuple, np.column_stack([contacts.kind, contacts.primitives]).tolist())
+    return dict(zip(keys, contacts.toi.tolist(), strict=True))
+
+
 def different(ours: Outputs, theirs: Outputs) -> list[str]:
     """What is not equal in every bit, a line each."""
     lines = [f"{name}: only one has it" for name in ours.keys() ^ theirs.keys()]

@@ -13,7 +13,6 @@ from laws.calls import StepCase
 
 # Of those without a motion. Half of the scenes are of no family, and have coordinates at random or on a grid.
 FAMILIES = ("touching", "slivers", "parallel", "far", "in plane", "close", "dust", "worlds")
-_SEARCH = ("broad_phase", "num_threads", "pair_kinds")
 _GRID = 16
 
 
@@ -47,11 +46,6 @@ class Scene(StepCase):
     def delta(self) -> float:
         """The tolerance as a length."""
         return self.options["tolerance"] * self.options["length_scale"]
-
-    @property
-    def of_search(self) -> dict[str, Any]:
-        """Options of searches."""
-        return {name: self.options[name] for name in _SEARCH if name in self.options}
 
     def without_end(self) -> dict[str, Any]:
         """Options of line searches."""
@@ -174,7 +168,7 @@ class _Drawing:
             rows = mesh.rigid[mesh.vertex_body][:, None]
             start, end = (np.where(rows, mesh.vertices, x) for x in (start, end))
             motion = self.motion(mesh)
-        return Scene(lambda: (make_mesh(), start, end), options, 10_000, False, self.family, self.size, motion)
+        return Scene(lambda: (make_mesh(), start, end), options, 1_000, self.family, self.size, motion)
 
     # --- the mesh ---
 

@@ -6,7 +6,7 @@ from expected_warnings import OF_ROUNDING
 
 import ccd_warp as ccd
 from laws.calls import PRECISIONS
-from laws.outputs import different, outputs_of
+from laws.outputs import different, outputs_of, tois_of
 from laws.scenes import drawn
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
@@ -41,13 +41,6 @@ def remade(mesh, order, scale=1.0, **changed):
         **chosen,
         **changed,
     ), np.array(rows)
-
-
-def tois_of(mesh, start, end, precision, options):
-    """The toi of each contact, by kind and primitives."""
-    contacts = ccd.mesh_ccd(mesh, start, end, precision=precision, **options).contacts
-    keys = zip(contacts.kind.tolist(), *contacts.primitives.T.tolist(), strict=True)
-    return dict(zip(keys, contacts.toi.tolist(), strict=True))
 
 
 def made(seed):
@@ -103,8 +96,9 @@ def test_a_larger_distance_never_comes_later(seed):
     case, mesh, start, end, precision, _ = made(seed)
     name = "minimum_distance" if case.is_euclidean else "minimum_separation"
     unit = case.size if case.is_euclidean else 1.0
+    options = {**case.options, "start_gap_fraction": None, "precision": precision}
     found = [
-        tois_of(mesh, start, end, precision, {**case.options, "start_gap_fraction": None, name: distance * unit})
+        tois_of(ccd.mesh_ccd(mesh, start, end, **options | {name: distance * unit}).contacts)
         for distance in (0.0, 2.0**-9, 2.0**-6, 0.1)
     ]
     for near, far in zip(found[1:], found, strict=False):
@@ -116,7 +110,8 @@ def test_a_shorter_step_ends_at_its_end(seed):
     """What it has is the same but for what the tolerance leaves open, and what is gone comes later."""
     case, mesh, start, end, precision, _ = made(seed)
     slack = 2.0**-20 + (case.options["tolerance"] if precision == "float64" else 1e-4)
-    whole, part = (tois_of(mesh, start, end, precision, case.options | {"t_max": t}) for t in (1.0, 0.4))
+    options = {**case.options, "precision": precision}
+    whole, part = (tois_of(ccd.mesh_ccd(mesh, start, end, **options | {"t_max": t}).contacts) for t in (1.0, 0.4))
     assert part.keys() <= whole.keys()
     assert all(toi <= 0.4 and abs(toi - whole[pair]) <= slack for pair, toi in part.items())
     assert all(whole[pair] > 0.4 - slack for pair in whole.keys() - part.keys())

@@ -7,7 +7,7 @@ import pytest
 from slides import SLIDERS, slides_of
 
 import ccd_warp as ccd
-from laws.calls import EVERY_PER
+from laws.calls import EVERY_PER, PRECISIONS
 from laws.test_searches import rows_of
 from laws.test_truth import SEEDS, near_pairs, scene_of
 from laws.truth import NAMES, PLANE, PlaneTruth, distances_at, first_times, sizes
@@ -61,9 +61,10 @@ def test_what_is_left_of_the_way_is_free(seed):
     options, holds = scene.without_end(), holds_of(scene, mesh, start, pairs)
     is_free = ~(mesh.static | mesh.kinematic)[mesh.vertex_body]
     shares = {"scene": 0 * mesh.vertex_body, "world": mesh.vertex_world, "body": mesh.vertex_body}
+    steps = {name: ccd.mesh_ccd(mesh, start, end, precision=name, **options) for name in PRECISIONS}
     for n, per in enumerate(EVERY_PER):
-        options["precision"] = ("float64", "float32")[(seed + n) % 2]
-        result = ccd.line_search(mesh, start, end, per=per, safety=SAFETY, **options)
+        precision = PRECISIONS[(seed + n) % 2]
+        result = ccd.line_search(mesh, start, end, per=per, safety=SAFETY, precision=precision, **options)
         left, fraction = result.vertices, result.vertex_fraction
         moved = (left != start).any(axis=1)
         by_itself = moved & is_free
@@ -81,12 +82,11 @@ def test_what_is_left_of_the_way_is_free(seed):
         assert (fraction[~is_free] == 1).all() and result.fraction == fraction[is_free].min(initial=1.0)
         group = shares.get(per, np.arange(len(start)))
         assert all(len({*fraction[is_free & (group == g)].tolist()}) <= 1 for g in {*group.tolist()})
-        step = ccd.mesh_ccd(mesh, start, end, **options)
-        if step.toi == np.inf:
+        if (toi := steps[precision].toi) == np.inf:
             assert np.array_equal(left, end)
-        elif step.toi > 0:  # it goes as far as the first contact allows, and no farther
-            assert SAFETY * step.toi >= fraction[is_free].min(initial=0.0)
-    whole = ccd.collision_free_step(mesh, start, end, **options)
+        elif toi > 0:  # it goes as far as the first contact allows, and no farther
+            assert SAFETY * toi >= fraction[is_free].min(initial=0.0)
+    whole = ccd.collision_free_step(mesh, start, end, precision=precision, **options)
     reached = near_on_the_way(scene, start, end, pairs, holds, lambda c: (start[c] != end[c]).any(axis=(1, 2)))
     assert not [key for key, time in reached.items() if time.late(whole)]
 

@@ -388,7 +388,7 @@ def digest_of_lanes():
     """A hash of the bits of pairs of all kinds and of steps."""
     found = hashlib.sha256()
     for precision in PRECISIONS:
-        results = [asked("steps", scene) for scene in (*range(8), "kinds")]
+        results = [CALLS["steps"](case_of(scene), precision) for scene in (*range(8), "kinds")]
         for kind in KINDS:
             name, *points = points_of(kind, 8)
             for options in ("default", "separation", "distance")[

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from laws.calls import OF_SEARCH
 from laws.test_truth import SEEDS, kinds_of, scene_of
 from laws.truth import candidates, displacement_bounds, intersections, proximities
 
@@ -21,7 +22,7 @@ def test_candidates_are_the_pairs_whose_boxes_overlap(seed):
     for inflation in (0.0, 0.25 * scene.size, scene.size / 50):
         expected = candidates(pairs, start, end, inflation)
         for broad_phase in ("tree", "hash"):
-            options = scene.of_search | {"broad_phase": broad_phase}
+            options = scene.only(*OF_SEARCH) | {"broad_phase": broad_phase}
             found = [*vars(ccd.find_candidates(mesh, start, end, inflation, **options).sorted()).values()]
             for kind, pairs_found, expected_pairs in zip(ccd.PairKind, found, expected, strict=True):
                 is_asked = kind in kinds_of(scene)
@@ -33,7 +34,7 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
     scene, mesh, start, end, pairs = scene_of(seed)
     distance, kept = scene.size / 16, scene.size / 128
     for x in (start, end):
-        found = ccd.find_proximity(mesh, x, distance, **scene.of_search)
+        found = ccd.find_proximity(mesh, x, distance, **scene.only(*OF_SEARCH))
         near = {key: row for key, row in proximities(pairs, x, distance).items() if key[0] in kinds_of(scene)}
         rows = rows_of(found)
         must = {key for key, (exact, radii, _) in near.items() if exact <= distance + radii}
@@ -50,7 +51,7 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
         between = found.points[:, 0] - found.points[:, 1] - (found.distance - radii)[:, None] * found.direction
         assert (np.linalg.norm(between, axis=1) <= 4e-15 * (size + np.abs(x).max())).all()
         if "pair_kinds" not in scene.options:
-            bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.of_search)
+            bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.only(*OF_SEARCH))
             expected, largest = displacement_bounds(pairs, x, distance, kept)
             expected[~pairs.takes_part & ~np.isin(np.arange(len(x)), mesh.planes.vertices)] = np.inf
             assert (bounds <= expected).all() and (bounds >= expected - 2e-15 * largest).all()

@@ -5,12 +5,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from distance_oracle import exact_distance_tois
 from flint import arb, arb_poly, ctx
-from oracle import exact_tois
 from trimesh.transformations import quaternion_matrix, quaternion_multiply, rotation_matrix
 
 from laws.trajectories import BITS, Parts, first_contact, search, short, sine_and_cosine, straight
+from laws.truth import first_times
 from laws.turning import AT_REST, COUNTS, quaternion, turning
 
 WALL = np.array([[0.0, -9, -9], [0, 9, -9], [0, 0, 9]])  # in the plane x = 0
@@ -138,7 +137,7 @@ def test_straight_pairs_touch_when_rational_arithmetic_says_so():
         rng = np.random.default_rng(len(kind))
         start, end = rng.standard_normal((2, 80, sum(COUNTS[kind]), 3))
         end[:, 0] = -start[:, 0]
-        truth = exact_distance_tois(kind, start, end, distance) if distance else exact_tois(kind, start, end)
+        truth = first_times(kind, start, end, np.full(80, distance), True, 1.0)
         assert 2 < sum(x.hit for x in truth) < 78 or (distance == 0 and kind.startswith("point"))
         first = COUNTS[kind][0]
         for x, y, expected in zip(start, end, truth, strict=True):
