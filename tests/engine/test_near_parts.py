@@ -113,8 +113,7 @@ def test_points_keep_to_the_bounds_of_a_window_and_come_near_them(kind, scale, t
 # --- parts that may touch ---
 
 
-@pytest.fixture(scope="module")
-def scene():
+def links_and_boxes(radius=0.0):
     """Links of a few parts, boxes and a plate that stand, and a motion of as many worlds as slices."""
     rng = np.random.default_rng(3)
     link = trimesh.creation.capsule(0.25, 0.05, count=[8, 8])
@@ -122,10 +121,15 @@ def scene():
     boxes.append(trimesh.creation.box([2, 2, 0.01]).apply_translation([0, 0, -0.3]))
     may = np.abs(np.subtract.outer(np.arange(13), np.arange(13))) > 1
     may[:, 6:] = may[6:] = True
-    mesh = ccd.CollisionMesh.from_trimesh(6 * [link] + boxes, rigid=range(6), static=range(6, 13), body_pairs=may)
+    mesh = ccd.CollisionMesh.from_trimesh(
+        6 * [link] + boxes, rigid=range(6), static=range(6, 13), body_pairs=may, radius=radius
+    )
     q0 = rng.uniform(-1.5, 1.5, (SLICES, 13))
     q0[:, 9:] = rng.standard_normal((SLICES, 4))
     return mesh, ccd.JointMotion(JOINTS, q0, q0 + rng.uniform(-1, 1, (SLICES, 13)), links=LINKS)
+
+
+scene = pytest.fixture(links_and_boxes, scope="module")
 
 
 def near(parts, motion, begin, end, reach, halvings=0, slices=None):
@@ -216,9 +220,10 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
     assert found[0] == [1] * count and sum(found[1]) < 0.8 * count
 
 
-def test_many_bodies_meet_by_the_boxes_of_all_slices(scene, monkeypatch):
+@pytest.mark.parametrize("radius", [0.0, 0.5])
+def test_many_bodies_meet_by_the_boxes_of_all_slices(radius, monkeypatch):
     """Which pairs of bodies are tested at all leaves out no pair of parts."""
-    (mesh, motion), begin, found = scene, np.linspace(0, 0.7, SLICES), []
+    (mesh, motion), begin, found = links_and_boxes(radius), np.linspace(0, 0.7, SLICES), []
     parts = NearParts(mesh, mesh.vertices)
     for many in (1 << 20, 1):
         monkeypatch.setattr(near_parts, "_MANY", many)

@@ -65,6 +65,12 @@ def test_the_pairs_are_those_of_exact_linear_programs(family):
 
 V, E, F, TWO = KIND.VERTEX_FACE, KIND.EDGE_EDGE, KIND.EDGE_FACE, [[0, 1, 2], [3, 4, 5]]
 FLAT = [[3, 0, 1], [3, 2, 0], [0, 2, 1], [3, 1, 2]]  # each face shares a vertex with the other of crossing diagonals
+# Volumes of one unit, which a shear of determinant 1 leaves as they are.
+SMALL, SHEAR = (
+    np.array([[0, 1, 0], [1, 2, 2], [1, 0, 1], [0, 1, 1], [1, 1, 1], [0, 9, 0]]),
+    np.tri(3) + 9998 * np.tri(3, k=-1),
+)
+SHEAR = SHEAR @ SHEAR.T
 # Of two faces, or of faces that share vertices, which are found by what they do not share.
 OF_FACES = {
     "an edge through the inside": ([*TRIANGLE, *THROUGH], TWO, {F: 2}),
@@ -78,6 +84,7 @@ OF_FACES = {
     "above": ([*TRIANGLE, [1, 1, 1], [1, 9, 1], [9, 1, 1]], TWO, {}),
     "beside": ([*TRIANGLE, [5, 5, -1], [5, 5, 1], [9, 9, 0]], TWO, {}),
     "the smallest number above": ([*TRIANGLE, [1, 1, 5e-324], [1, 2, 1], [2, 1, 1]], TWO, {}),
+    "by the last bit of the last bits": (1.0 + 2.0**-52 * SMALL @ SHEAR, TWO, {F: 2}),
     "apart": ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1], [-1, 0, 0]], [[0, 1, 2], [1, 3, 2], [0, 4, 4]], {}),
     "folded onto": ([[2, 0, 0], [1, 1, 0], [1, 0.5, 0], [0, 0, 0]], [[3, 0, 1], [0, 3, 2]], {V: 1}),
     "folded beside": ([[2, 0, 0], [1, 1, 0], [-1, 1, 0], [0, 0, 0]], [[3, 0, 1], [0, 3, 2]], {E: 1}),
