@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from ccd_warp.kernels.template import specialised
 from cull_probe import KINDS, WIDTHS, culled
 from exact import exact_tois
 from hard_cases import FAMILIES
@@ -32,6 +33,12 @@ def test_every_width_gives_one_answer(flags, kind):
                     wide = culled(kind, *points, width, flags=flags, **options)
                     assert np.array_equal(wide, found[-1]), (family.name, scale, width)
     assert 0.01 < np.mean(found) < 0.99
+
+
+@pytest.mark.parametrize("width", [4, 8])
+def test_what_an_item_collects_is_as_long_as_its_array(width):
+    collected = specialised("search.collected", width=width)
+    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
 
 
 @pytest.mark.parametrize("kind", KINDS)
