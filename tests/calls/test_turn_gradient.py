@@ -7,6 +7,7 @@ import pytest
 
 import ccd_warp as ccd
 from ccd_warp import _motion_worlds
+from ccd_warp._turn_gradient import _inverse_jacobian, _jacobian
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -59,6 +60,13 @@ def test_worlds_of_one_mesh_have_the_gradients_of_each_alone(large, monkeypatch)
             np.testing.assert_allclose(z, y, rtol=1e-9, atol=1e-12)
     one = pickle.loads(pickle.dumps(contacts))[np.flatnonzero(contacts.world == 1)[:1]]
     assert np.array_equal(motion.gradient_by_twist(one.toi_gradient())[1][0], found[6][contacts.world == 1][0])
+
+
+@pytest.mark.parametrize("angle", [1e-12, 1e-3, 0.0156, 0.0157, 1.0, 3.0])
+def test_small_and_large_turns_have_a_jacobian_and_its_inverse_to_rounding(angle):
+    omega, vectors = np.random.default_rng(0).standard_normal((2, 100, 3))
+    omega *= angle / np.linalg.norm(omega, axis=1, keepdims=True)
+    np.testing.assert_allclose(_inverse_jacobian(omega, _jacobian(omega, vectors)), vectors, rtol=0, atol=1e-13)
 
 
 def test_a_motion_that_has_no_such_gradients_says_so():

@@ -9,6 +9,8 @@ from laws.truth import NAMES, Pairs
 from scenes import FACE, TRIANGLE, stacked, triangles
 
 import ccd_warp as ccd
+from ccd_warp._engine.device.input import LineSearch
+from ccd_warp._engine.device.line_search import passes_of
 from ccd_warp._pairs import pair_vertices
 
 EVERY_PER = ("scene", "world", "body", "vertex")
@@ -105,6 +107,13 @@ def test_a_search_that_takes_too_long_leaves_bodies_of_free_worlds_where_they_we
     step = ccd.line_search(mesh, mesh.vertices, end, per="body", max_rounds=3)
     assert step.is_limited and num_touching(mesh, mesh.vertices, step.vertices) == 0
     assert (step.vertices != mesh.vertices).any()
+
+
+@pytest.mark.parametrize("per", ["body", "vertex"])
+def test_a_line_search_on_the_device_has_as_many_passes_as_it_is_given(per):
+    for num_rounds in (3, 4, 5, 20):
+        passes = passes_of(LineSearch.of(per, num_rounds))
+        assert len(passes) == num_rounds and [of for of, _ in passes[-2:]] == ["world", "world"]
 
 
 def test_without_capacity_for_pairs_nothing_moves_into_another():

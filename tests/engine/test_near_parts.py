@@ -61,8 +61,7 @@ def test_points_keep_to_the_bounds_of_a_slice_and_come_near_them(path, scale, tu
 # --- parts that may touch ---
 
 
-@pytest.fixture(scope="module")
-def scene():
+def bodies_and_boxes(radius=0.0):
     """Bodies of a few parts, boxes and a plate that stand, and a motion of as many worlds as slices."""
     rng = np.random.default_rng(3)
     body = trimesh.creation.capsule(0.25, 0.05, count=[8, 8])
@@ -71,12 +70,15 @@ def scene():
     may = np.abs(np.subtract.outer(np.arange(13), np.arange(13))) > 1
     may[:, BODIES:] = may[BODIES:] = True
     mesh = ccd.CollisionMesh.from_trimesh(
-        BODIES * [body] + boxes, rigid=range(BODIES), static=range(BODIES, 13), body_pairs=may
+        BODIES * [body] + boxes, rigid=range(BODIES), static=range(BODIES, 13), body_pairs=may, radius=radius
     )
     places, turns = 0.5 * rng.normal(size=(SLICES, BODIES, 3)), rng.normal(size=(SLICES, BODIES, 4))
     twist = rng.normal(size=(SLICES, BODIES, 6)) * rng.choice([0.0, 0.3, 1.0], (SLICES, BODIES, 1))
     within = rng.choice([0.0, 0.03], (SLICES, BODIES))
     return mesh, ccd.RigidMotion(np.concatenate([places, turns], axis=2), twist=twist, within=within)
+
+
+scene = pytest.fixture(bodies_and_boxes, scope="module")
 
 
 def near(parts, motion, begin, end, reach, slices=None):
@@ -166,9 +168,10 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
     assert found[0] == [1] * count and sum(found[1]) < 0.8 * count
 
 
-def test_many_bodies_meet_by_the_boxes_of_all_slices(scene, monkeypatch):
+@pytest.mark.parametrize("radius", [0.0, 0.5])
+def test_many_bodies_meet_by_the_boxes_of_all_slices(radius, monkeypatch):
     """Which pairs of bodies are tested at all leaves out no pair of parts."""
-    (mesh, motion), begin, found = scene, np.linspace(0, 0.7, SLICES), []
+    (mesh, motion), begin, found = bodies_and_boxes(radius), np.linspace(0, 0.7, SLICES), []
     parts = NearParts(mesh, mesh.vertices)
     for many in (1 << 20, 1):
         monkeypatch.setattr(near_parts, "_MANY", many)

@@ -53,8 +53,8 @@ class Copy:
         """Where a file of the project lies in the copy."""
         return self.folder / "package" / (file if file.startswith("ccd_warp/") else f"ccd_warp/{file}")
 
-    def failing_test(self, tests: list[str]) -> str | None:
-        """The first of the tests that fails, or how the process ended."""
+    def failing_test(self, tests: list[str], most_seconds: float | None = None) -> str | None:
+        """The first of the tests that fails, or how the process ended; None also of tests that are not done in time."""
         environment = {**os.environ, "PYTHONPATH": str(self.folder / "package")}
         # with the seed Warp writes the functions of a module in one order, and few modules are compiled again
         environment |= {"CCD_WARP_KEPT_ANSWERS": str(self.folder / "answers"), "PYTHONHASHSEED": "0"}
@@ -62,13 +62,13 @@ class Copy:
             environment["PYTHONDONTWRITEBYTECODE"] = "1"
         command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-rfE", "--tb=line", "-p", "no:cacheprovider"]
         command += ["-m", "not long"]  # the tests of every run have to find it
-        result = subprocess.run(
-            [*command, *(str(self.folder / "tests" / test) for test in tests)],
-            cwd=self.folder,
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
+        command += [str(self.folder / "tests" / test) for test in tests]
+        try:
+            result = subprocess.run(
+                command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=most_seconds
+            )
+        except subprocess.TimeoutExpired:
+            return None
         if result.returncode == 0:
             return None
         if result.returncode == 1 and (

@@ -115,6 +115,12 @@ def test_every_width_gives_one_answer(flags, kind):
     assert 0.01 < np.mean(found) < 0.99
 
 
+@pytest.mark.parametrize("width", [4, 8])
+def test_what_an_item_collects_is_as_long_as_its_array(width):
+    collected = specialised("search.collected", width=width)
+    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
+
+
 @every_kind
 @pytest.mark.parametrize("width", WIDTHS)
 def test_answer_depends_neither_on_the_lane_nor_on_the_neighbours(width, kind):
