@@ -55,22 +55,34 @@ struct Warp {
 // Threads whose blocks are on a processor at the same time: two blocks of a warp, whose stacks stay in the cache.
 static constexpr unsigned MOST_THREADS = 64;
 
+// The stack of the host's thread that launches, on which threads run that never wait for another.
+struct SystemStack {
+    void* begin = nullptr;
+    size_t num_bytes = 0;
+
+    SystemStack()
+    {
+        pthread_attr_t attributes;
+        if (pthread_getattr_np(pthread_self(), &attributes) == 0) {
+            pthread_attr_getstack(&attributes, &begin, &num_bytes);
+            pthread_attr_destroy(&attributes);
+        }
+    }
+};
+
 class Processor {
 public:
     explicit Processor(uint64_t seed)
         : scrambler_(seed)
     {
-        pthread_attr_t attributes;
-        if (pthread_getattr_np(pthread_self(), &attributes) == 0) {
-            pthread_attr_getstack(&attributes, &system_stack_, &system_stack_bytes_);
-            pthread_attr_destroy(&attributes);
-        }
     }
 
     // Run all blocks of a launch, in the given order.
     void run(const ScrambledRange& order, size_t num_blocks, unsigned block_size, const Launch& launch)
     {
+        static thread_local const SystemStack of_host_thread;  // each launch may come from another
         Processor* before = std::exchange(current_, this);
+        system_stack_ = of_host_thread;
         block_size_ = block_size;
         races_.begin_launch();
         if (launch.togetherness == ALONE)
@@ -118,7 +130,7 @@ private:
         const ScrambledRange order(block_size_, scrambler_);
         for (unsigned k = 0; k < block_size_ && !Failure::is_set(); ++k) {
             threadIdx = { (unsigned)order[k], 0, 0 };
-            races_.resume({ block * block_size_ + threadIdx.x, block }, system_stack_, system_stack_bytes_);
+            races_.resume({ block * block_size_ + threadIdx.x, block }, system_stack_.begin, system_stack_.num_bytes);
             launch.call();
             races_.pause();
         }
@@ -339,8 +351,7 @@ private:
     Scrambler scrambler_;
     Races races_;
     unsigned block_size_ = 0;
-    void* system_stack_ = nullptr;
-    size_t system_stack_bytes_ = 0;
+    SystemStack system_stack_;
     std::vector<DeviceThread> threads_;  // of the blocks on the processor
     std::vector<Warp> warps_;
     DeviceThread* self_ = nullptr;  // which runs

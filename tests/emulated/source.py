@@ -33,11 +33,6 @@ def entry_point(kernel: str, block_dim: int) -> str:
     return f"{kernel}_in_blocks_of_{block_dim}"
 
 
-def kernels_in(source: str) -> list[str]:
-    """Mangled names of the kernels in the CUDA source of a module."""
-    return [match[1] for match in _KERNEL.finditer(source)]
-
-
 @cache
 def _own_source() -> str:
     return Path(__file__).read_text(encoding="utf-8")
