@@ -123,7 +123,7 @@ def test_what_cannot_be_stops_its_world_alone_and_once(of, value, dtype):
 def test_a_coordinate_that_is_no_number_is_seen_in_any_vertex(vertex):
     mesh, start, end = falling()
     end[vertex, vertex % 3] = np.nan
-    for vertices in ((start, end), (array(start), array(end))):
+    for vertices in ((start, end), (on_device(start), on_device(end))):
         found = ccd.CollisionPipeline(mesh).launch(*vertices).to_host()
         assert found.flags == LaunchFlag.INVALID_INPUT and found.toi == found.vertex_toi[vertex] == 0.0
 
