@@ -12,13 +12,14 @@ import shlex
 import subprocess
 import sys
 import sysconfig
-from contextlib import redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
 from pathlib import Path
 
 from warp._src import build
 
 import ccd_warp as ccd
+from ccd_warp._cli import command
 
 sys.path.append(str(Path(__file__).resolve().parent / "helpers"))
 from shared_objects import SharedObjects
@@ -50,18 +51,18 @@ def run_blocks(page: str) -> int:
 
 
 def run_commands() -> None:
-    """Run the commands of the README, and those that need a file of the wheel, or none."""
+    """Run the commands of the README, and the installed program itself."""
     section = (ROOT / "README.md").read_text(encoding="utf-8").partition("\n## From the command line\n")[2]
     lines = re.search(r"^```sh\n(.*?)^```$", section, re.DOTALL | re.M)[1].splitlines()
-    shown = ""
-    for line in [*lines, "ccd-warp --version"]:
-        name, *arguments = shlex.split(line)
-        command = [Path(sysconfig.get_path("scripts"), name), *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        assert (done.returncode, done.stderr) == (0, ""), done
-        shown += done.stdout
-    assert shown.count("MISS") == 2 and shown.endswith(f"\nccd-warp {ccd.__version__}\n"), shown
+    with redirect_stdout(io.StringIO()) as shown, redirect_stderr(io.StringIO()) as said:
+        for line in lines:
+            program, *arguments = shlex.split(line)
+            assert program == "ccd-warp" and command.main(arguments) == 0, f"{line}: {said.getvalue()}"
+    assert (shown.getvalue().count("MISS"), said.getvalue()) == (2, ""), (shown.getvalue(), said.getvalue())
     assert Path("result.json").stat().st_size > 1_000
+    program = Path(sysconfig.get_path("scripts"), "ccd-warp")
+    done = subprocess.run([program, "--version"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"ccd-warp {ccd.__version__}\n", ""), done
 
 
 def main() -> None:
