@@ -11,7 +11,8 @@ import nox
 
 nox.needs_version = ">=2025.2.9"
 nox.options.error_on_missing_interpreters = False
-nox.options.default_venv_backend = "uv|virtualenv"  # uv where it is installed
+nox.options.default_venv_backend = "uv|virtualenv"  # uv where it is installed, which else would fetch what is absent
+os.environ.setdefault("UV_PYTHON_DOWNLOADS", "never")
 nox.options.sessions = ["tests"]
 # What the Pythons have compiled of the kernels, by its source, for each other and for later runs.
 OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp", "ccd_warp_objects")

@@ -134,8 +134,9 @@ def run(arguments: argparse.Namespace) -> int:
             write(csv_text([COLUMNS]))
             steps.begin("steps", len(steps))
             for k in range(len(steps)):
-                rows.append(StepRow.of(k, sequence.labels[k : k + 2], steps.solved(k)))
-                write(csv_text([rows[-1].cells]))
+                row = StepRow.of(k, sequence.labels[k : k + 2], steps.solved(k))
+                write(csv_text([row.cells]))
+                rows.append(row)
                 steps.advance()
             if picture is not None:
                 _draw(picture, steps, rows)

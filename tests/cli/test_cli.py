@@ -95,9 +95,10 @@ def _lines(text):
 SHEET = "run sheet_1.ply sheet_2.ply --static wall.ply --static ground.ply"
 CERTAIN = "scene toi none (certain for the pairs looked at: vertex-face and edge-edge, in [0, {}])"
 REPORTS = [  # a command, and words of its report; those behind - are not in it
-    (RUN, CERTAIN.format(1), "-candidates", "-no part"),
+    (RUN, CERTAIN.format(1), "-candidates", "-no part", "-(--"),
     (f"{ON} --kinematic start.ply --t-max 0.25", "start.ply kinematic", "static and kinematic", CERTAIN.format(0.25)),
-    (f"{ON} --pair-kinds edge-edge --verbose", "edge-edge candidates", "-vertex-face candidates"),
+    (f"{ON} --pair-kinds edge-edge --verbose", "edge-edge candidates", "-vertex-face candidates", "(--pair-kinds)"),
+    (f"{RUN} --exclusion-rings 2 --no-self-collision", "fewer than 2 edges", "within a body (--no-self-collision)"),
     # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
     (f"{ON} --minimum-separation 0.01", "extents at the start 4 x 4 x 3.5", "minimum separation 0.04"),
     (f"{ON} --tolerance 1e-3 --length-scale 2", "largest displacement 5", "length scale 2", "tolerance 0.002"),

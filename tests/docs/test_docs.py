@@ -108,7 +108,7 @@ def test_the_site_holds_every_page_with_its_figures_names_examples_formulas_and_
         for figure in re.findall(r"!\[[^]]*\]\((?:docs/)?figures/([^)]+)\)", TEXT[page]):
             assert f"_images/{figure}" in shown and (folder / "_images" / figure).is_file(), figure
         assert "$$" not in shown and ('<div class="math"><math ' in shown) == ("\n$$\n" in TEXT[page])
-    explore = {path.name: path.read_bytes() for path in (tmp_path / "docs" / "explore").iterdir()}
+    explore = {path.name: path.read_bytes() for path in (folder / "docs" / "explore").iterdir()}
     assert explore == {path.name: path.read_bytes() for path in (ROOT / "docs" / "explore").iterdir()}
     assert 'href="explore/index.html"' in site["docs/explore.html"]
     assert "url=README.html" in site["index.html"] and not any(name.startswith("benchmarks/") for name in site)
