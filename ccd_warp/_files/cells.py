@@ -51,7 +51,7 @@ def load_meshio() -> Any:
 def whole_numbers() -> Iterator[None]:
     """Make an error of what NumPy warns of where a text of numbers holds something else behind some of them."""
     with warnings.catch_warnings():
-        warnings.simplefilter("error", DeprecationWarning)
+        warnings.filterwarnings("error", message="string or file could not be read", category=DeprecationWarning)
         yield
 
 
