@@ -58,11 +58,6 @@ def scene(**options):
     return mesh, mesh.vertices.copy(), mesh.vertices - fall * [0, 0, 1] + amount * noise
 
 
-def thick_scene():
-    """The same with radii."""
-    return scene(radius=np.linspace(0.0, 0.02, 17))
-
-
 FORMS = {  # of positions of all vertices, by which of them move
     "moving rows": lambda x, moving: x[moving],
     "components": lambda x, _: x,
@@ -101,7 +96,7 @@ def test_gradients_follow_the_form_of_the_input(dtype, form):
 @pytest.mark.parametrize("per", PER)
 def test_line_searches_change_as_their_gradients_say(per):
     """Differences of the shortened positions themselves, by both ends and radii, of what is regular."""
-    mesh, *ends = thick_scene()
+    mesh, *ends = scene(radius=np.linspace(0.0, 0.02, 17))
     pipeline, rng = pipeline_of(mesh), np.random.default_rng(1)
     values, weights = [*ends, mesh.radius], rng.standard_normal(ends[0].shape)
     given = [array(ends[0]), array(ends[1]), pipeline.radius]
@@ -282,7 +277,7 @@ def test_who_asks_for_what_has_no_gradient_is_told_why():
     mesh, start, end = scene()
     ends, points = [array(start), array(end)], np.random.default_rng(0).standard_normal((2, 3, 4, 3))
     pipeline, shared = pipeline_of(mesh), pipeline_of(mesh, start_gap_fraction=0.5)
-    thick = pipeline_of(thick_scene()[0])
+    thick = pipeline_of(scene(radius=np.linspace(0.0, 0.02, 17))[0])
     thick.radius.requires_grad = True
     motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=np.ones((1, 6)))
     turns = ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)], rigid=[0]))

@@ -134,7 +134,7 @@ NAMES_OF_MODULES = """
 
     before = names()
     for name, module in modules.items():
-        if "points_toi" in name:
+        if "points_toi first" in name:
             module._run_codegen(module.resolve_options(wp.config) | {"output_arch": 90}, False)
     after = names()
     print(*(name for name in modules if before[name] != after[name]), sep=", ")
