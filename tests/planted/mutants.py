@@ -71,7 +71,7 @@ def main(count: int = 200, seed: int = 0) -> None:
     """Plant each mutant, and print its line and the test that finds it; at the end those that survive."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
-        # a module without optimization is compiled in a fifth of the time, and its bits are the same
+        # without optimization a module is compiled sooner, and its bits are the same
         (copy.folder / "package" / "sitecustomize.py").write_text("import warp\n\nwarp.config.optimization_level = 0\n")
         chosen, survivors = mutants(count, seed), []
         if failed := copy.failing_test(sorted({test for file, *_ in chosen for test in tests_of(file)})):
