@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
@@ -19,6 +20,8 @@ from ccd_warp._display import listed
 from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, union, validated_inflation
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -190,13 +193,14 @@ class CollisionPipeline:
 
     def _on_step(
         self,
+        kind: type[_StepT],
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        work: Callable[[Step], _T],
+        work: Callable[[_StepT], _T],
         motion: RigidMotion | JointMotion | MeshPaths | None = None,
         options: Options | None = None,
     ) -> _T:
-        """Run ``work`` on a step and return its result."""
+        """Run ``work`` on a step of a kind and return its result."""
         paths = None if motion is None else self._paths_of(motion)
 
         def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -205,7 +209,7 @@ class CollisionPipeline:
                 check_own_frames(self.mesh, start, end)
             return start, end
 
-        return self._run(Step, frames, work, options, paths=paths)
+        return self._run(kind, frames, work, options, paths=paths)
 
     def _straightened(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
@@ -270,11 +274,8 @@ class CollisionPipeline:
             seconds = time.perf_counter() - begin
             line = CallLine()
             show = self._show_progress or line.show
-            step = kind(workspace, (start, end), options or self._options, seconds, show, **further)
-            with line:
+            with line, kind(workspace, (start, end), options or self._options, seconds, show, **further) as step:
                 result = work(step)
-            if "total" not in step.timings:
-                step.finish_timings()
             self.timings = step.timings
             self.counts = step.counts
             self._workspace = workspace
@@ -704,14 +705,18 @@ class CollisionPipeline:
         motion: Motion | None = None,
     ) -> Candidates:
         """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
+        from ccd_warp._engine.host.candidate_step import CandidateStep  # few programs need it
+
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
         if not isinstance(motion, JointMotion):
-            return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+            work = lambda step: step.candidates(inflation)  # noqa: E731
+            return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
         windows = self._joint_search(*self._ends_on_joints(vertices_t0, vertices_t1, motion), motion).windows()
         found = [
-            self._on_step(begin, end, lambda step: step.candidates(inflation), paths) for begin, end, paths in windows
+            self._on_step(CandidateStep, begin, end, lambda step: step.candidates(inflation), paths)
+            for begin, end, paths in windows
         ]
         return found[0] if len(found) == 1 else union(found)
 
@@ -780,7 +785,8 @@ class CollisionPipeline:
         """The contacts of a step, of a mechanism in the worlds that are searched alone."""
         if isinstance(motion, JointMotion):
             return self._on_joints(vertices_t0, vertices_t1, motion, is_searched)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.contacts(is_ordered=is_ordered), motion)
+        contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
+        return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
 
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
@@ -857,7 +863,7 @@ class CollisionPipeline:
         of_pass = replace(self._options, t_max=1.0, length_scale=length_scale_of(self.mesh, self._options))
 
         def solve(begin: NDArray[np.float64], end: NDArray[np.float64], paths: MeshPaths) -> MeshResult:
-            return self._on_step(begin, end, Step.contacts, paths, of_pass)
+            return self._on_step(ContactStep, begin, end, ContactStep.contacts, paths, of_pass)
 
         search = self._joint_search(start, end, motion, is_searched=is_searched)
         search.run(solve)
@@ -875,8 +881,8 @@ class CollisionPipeline:
             return None
 
         def solver(parts: PartMesh) -> Solve:
-            step = self._step_of(parts, t_max=1.0)
-            return lambda begin, end, paths: step(begin, end, paths).contacts()
+            step_of = self._step_of(ContactStep, parts, t_max=1.0)
+            return lambda begin, end, paths: step_of(begin, end, paths).contacts()
 
         kinds = possible_kinds(mesh, options)
         near = NearSearch(mesh, parts, motion, options.t_max, kinds, self._execution, options.memory_limit)
@@ -911,14 +917,14 @@ class CollisionPipeline:
         """A Euclidean distance beyond which parts do not come within the separation of a pair."""
         return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
 
-    def _step_of(self, parts: PartMesh, **changes: Any) -> Callable[..., Step]:
-        """What makes steps of a mesh of parts, between positions and along paths, with other options."""
+    def _step_of(self, kind: type[_StepT], parts: PartMesh, **changes: Any) -> Callable[..., _StepT]:
+        """What makes steps of a kind of a mesh of parts, between positions and along paths, with other options."""
         options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options), **changes)
         self._check_no_capture()
         workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
         show = self._show_progress
-        return lambda start, end, paths: Step(workspace, (start, end), options, 0.0, show, paths=paths)
+        return lambda start, end, paths: kind(workspace, (start, end), options, 0.0, show, paths=paths)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
@@ -994,16 +1000,17 @@ class CollisionPipeline:
         """
         if isinstance(motion, JointMotion):
             return self._on_joints(vertices_t0, vertices_t1, motion, is_searched).toi
+        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1)
         if any_suffices:
-            return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+            return on_step(lambda step: step.least_toi(any_suffices=True), motion)
         if not self._options.holds:
-            return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
-        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
+            return on_step(LeastToiStep.least_toi, motion)
+        toi = on_step(lambda step: step.holding().least_toi(), motion)
         if toi <= 0.0 and self._holds_pairs:
             # something may start within its distance: then it has toi 0, whichever way it moves
             holds = self._holds(self._at_start(vertices_t0, motion))
             if np.isfinite(holds).any():
-                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi(), motion)
+                toi = on_step(lambda step: step.holding(holds).held_toi(), motion)
         return toi
 
     @property
@@ -1070,7 +1077,8 @@ class CollisionPipeline:
         arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
-            found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver(self._on_step), **arguments)
+            solver = self._solver(partial(self._on_step, ContactStep))
+            found = search_step(self.mesh, vertices_t0, vertices_t1, solver, **arguments)
         elif isinstance(motion, JointMotion):
             found = self._search_on_joints(vertices_t0, vertices_t1, motion, arguments)
         else:
@@ -1118,8 +1126,8 @@ class CollisionPipeline:
         check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 
-        def step_to(_: Any, end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
-            return self._on_step(start, end.vertices, work, end.paths)
+        def step_to(_: Any, end: ArcEnd, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
+            return self._on_step(ContactStep, start, end.vertices, work, end.paths)
 
         arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
         found = search_step(self.mesh, start, end, self._solver(step_to), course=course, **arguments)

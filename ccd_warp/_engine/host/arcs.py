@@ -93,9 +93,9 @@ class Arcs:
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def positions(self) -> Positions:
-        """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
-        return self.start.numpy(), self.end.numpy()
+    def motion_along(self, paths: "MeshPaths", positions: Positions, t_max: float) -> "ArcMotion":
+        """The motion of a step on the host along paths, given positions at both ends in the bodies' own frames."""
+        return ArcMotion(self, paths, positions, t_max)
 
     def turns(self, part: Slice) -> Any:
         """How the vertices turn in a slice, as the struct of the kernels."""
@@ -104,3 +104,28 @@ class Arcs:
         turns.vertex_body = self._topology.vertex_body
         turns.t_begin, turns.t_length = part.t_begin, part.t_end - part.t_begin
         return turns
+
+
+class ArcMotion:
+    """How bodies turn in a step on the host.
+
+    Attributes:
+        slices: The parts of the step, which are searched one after another.
+        active: Bodies that are searched, bool, shape [B]; None for all.
+        radius: By how much each vertex is enlarged in a slice.
+        box_radius: The same for its boxes.
+        turns: How vertices turn in a slice, as the struct of the kernels.
+    """
+
+    def __init__(self, arcs: Arcs, paths: "MeshPaths", positions: Positions, t_max: float) -> None:
+        arcs.begin(paths)
+        self.slices = slices_of(paths, t_max)
+        self.active = None if paths.active.all() else paths.active
+        self.radius, self.box_radius, self.turns = arcs.radius, arcs.box_radius, arcs.turns
+        self._arcs, device = arcs, arcs.radius.device
+        self._ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
+
+    def place(self, part: Slice, execution: Execution) -> Positions:
+        """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
+        self._arcs.place(part, execution, *self._ends)
+        return self._arcs.start.numpy(), self._arcs.end.numpy()

@@ -7,14 +7,17 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._display import shortened
+from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._pairs import pair_corners
 from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
+    from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._engine.mesh.topology import Positions, Topology
+    from ccd_warp._input.options import Options
     from ccd_warp._mesh import CollisionMesh
     from ccd_warp._status import PairKind
 
@@ -131,30 +134,62 @@ class DistanceInEdges(NamedTuple):
         )
 
 
+class Oddities:
+    """What a step has found to be odd.
+
+    Attributes:
+        distance: The distance of pairs, where it is many edges long.
+        overlaps: A sentence on pairs that are so many that parts of the scene seem to lie in each other.
+        is_stuck: Whether rounding may be why a toi is 0.
+    """
+
+    distance: DistanceInEdges | None = None
+    overlaps = ""
+    is_stuck = False
+
+    def note_pairs(
+        self,
+        mesh: "CollisionMesh",
+        num_pairs: int,
+        batch: "Mapping[PairKind, int]",
+        keys_of: "Callable[[PairKind, int], wp.array]",
+    ) -> None:
+        """Note so many pairs left by the cull, and of which bodies most of those in a batch are, the last one.
+
+        Nothing has to be said of the many pairs that follow from a distance of many edges.
+        """
+        num_primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        is_said = self.distance is not None or bool(self.overlaps)
+        if is_said or num_pairs < max(_MANY_PAIRS, _MANY_PAIRS_EACH * num_primitives):
+            return
+        keys = {kind: keys_of(kind, count) for kind, count in batch.items() if count}
+        of_bodies = _most_common_bodies(mesh, keys) if mesh.num_bodies > 1 and keys else ""
+        self.overlaps = (
+            f"{num_pairs:,} pairs of {num_primitives:,} primitives may touch, so parts of the scene seem to lie in "
+            "each other, or to be long and thin side by side; pair_kinds, or exclusion_rings of the mesh, leave pairs "
+            f"out, and memory_limit bounds the memory{of_bodies}"
+        )
+
+    def explain(self, workspace: "Workspace", positions: "Positions", options: "Options", *, is_whole: bool) -> None:
+        """Warn of each oddity, once for a mesh; of a part, whose vertices have other numbers, of none of them."""
+        mesh = workspace.topology.mesh
+        if self.distance is not None:
+            workspace.warn_once("distance", self.distance.described)
+        if self.overlaps:
+            workspace.warn_once("overlaps", lambda: self.overlaps)
+        if self.is_stuck and is_whole:
+            farthest = Farthest.of(positions)
+            if farthest.hides_gaps(options.tolerance, length_scale_of(mesh, options)):
+                said = "rounding at the size of the positions is more than the tolerance and hides gaps at the start"
+                workspace.warn_once("size", lambda: f"{said}, so toi is 0: {farthest.described(mesh)}")
+
+
 def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions") -> str:
     """A sentence on so many pairs whose gaps at the start rounding hides, empty if there are none."""
     if not count:
         return ""
     gaps = "the gap of 1 pair" if count == 1 else f"the gaps of {count:,} pairs"
     return f"rounding hides {gaps} at the start, with toi 0: {Farthest.of(positions).described(mesh)}"
-
-
-def are_many(mesh: "CollisionMesh", num_pairs: int) -> bool:
-    """Whether so many pairs are left by the cull that parts of the scene seem to lie in each other or side by side."""
-    return num_pairs >= max(_MANY_PAIRS, _MANY_PAIRS_EACH * _num_primitives(mesh))
-
-
-def overlaps_described(mesh: "CollisionMesh", num_pairs: int, keys: "Mapping[PairKind, wp.array]") -> str:
-    """A sentence on so many pairs, of which some keys are given, with the bodies of most of these."""
-    return (
-        f"{num_pairs:,} pairs of {_num_primitives(mesh):,} primitives may touch, so parts of the scene seem to lie in "
-        "each other, or to be long and thin side by side; pair_kinds, or exclusion_rings of the mesh, leave pairs out, "
-        "and memory_limit bounds the memory" + ("" if mesh.num_bodies == 1 else _most_common_bodies(mesh, keys))
-    )
-
-
-def _num_primitives(mesh: "CollisionMesh") -> int:
-    return mesh.num_vertices + mesh.num_edges + mesh.num_faces
 
 
 def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:
