@@ -273,8 +273,9 @@ class CollisionPipeline:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
             line = CallLine()
-            show = self._show_progress or line.show
-            with line, kind(workspace, (start, end), options or self._options, seconds, show, **further) as step:
+            with line, kind(workspace, (start, end), options or self._options, **further) as step:
+                step.workspace.progress.show = self._show_progress or line.show
+                step.timings["input"] = seconds
                 result = work(step)
             self.timings = step.timings
             self.counts = step.counts
@@ -343,10 +344,10 @@ class CollisionPipeline:
         if not separation > 0.0 and self.mesh.radius is None:
             return
         radius = None if self._radius is None else self._radius.numpy()
-        found = DistanceInEdges.of(self._topology, start(), separation, radius)
-        if found is not None and found.reaches_beyond(self.mesh.exclusion_rings):
+        distance = DistanceInEdges.of(self._topology, start(), separation, radius, self.mesh.exclusion_rings)
+        if distance is not None:
             self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
-            self._workspace.warn_once("distance", found.described)
+            self._workspace.warn_once("distance", distance.described)
 
     def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
         """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
@@ -923,8 +924,8 @@ class CollisionPipeline:
         self._check_no_capture()
         workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
-        show = self._show_progress
-        return lambda start, end, paths: kind(workspace, (start, end), options, 0.0, show, paths=paths)
+        workspace.progress.show = self._show_progress
+        return lambda start, end, paths: kind(workspace, (start, end), options, paths)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | JointMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
@@ -1145,8 +1146,7 @@ class CollisionPipeline:
         if self._options.start_gap_share > 0.0 or not (separation > 0.0 or self.mesh.is_thick):
             return False  # what is within its distance may come closer, or there is none
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
-        found = DistanceInEdges.of(self._topology, start, separation)
-        return found is not None and found.is_many
+        return DistanceInEdges.of(self._topology, start, separation) is not None
 
 
 def check_options_on_arcs(options: Options) -> None:

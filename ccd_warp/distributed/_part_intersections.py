@@ -1,8 +1,5 @@
 """What intersects at one time, on one rank."""
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +8,6 @@ from ccd_warp._engine.at_one_time.intersection_step import IntersectionStep, Key
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._input.options import Options
-from ccd_warp._intersections import Intersections
 from ccd_warp._status import IntersectionKind, primitives_of
 from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._part import Part, PartTopology
@@ -49,28 +45,24 @@ class PartIntersectionStep(IntersectionStep):
     two primitives that meet overlap, and so do those of their bodies in the part. So until then a rank asks no other.
     """
 
+    counts_survivors = True  # the plan of the ranks depends on their work
+
     def __init__(
-        self, workspace: Workspace, positions: Positions, options: Options, *, ranks: AcrossRanks, **_: Any
+        self, workspace: Workspace, positions: Positions, options: Options, paths: None, ranks: AcrossRanks
     ) -> None:
         """Begin at the first of these positions."""
-        self.together = ranks.together
+        self._across = ranks
         super().__init__(workspace, positions, options)
 
     def with_edge_points(self, topology: Topology) -> EdgePointTopology:
         """The topology of the part with a point for each edge."""
-        return PartEdgePointTopology(self.together.part, self.together.topology)
+        return PartEdgePointTopology(self._across.part, self._across.topology)
 
     def own_keys(self, kind: IntersectionKind, keys: Keys) -> Keys:
         """The pairs, of some given by keys, that belong to this rank."""
-        topology, arrays = self.together.topology, primitives_of(kind)
+        topology, arrays = self._across.topology, primitives_of(kind)
         if arrays[0] == "vertex":
             # the ends of an edge that meets the region need not
-            keys = keys[self.together.part.is_tested[keys >> 32]]
+            keys = keys[self._across.part.is_tested[keys >> 32]]
         own: Keys = keys[topology.own_pairs_of(arrays, keys >> 32, keys & _INDEX)]
         return own
-
-    def intersections(self) -> Intersections:
-        """All pairs of this rank that touch or pass through each other, and how many the cull has left."""
-        found = super().intersections()
-        self.counts = replace(self.counts, num_after_cull=self.survivors_by_kind())
-        return found

@@ -38,7 +38,7 @@ from ccd_warp._pipeline import check_options_on_arcs, validated_distance, valida
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
-from ccd_warp.distributed._across_ranks import AcrossRanks, work_by_vertex
+from ccd_warp.distributed._across_ranks import work_by_vertex
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._partition import imbalance
@@ -218,7 +218,7 @@ class DistributedPipeline:
 
             toi = self._run(LeastToiStep, *self._ends, least, self._paths)
             if holds and toi <= 0.0 and self._holds_pairs:
-                everywhere = self._everywhere
+                everywhere = self._planned.everywhere
                 of_vertices = everywhere.least_of_vertices(self._holds(self._planned.start))
                 if not everywhere.all(not np.isfinite(of_vertices).any()):
                     held = lambda step: step.holding(of_vertices).held_toi()  # noqa: E731
@@ -391,7 +391,7 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
-            everywhere, step_to = self._everywhere, partial(self._run, ContactStep)
+            everywhere, step_to = self._planned.everywhere, partial(self._run, ContactStep)
             course, solver = None, self._solver(step_to)
             if self._paths is not None:
                 from ccd_warp.distributed._motion import PartCourse
@@ -522,10 +522,6 @@ class DistributedPipeline:
         assert self._plan
         return self._plan
 
-    @property
-    def _everywhere(self) -> AcrossRanks:
-        return AcrossRanks(self._planned.together, self._timed)
-
     def _collectively(
         self,
         vertices_t0: ArrayLike,
@@ -616,7 +612,7 @@ class DistributedPipeline:
         """Run ``work`` on a step of a kind of the part."""
         assert self._workspace
         ends = in_space(start), in_space(end)
-        with kind(self._workspace, ends, self._options, paths=paths, ranks=self._everywhere) as step:
+        with kind(self._workspace, ends, self._options, paths, self._planned.everywhere) as step:
             result = work(step)
         self._step: Step = step
         for stage, seconds in step.timings.items():

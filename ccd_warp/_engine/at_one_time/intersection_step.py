@@ -22,7 +22,6 @@ from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.kernels.at_one_time import intersections as kernels
 
 _APART, _FOUND, _OPEN = int(kernels.APART), int(kernels.FOUND), int(kernels.OPEN)
-_CODE_BYTES = 4
 # Pairs of an edge and a face whose vertices and sides are tested at a time.
 _CHUNK = 1 << 18
 _INDEX = 0xFFFFFFFF
@@ -52,6 +51,7 @@ class IntersectionStep(Step):
     """The search at one time, as a step in which only the points of the edges move (`edge_points`)."""
 
     goal = "intersections"
+    bytes_beside = 4  # of a code
     topology: EdgePointTopology
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
@@ -94,7 +94,7 @@ class IntersectionStep(Step):
         plan = self.begin(1.0, inflation=0.0)
         with self.timed("pairs"):
             plan.set_search(1.0, 0.0, 0.0)
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes + _CODE_BYTES))
+            batches = plan.batches(self.capacity())
         for batch in self.batches(batches):
             with self.timed("tests"):
                 for kind, count in batch.found.items():

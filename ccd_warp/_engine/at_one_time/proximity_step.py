@@ -32,9 +32,11 @@ _FEW = 1 << 10
 class StepAtOneTime(Step):
     """A step with a workspace of its own, in which boxes have the size of its goal."""
 
-    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any, **further: Any) -> None:
+    counts_survivors = True
+
+    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the other arguments are those of every step."""
-        super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments, **further)
+        super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
         self._end = positions[1]
 
     def search(self, distance: float) -> HostPlan:
@@ -52,7 +54,7 @@ class StepAtOneTime(Step):
         with self.timed("gather"):
             least: wp.array = self.workspace.contacts.minima.vertex.view(wp.float64)
             result = least.numpy().copy()
-        self.finish(num_after_cull=self.survivors_by_kind())
+        self.finish()
         return result
 
 
@@ -60,6 +62,7 @@ class ProximityStep(StepAtOneTime):
     """The pairs within a distance."""
 
     goal = "proximities"
+    bytes_beside = BYTES_PER_PROXIMITY
 
     def proximities(self, distance: float) -> Proximities:
         """All pairs within a distance and their radii."""
@@ -67,16 +70,11 @@ class ProximityStep(StepAtOneTime):
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_PROXIMITY))
+            batches = plan.batches(self.capacity())
         if self.planes is not None:
-
-            def begin_list(count: int) -> None:
-                store.restart()
-                plan.bind(proximities=store.begin_batch(count))
-
+            begin = lambda count: plan.bind(proximities=store.begin_batch(count))  # noqa: E731
             with self.timed("planes"):
-                found = self.planes.listed(_FEW, begin_list, Stages.list_near_planes)
-                self.survivors[PairKind.VERTEX_PLANE] = found
+                self.survivors[PairKind.VERTEX_PLANE] = self.planes.listed(_FEW, begin, Stages.list_near_planes)
                 store.end_batch()
         for batch in self.batches(batches):
             with self.timed("distances"):
@@ -89,7 +87,7 @@ class ProximityStep(StepAtOneTime):
             if dimension == 2:
                 arrays["direction"] = arrays["direction"][:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
-        self.finish(num_after_cull=self.survivors_by_kind())
+        self.finish()
         return Proximities(**arrays, mesh=self.mesh, positions=x, radius=self.mesh.radius)
 
 
@@ -111,7 +109,7 @@ class DisplacementStep(StepAtOneTime):
             load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
+            batches = plan.batches(self.capacity())
         if self.planes is not None:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = self.planes.meet(Stages.bound_by_half_spaces)
@@ -134,7 +132,7 @@ class HoldStep(StepAtOneTime):
         with self.timed("pairs"):
             self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
+            batches = plan.batches(self.capacity())
         return self._least_of_vertices(plan, batches, HOLD)
 
     def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:

@@ -1,16 +1,13 @@
 """All pairs of a step whose boxes overlap."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 from ccd_warp._engine.host.candidates import Candidates, Collector, union
 from ccd_warp._engine.host.pair_memory import KEY_BYTES
 from ccd_warp._engine.host.search import PairSearch
 from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.slices import Slice
 from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Slice
 
 
 class CandidateStep(Step):
@@ -28,7 +25,7 @@ class CandidateStep(Step):
         self.finish()
         return candidates
 
-    def _find(self, part: "Slice | None", inflation: float) -> Candidates:
+    def _find(self, part: Slice, inflation: float) -> Candidates:
         """The candidates of a slice, or of the whole step."""
         plan = self.begin(1.0, inflation, part)
         # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
@@ -51,7 +48,7 @@ class CandidateStep(Step):
             candidates = collector.candidates()
         if self.planes is not None:
             with self.timed("planes"):
-                radius = (self.topology if self.motion is None else self.motion).box_radius
+                radius = (self.topology if self.arcs is None else self.arcs).box_radius
                 near = self.planes.candidates(self.positions, inflation, radius)
             candidates = replace(candidates, vertex_plane=near)
         return candidates

@@ -1,7 +1,7 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 import warp as wp
@@ -12,9 +12,7 @@ from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.lengths import half_up
 from ccd_warp._engine.mesh.scene import length_scale_of
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Slice
+from ccd_warp._engine.slices import Slice
 
 
 class ImpactStep(Step):
@@ -22,11 +20,10 @@ class ImpactStep(Step):
 
     Attributes:
         holds: Whether what starts within its distance may part and slide.
-        bytes_beside: Bytes that a pair takes beside its key.
+        far_distance: The distance of pairs, if it is many edges long.
     """
 
     holds = False
-    bytes_beside: int
 
     def holding(self, hold: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide.
@@ -42,45 +39,35 @@ class ImpactStep(Step):
             self.workspace.hold.assign(hold)
         return self
 
-    def begin_slice(self, part: "Slice | None") -> HostPlan:
+    def begin_slice(self, part: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""
-        with self.timed("input"):
-            self.length_scale = length_scale_of(self.mesh, self.options)
-            self.separation = self.options.separation(self.length_scale)
-        plan = self.begin(self.options.t_max, half_up(self.separation), part)
-        with self.timed("input"):
-            self.is_far_reaching = self._reaches_far()
-        return plan
+        return self.begin(self.options.t_max, self._inflation, part)
 
-    def _reaches_far(self) -> bool:
-        """Whether the distance of pairs is many edges long, and neighbours are not excluded."""
-        distance = DistanceInEdges.of(self.topology, self.positions[0], self.separation)
-        if distance is None or not distance.reaches_beyond(self.mesh.exclusion_rings):
-            return False
-        self.oddities.distance = self.oddities.distance or distance
-        return True
+    def _inflation(self) -> float:
+        self.length_scale = length_scale_of(self.mesh, self.options)
+        self.separation = self.options.separation(self.length_scale)
+        x, rings = self.positions[0], self.mesh.exclusion_rings
+        self.far_distance = DistanceInEdges.of(self.topology, x, self.separation, rings=rings)
+        self.oddities.distance = self.oddities.distance or self.far_distance
+        return half_up(self.separation)
 
     def is_idle(self) -> bool:
         """Whether there is nothing to search; the memory limit and the stages are then those of any other slice."""
         if not self.plan.is_idle or self.planes is not None:
             return False
-        self.most_pairs()
+        self.capacity()
         for stage in ("pairs", "narrow phase"):
             self.timings.setdefault(stage, 0.0)
         return True
 
-    def most_pairs(self) -> int:
-        """Largest number of pairs at a time within the memory limit."""
-        return self.capacity(self.plan.memory.pair_bytes + self.bytes_beside)
-
-    def bind_options(self, part: "Slice | None") -> None:
+    def bind_options(self, part: Slice) -> None:
         """Let the kernels have the options, how bodies turn in a slice, and what half-spaces are asked for."""
         plan, workspace, turns = self.plan, self.workspace, dict[str, Any]()
-        if self.motion is not None and part is not None:
-            turns["turns"] = self.motion.turns(part)
+        if self.arcs is not None:
+            turns["turns"] = self.arcs.turns(part)
         packed = workspace.packed(self.options, self.length_scale, is_held=self.is_held, **turns)
         plan.bind(options=packed, **turns)
         if self.planes is not None:
             query = workspace.plane_query(self.options, self.length_scale, holds=self.holds)
-            active = None if self.motion is None else self.motion.active
+            active = None if self.arcs is None else self.arcs.active
             plan.bind(plane_query=query, searched=None if active is None else self.topology.array(active, wp.int32))

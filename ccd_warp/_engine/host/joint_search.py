@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from ccd_warp._body_paths import BodyPaths
 from ccd_warp._contact_place import ContactPlace
 from ccd_warp._contacts import Contacts
-from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE, Slice
+from ccd_warp._engine.host.arcs import TURN_OF_A_SLICE
+from ccd_warp._engine.slices import Slice
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._mesh_paths import MeshPaths, moved
 from ccd_warp._pairs import pair_vertices

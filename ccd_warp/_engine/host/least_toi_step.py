@@ -1,17 +1,14 @@
 """The earliest toi of a step alone."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.slices import Slice
 from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Slice
 
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
@@ -43,7 +40,7 @@ class LeastToiStep(ImpactStep):
         best = np.inf
         for part in self.slices:
             best = self._least_of(part, best)
-            if part is not None and best <= part.t_end:
+            if best <= part.t_end:
                 break
         self.oddities.is_stuck = best <= 0.0
         self.finish()
@@ -62,7 +59,7 @@ class LeastToiStep(ImpactStep):
         """Whether no earlier toi is looked for."""
         return toi <= 0.0 or (self._any_suffices and toi < np.inf)
 
-    def _least_of(self, part: "Slice | None", best: float) -> float:
+    def _least_of(self, part: Slice, best: float) -> float:
         """The least of a toi and those in a slice, or in the whole step."""
         plan = self.begin_slice(part)
         if self.is_idle():
@@ -75,13 +72,13 @@ class LeastToiStep(ImpactStep):
                 best = self.ranks.least_number(plan.least())  # whether anything is searched is the same everywhere
             if self._suffices(best):
                 return best
-        t_end = self.options.t_max
-        for of_sample in (True, False) if self.topology.samples_queries and part is None else (False,):
-            if part is None and best <= _WORTH_SHORTENING * t_end:
+        t_end, is_straight = self.options.t_max, self.arcs is None
+        for of_sample in (True, False) if self.topology.samples_queries and is_straight else (False,):
+            if is_straight and best <= _WORTH_SHORTENING * t_end:
                 t_end = best
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
-            plan.set_search(min(best, t_end) if part is None else 1.0, self.inflation, self.separation)
+            plan.set_search(min(best, t_end) if is_straight else 1.0, self.inflation, self.separation)
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: _OpenPairs = {}
@@ -89,7 +86,9 @@ class LeastToiStep(ImpactStep):
                 with self.timed("narrow phase"):
                     plan.solve(is_second=False)
                     for kind in plan.num_open():
-                        open_pairs.setdefault(kind, []).append(plan.open_pairs(kind, batch.found[kind]))
+                        of_kind = plan.memory.keys, plan.memory.open_toi
+                        keys, toi = (of_batch(kind, batch.found[kind]).numpy() for of_batch in of_kind)
+                        open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
                 if self._suffices(plan.least()):
                     break
             best = self.ranks.least_number(plan.least())
@@ -101,8 +100,8 @@ class LeastToiStep(ImpactStep):
 
     def _searched(self, plan: HostPlan, best: float, *, of_sample: bool) -> Iterator[Batch]:
         """The batches of a search; none where few of its queries show that what touches does so at once."""
-        capacity = self.most_pairs()
-        if self.is_far_reaching:
+        capacity = self.capacity()
+        if self.far_distance is not None:
             # most queries have a partner within the distance, so a few of them show a toi of 0
             for _ in self.batches(plan.few_batches(capacity)):
                 with self.timed("narrow phase"):

@@ -13,8 +13,9 @@ from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
+    from ccd_warp._engine.host.plan import HostPlan
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._engine.mesh.topology import Positions, Topology
     from ccd_warp._input.options import Options
@@ -89,14 +90,16 @@ class DistanceInEdges(NamedTuple):
         start: NDArray[np.float64],
         distance: float,
         radius: NDArray[np.float64] | None = None,
+        rings: int = 0,
     ) -> "DistanceInEdges | None":
-        """That of a mesh at its start positions, from samples of its edges; None where no edge counts.
+        """That of a mesh at its start positions, from samples of its edges, if it is so many that neighbours are near.
 
         Args:
             topology: The mesh.
             start: Its start positions.
             distance: What is added to the radii, a length.
             radius: Radii of the vertices in place of those of the mesh, which has some.
+            rings: Of neighbours that are excluded; a distance that does not reach beyond these is none, either.
         """
         mesh = topology.mesh
         radius = mesh.radius if radius is None else radius
@@ -113,16 +116,7 @@ class DistanceInEdges(NamedTuple):
             edge = float(np.median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)))
             if radius is not None:
                 distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
-        return cls(distance, edge, is_thick)
-
-    @property
-    def is_many(self) -> bool:
-        """Whether the distance is many edges long."""
-        return self.distance > _MANY_EDGES * self.edge > 0.0
-
-    def reaches_beyond(self, rings: int) -> bool:
-        """Whether it is so many that neighbours are within it, and no exclusion of so many rings leaves these out."""
-        return self.is_many and self.distance > rings * self.edge
+        return cls(distance, edge, is_thick) if distance > max(_MANY_EDGES, rings) * edge > 0.0 else None
 
     def described(self) -> str:
         """How many edges the distance is, and what to do."""
@@ -147,22 +141,17 @@ class Oddities:
     overlaps = ""
     is_stuck = False
 
-    def note_pairs(
-        self,
-        mesh: "CollisionMesh",
-        num_pairs: int,
-        batch: "Mapping[PairKind, int]",
-        keys_of: "Callable[[PairKind, int], wp.array]",
-    ) -> None:
+    def note_pairs(self, plan: "HostPlan", num_pairs: int, batch: "Mapping[PairKind, int]") -> None:
         """Note so many pairs left by the cull, and of which bodies most of those in a batch are, the last one.
 
         Nothing has to be said of the many pairs that follow from a distance of many edges.
         """
+        mesh = plan.topology.mesh
         num_primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
         is_said = self.distance is not None or bool(self.overlaps)
         if is_said or num_pairs < max(_MANY_PAIRS, _MANY_PAIRS_EACH * num_primitives):
             return
-        keys = {kind: keys_of(kind, count) for kind, count in batch.items() if count}
+        keys = {kind: plan.memory.keys(kind, count) for kind, count in batch.items() if count}
         of_bodies = _most_common_bodies(mesh, keys) if mesh.num_bodies > 1 and keys else ""
         self.overlaps = (
             f"{num_pairs:,} pairs of {num_primitives:,} primitives may touch, so parts of the scene seem to lie in "

@@ -1,5 +1,9 @@
 """What a step and a line search ask of all processes that share a mesh; here one process has it all."""
 
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,9 +19,11 @@ class OneProcess:
 
     Attributes:
         is_alone: Whether there is no other.
+        timed: Adds the time of a block to that of a stage; a step has its own.
     """
 
     is_alone = True
+    timed: Callable[[str], AbstractContextManager[Any]] = nullcontext
 
     def share_positions(self, positions: Positions) -> None:
         """Let all have what they need of the positions of a step."""
@@ -47,7 +53,7 @@ class OneProcess:
 
     def all(self, flag: bool) -> bool:
         """Whether a flag is set everywhere."""
-        return flag
+        return self.least_number(float(flag)) > 0.0
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least of each number everywhere."""

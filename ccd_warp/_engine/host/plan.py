@@ -22,7 +22,7 @@ from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import ArcMotion
+    from ccd_warp._engine.host.arcs import Arcs
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._input.options import Options
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
-_NONE = dict.fromkeys(PairKind, 0)
+NO_PAIRS = dict.fromkeys(PairKind, 0)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
@@ -68,39 +68,26 @@ class HostPlan(Plan):
 
     @staticmethod
     def of(
-        workspace: "Workspace",
-        options: "Options",
-        goal: Goal,
-        *,
-        is_held: bool = False,
-        motion: "ArcMotion | None" = None,
+        workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False, arcs: "Arcs | None" = None
     ) -> "HostPlan":
-        """The plan of a workspace for such calls.
-
-        Args:
-            workspace: The workspace.
-            options: The options of the call.
-            goal: Its goal.
-            is_held: Whether some pairs start within their distance.
-            motion: How bodies turn, if they do.
-        """
+        """The plan of a workspace for calls with such options and a goal, where pairs are held, or bodies turn."""
         of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
-        key = (goal, of_options, is_held, motion is not None)
+        key = (goal, of_options, is_held, arcs is not None)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, motion)
+            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, arcs)
         return workspace.plans[key]
 
     def __init__(
-        self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, motion: "ArcMotion | None"
+        self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, arcs: "Arcs | None"
     ) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=motion is not None)
+        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=arcs is not None)
         if goal in ("proximities", "displacements"):
             norm = EUCLIDEAN_NORM
-        has_radii: Any = topology if motion is None else motion
+        has_radii: Any = topology if arcs is None else arcs
         self._radii = has_radii.radius, has_radii.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
@@ -137,9 +124,9 @@ class HostPlan(Plan):
             self._narrow_phase,
             step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self._least_bits),
             box_radius=self._radii[1],
-            is_thick=topology.is_thick or motion is not None,
+            is_thick=topology.is_thick or arcs is not None,
             boxes=boxes,
-            turns=None if motion is None else Slot("turns"),
+            turns=None if arcs is None else Slot("turns"),
             plane_radius=topology.box_radius,
             **of_pairs,
             **slots,
@@ -156,13 +143,13 @@ class HostPlan(Plan):
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
-        self.num_searches = dict(_NONE)
+        self.num_searches = dict(NO_PAIRS)
         self.num_batches = self.num_met_by_planes = 0
         self.begin_candidates()
 
     def begin_candidates(self) -> None:
         """Count the candidates of the next search."""
-        self.num_candidates = _NONE | {PairKind.VERTEX_PLANE: self.num_met_by_planes}
+        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: self.num_met_by_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -408,30 +395,11 @@ class HostPlan(Plan):
         """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
         self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
 
-    def replace_keys(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
-        """Let a batch consist of these pairs of a kind, some of those that it has."""
-        if len(keys):
-            self.memory.keys(kind, len(keys)).assign(keys)
+    def set_counts(self, column: int, numbers: Mapping[PairKind, int]) -> None:
+        """Let pairs of kinds count as so many: `FOUND` in a batch, or `OPEN`, which share their work."""
         counts = self.counts()
-        counts[kind, FOUND] = len(keys)
-        if self._view is None:
-            self._counts.assign(counts)
-
-    def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
-        """The marked keys of the open pairs among the first ``count`` of a batch."""
-        keys = self.memory.keys(kind, count).numpy()
-        return keys[keys < 0]
-
-    def open_pairs(self, kind: PairKind, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The marked keys of the same pairs, and their toi so far."""
-        keys, toi = self.memory.keys(kind, count).numpy(), self.memory.open_toi(kind, count).numpy()
-        return keys[keys < 0], toi[keys < 0]
-
-    def set_number_open(self, num_open: Mapping[PairKind, int]) -> None:
-        """Let the open pairs of a kind share their work with others: so many of them in all."""
-        counts = self.counts()
-        for kind, count in num_open.items():
-            counts[kind, OPEN] = count
+        for kind, number in numbers.items():
+            counts[kind, column] = number
         if self._view is None:
             self._counts.assign(counts)
 

@@ -23,20 +23,19 @@ class PlaneStage:
     def __init__(self, plan: HostPlan) -> None:
         self._plan = plan
 
-    def meet(self, record: _Record | None = None, *, is_repeated: bool = False) -> int:
-        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs.
-
-        One that ``is_repeated``, since the capacity was less than all pairs, is not counted again.
-        """
+    def meet(self, record: _Record | None = None) -> int:
+        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs."""
         plan, kind = self._plan, PairKind.VERTEX_PLANE
+        found = plan.num_met_by_planes = self._met(record)
+        plan.num_searches[kind] += 1
+        plan.num_candidates[kind] += found
+        return found
+
+    def _met(self, record: _Record | None) -> int:
+        plan = self._plan
         plan.clear_counts()
         plan.play("planes", record or plan.meet_planes)
-        found = int(plan.counts()[kind, FOUND])
-        if not is_repeated:
-            plan.num_met_by_planes = found
-            plan.num_searches[kind] += 1
-            plan.num_candidates[kind] += found
-        return found
+        return int(plan.counts()[PairKind.VERTEX_PLANE, FOUND])
 
     def listed(self, expected: int, begin: Callable[[int], None], record: _Record | None = None) -> int:
         """Let all pairs that meet be listed; returns their number.
@@ -47,7 +46,7 @@ class PlaneStage:
         found = self.meet(record)
         if found > expected:
             begin(found)
-            self.meet(record, is_repeated=True)
+            self._met(record)
         return found
 
     def candidates(self, positions: Positions, inflation: float, box_radius: wp.array) -> NDArray[np.int32]:

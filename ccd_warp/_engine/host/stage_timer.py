@@ -1,8 +1,9 @@
 """Seconds of the stages of a step: on CUDA by events, which are read once the result is available."""
 
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from functools import partial
 from typing import TypeVar
 
 import warp as wp
@@ -15,17 +16,14 @@ class StageTimer:
 
     Attributes:
         seconds: Seconds by the name of the stage; once it is finished also their ``total``.
+        timed: Adds the time of a block to that of a stage.
     """
 
-    def __init__(self, device: wp.Device, seconds: dict[str, float]) -> None:
-        """Begin with the seconds of what was done before."""
-        self.seconds = seconds
-        self._device = device
+    def __init__(self, device: wp.Device) -> None:
+        self.seconds = {"input": 0.0}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
-
-    def timed(self, stage: str) -> "AbstractContextManager[None]":
-        """Add the time of a block to that of a stage."""
-        return self._timed_by_events(stage) if self._device.is_cuda else _Block(self.seconds, stage)
+        of_device = partial(_BlockOnDevice, self._events, device) if device.is_cuda else partial(_Block, self.seconds)
+        self.timed: Callable[[str], AbstractContextManager[None]] = of_device
 
     def each(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
         """Items, while the time in which each is made is added to that of a stage."""
@@ -44,19 +42,8 @@ class StageTimer:
         self._events.clear()
         self.seconds["total"] = sum(self.seconds.values())
 
-    @contextmanager
-    def _timed_by_events(self, stage: str) -> Iterator[None]:
-        begin_event, end_event = (wp.Event(self._device, enable_timing=True) for _ in range(2))
-        stream = wp.get_stream(self._device)
-        stream.record_event(begin_event)
-        yield
-        stream.record_event(end_event)
-        self._events.append((stage, begin_event, end_event))
-
 
 class _Block:
-    """Adds the time of its block to that of a stage."""
-
     def __init__(self, seconds: dict[str, float], stage: str) -> None:
         self._seconds, self._stage = seconds, stage
 
@@ -65,3 +52,17 @@ class _Block:
 
     def __exit__(self, *_: object) -> None:
         self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + time.perf_counter() - self._begin
+
+
+class _BlockOnDevice:
+    def __init__(self, events: list[tuple[str, wp.Event, wp.Event]], device: wp.Device, stage: str) -> None:
+        self._events, self._device, self._stage = events, device, stage
+
+    def _event(self) -> wp.Event:
+        return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
+
+    def __enter__(self) -> None:
+        self._begin = self._event()
+
+    def __exit__(self, *_: object) -> None:
+        self._events.append((self._stage, self._begin, self._event()))

@@ -1,33 +1,28 @@
 """What every goal of a step on the host shares: its boxes, batches of pairs, memory, counts and timings."""
 
-from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.oddities import Oddities
 from ccd_warp._engine.host.one_process import OneProcess
-from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.host.plan import NO_PAIRS, Batch, HostPlan
 from ccd_warp._engine.host.plane_stage import PlaneStage
 from ccd_warp._engine.host.stage_timer import StageTimer
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.plan import Goal
+from ccd_warp._engine.slices import Slice
 from ccd_warp._input.options import Options
 from ccd_warp._results import Counts
-from ccd_warp._runtime.progress import Progress
-from ccd_warp._status import PairKind
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Slice
-    from ccd_warp._mesh_paths import MeshPaths
 
 # Memory for pairs where the user sets no limit.
 _DEFAULT_PAIR_BYTES = 1 << 30
 _LEAST_KEYS = 1 << 12
+_ALONE = OneProcess()
 
 
 class Step:
@@ -35,29 +30,31 @@ class Step:
 
     Attributes:
         goal: What it looks for.
-        slices: Its parts, which are searched one after another; of straight motion None, which is all of it.
-        motion: How bodies turn in a slice (`arcs.ArcMotion`); None where all vertices move straight.
+        bytes_beside: Bytes that a pair takes beside what the search of it does.
+        slices: Its parts, which are searched one after another; straight motion has one.
+        arcs: How bodies turn in a slice; None where all vertices move straight.
         plan: What is searched, from `begin` on.
         planes: The stage in which vertices meet half-spaces; None in scenes without.
         vertices_t0: Positions at the start, on the device.
         survivors: Pairs that the search has left, by kind.
         counts: What the step has done, from `finish` on.
         timings: Seconds of its stages.
+        counts_survivors: Whether its counts have them.
         is_held: Whether the vertices have holds.
         oddities: What is odd about it, which is said at its end.
     """
 
     goal: Goal
-    is_held = _has_boxes = False
+    bytes_beside = 0
+    counts_survivors = is_held = _has_boxes = False
+    counts = Counts()
 
     def __init__(
         self,
         workspace: Workspace,
         positions: Positions,
         options: Options,
-        checking_seconds: float = 0.0,
-        show: Callable[[Progress], None] | None = None,
-        paths: "MeshPaths | None" = None,
+        paths: Any = None,
         ranks: OneProcess | None = None,
     ) -> None:
         """Begin a step.
@@ -66,22 +63,22 @@ class Step:
             workspace: What stays from step to step.
             positions: Positions at both ends; of bodies on paths in their own frames.
             options: The options.
-            checking_seconds: What went into checking the positions.
-            show: Displays the progress.
-            paths: Paths of bodies that turn, where there are any.
+            paths: Paths of bodies that turn (`MeshPaths`), where there are any.
             ranks: The processes that share the step; by default this one alone.
         """
         self.workspace, self.options = workspace, options
         self.topology, self.mesh = workspace.topology, workspace.topology.mesh
         self.positions = self.given = positions
-        self.paths, self.ranks = paths, ranks or OneProcess()
-        self.timer = StageTimer(self.topology.device, {"input": checking_seconds})
+        self.paths, self.ranks = paths, ranks or _ALONE
+        self.timer = StageTimer(self.topology.device)
         self.timed, self.timings = self.timer.timed, self.timer.seconds
-        self.counts, self.survivors, self.oddities = Counts(), Counter[PairKind](), Oddities()
+        if ranks is not None:
+            ranks.timed = self.timed
+        self.survivors = dict(NO_PAIRS)
+        self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
-        workspace.progress.show = show
-        self.motion = None if paths is None else workspace.arcs.motion_along(paths, positions, options.t_max)
-        self.slices: list[Slice | None] = [None] if self.motion is None else [*self.motion.slices]
+        self.arcs = None if paths is None else workspace.arcs.begin_on_host(paths, positions, options.t_max)
+        self.slices = [Slice(0.0, options.t_max)] if self.arcs is None else self.arcs.slices
 
     def __enter__(self) -> Self:
         return self
@@ -89,20 +86,24 @@ class Step:
     def __exit__(self, *_: object) -> None:
         self.oddities.explain(self.workspace, self.positions, self.options, is_whole=self.ranks.is_alone)
 
-    def begin(self, t_end: float, inflation: float, part: "Slice | None" = None) -> HostPlan:
-        """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box."""
+    def begin(self, t_end: float, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
+        """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box.
+
+        What returns the inflation of the boxes is called when the positions are known.
+        """
         with self.timed("input"):
             arguments = self.workspace, self.options, self.goal
-            self.plan = plan = HostPlan.of(*arguments, is_held=self.is_held, motion=self.motion)
-            self.execution, self.inflation = plan.execution, inflation
+            self.plan = plan = HostPlan.of(*arguments, is_held=self.is_held, arcs=self.arcs)
+            self.execution = plan.execution
             self.planes = PlaneStage(plan) if plan.has_planes else None
-            if part is self.slices[0]:
+            if part in (None, self.slices[0]):
                 plan.begin_counts()
-            if part is not None and self.motion is not None:
-                t_end, self.positions = 1.0, self.motion.place(part, self.execution)
+            if part is not None and self.arcs is not None:
+                t_end, self.positions = 1.0, self.arcs.placed(part, self.execution)
         self.ranks.share_positions(self.positions)
         with self.timed("input"):
             self.vertices_t0 = plan.set_positions(self.positions)[0]
+            self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
             near = self._bodies_near()
             # bodies that are far here need not be so elsewhere, and all go the same way
@@ -110,27 +111,29 @@ class Step:
                 plan.skip_boxes(goes_on=self._has_boxes)
             else:
                 active = self.workspace.active(near)
-                plan.fill_boxes(self.positions, t_end, inflation, active, goes_on=self._has_boxes)
+                plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=self._has_boxes)
                 self._has_boxes = True
         return plan
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
-        active = None if self.motion is None else self.motion.active
+        active = None if self.arcs is None else self.arcs.active
         if not self.topology.may_have_inactive_bodies:
             return active
-        radius = None if self.motion is None else self.motion.radius.numpy()
+        radius = None if self.arcs is None else self.arcs.radius.numpy()
         near = self.ranks.bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
         if active is not None:
             near &= active
         self._num_active_bodies = int((near | self.mesh.static).sum())
         return near
 
-    def capacity(self, bytes_per_pair: int, num_parts: int = 1) -> int:
+    def capacity(self, bytes_per_pair: int | None = None, num_parts: int = 1) -> int:
         """Largest number of pairs at a time within the memory limit, where so many parts are searched at once.
 
         Every part needs capacity for all partners of one query.
         """
+        if bytes_per_pair is None:
+            bytes_per_pair = self.plan.memory.pair_bytes + self.bytes_beside
         least = num_parts * max(_LEAST_KEYS, self.plan.most_partners)
         limit = self.options.memory_limit
         if limit is None:
@@ -151,13 +154,12 @@ class Step:
 
     def batches(self, batches: Iterator[Batch]) -> Iterator[Batch]:
         """The batches of a search, counted, timed as the stage of pairs, and without the pairs of other processes."""
-        for batch in self.timer.each("pairs", map(partial(self.ranks.own_batch, self.plan), batches)):
-            self.survivors.update(batch.found)
+        if not self.ranks.is_alone:
+            batches = map(partial(self.ranks.own_batch, self.plan), batches)
+        for batch in self.timer.each("pairs", batches):
+            for kind, number in batch.found.items():
+                self.survivors[kind] += number
             yield batch
-
-    def survivors_by_kind(self) -> dict[PairKind, int]:
-        """The pairs that the search has left, of each kind that was searched."""
-        return {kind: self.survivors[kind] for kind in self.plan.kinds}
 
     def finish(self, **known: Any) -> None:
         """Release what the step has used, count what it has done, and end its timings.
@@ -166,9 +168,11 @@ class Step:
         """
         plan, mesh, boxes = self.plan, self.mesh, self.workspace.boxes
         plan.release_positions()
-        counts: dict[str, Any] = dict(
+        if self.arcs is not None:
+            self.arcs.release()
+        self.counts = Counts(
             num_bodies=mesh.num_bodies,
-            num_vertices=mesh.num_vertices,
+            num_vertices=known.pop("num_vertices", mesh.num_vertices),
             num_edges=mesh.num_edges,
             num_faces=mesh.num_faces,
             num_codimensional_edges=len(mesh.codimensional_edges),
@@ -178,7 +182,8 @@ class Step:
             num_sorted_sets=boxes.num_sorted,
             num_searches={kind: plan.num_searches[kind] for kind in plan.kinds},
             num_candidates={kind: plan.num_candidates[kind] for kind in plan.kinds},
+            num_after_cull={kind: self.survivors[kind] for kind in plan.kinds if self.counts_survivors},
             num_batches=plan.num_batches,
+            **known,
         )
-        self.counts = Counts(**(counts | known))
         self.timer.finish()
