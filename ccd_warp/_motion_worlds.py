@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from ccd_warp._contact_place import ContactPlace, MovingVertices
 from ccd_warp._contacts import Contacts
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.near_worlds import NearWorlds
 from ccd_warp._engine.host.part_mesh import PartMesh, rows_within
 from ccd_warp._engine.host.step import Step
@@ -29,6 +31,7 @@ from ccd_warp._touch import Touch
 from ccd_warp.kernels.pair.norm import is_ball
 
 _T = TypeVar("_T")
+_StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
 _PRIMITIVES = 1 << 19
 # Faces from which, and bodies up to which, it pays to look for parts that may touch.
@@ -131,10 +134,10 @@ class MotionWorlds:
         if parts is not None:
             holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
 
-            def of_parts(step: Step) -> float:
+            def of_parts(step: LeastToiStep) -> float:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
-            found = parts.each(self._on_parts(of_parts))
+            found = parts.each(self._on_parts(LeastToiStep, of_parts))
             least = least_of(toi for *_, toi in found)
             if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
                 return least
@@ -163,7 +166,8 @@ class MotionWorlds:
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
-        for worlds, of_parts, result in parts.each(self._on_parts(lambda step: step.contacts(is_ordered=False))):
+        of_step = partial(ContactStep.contacts, is_ordered=False)
+        for worlds, of_parts, result in parts.each(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
     @property
@@ -186,14 +190,13 @@ class MotionWorlds:
         reach, execution = pipeline._reach_of_parts, pipeline._execution
         return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
 
-    def _on_parts(self, work: Callable[[Step], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
-        """Some work on a step of a mesh of parts."""
+    def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
+        """Some work on a step of a kind of a mesh of parts."""
 
         def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
-            step: Step = self._pipeline._step_of(parts, paths)
-            found = work(step)
-            if "total" not in step.timings:
-                step.finish_timings()
+            step: _StepT
+            with self._pipeline._step_of(kind, parts, paths) as step:
+                found = work(step)
             self._add(step.counts, step.timings)
             return found
 

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack
 
 import numpy as np
@@ -19,6 +20,8 @@ from ccd_warp._display import listed
 from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, validated_inflation
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -187,12 +190,13 @@ class CollisionPipeline:
 
     def _on_step(
         self,
+        kind: type[_StepT],
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
-        work: Callable[[Step], _T],
+        work: Callable[[_StepT], _T],
         motion: RigidMotion | MeshPaths | None = None,
     ) -> _T:
-        """Run ``work`` on a step and return its result."""
+        """Run ``work`` on a step of a kind and return its result."""
         paths = None if motion is None else self._paths_of(motion)
 
         def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -201,7 +205,7 @@ class CollisionPipeline:
                 check_own_frames(self.mesh, start, end)
             return start, end
 
-        return self._run(Step, frames, work, paths=paths)
+        return self._run(kind, frames, work, paths=paths)
 
     def _straightened(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
@@ -261,12 +265,10 @@ class CollisionPipeline:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
             line = CallLine()
-            show = self._show_progress or line.show
-            step = kind(workspace, (start, end), self._options, seconds, show, **further)
-            with line:
+            with line, kind(workspace, (start, end), self._options, **further) as step:
+                step.workspace.progress.show = self._show_progress or line.show
+                step.timings["input"] = seconds
                 result = work(step)
-            if "total" not in step.timings:
-                step.finish_timings()
             self.timings = step.timings
             self.counts = step.counts
             self._workspace = workspace
@@ -334,10 +336,10 @@ class CollisionPipeline:
         if not separation > 0.0 and self.mesh.radius is None:
             return
         radius = None if self._radius is None else self._radius.numpy()
-        found = DistanceInEdges.of(self._topology, start(), separation, radius)
-        if found is not None and found.reaches_beyond(self.mesh.exclusion_rings):
+        distance = DistanceInEdges.of(self._topology, start(), separation, radius, self.mesh.exclusion_rings)
+        if distance is not None:
             self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
-            self._workspace.warn_once("distance", found.described)
+            self._workspace.warn_once("distance", distance.described)
 
     def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
         """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
@@ -693,10 +695,13 @@ class CollisionPipeline:
         motion: Motion | None = None,
     ) -> Candidates:
         """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
+        from ccd_warp._engine.host.candidate_step import CandidateStep  # few programs need it
+
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.candidates(inflation), motion)
+        work = lambda step: step.candidates(inflation)  # noqa: E731
+        return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
 
     def find_intersections(self, positions: ArrayLike) -> Intersections:
         """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
@@ -760,7 +765,8 @@ class CollisionPipeline:
         is_ordered: bool = True,
     ) -> MeshResult:
         """The contacts of a step."""
-        return self._on_step(vertices_t0, vertices_t1, lambda step: step.contacts(is_ordered=is_ordered), motion)
+        contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
+        return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
 
     def _worlds_of(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
@@ -820,14 +826,15 @@ class CollisionPipeline:
         """A Euclidean distance beyond which parts do not come within the separation of a pair."""
         return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
 
-    def _step_of(self, parts: PartMesh, paths: MeshPaths) -> Step:
-        """A step of a mesh of parts along paths."""
+    def _step_of(self, kind: type[_StepT], parts: PartMesh, paths: MeshPaths) -> _StepT:
+        """A step of a kind of a mesh of parts along paths."""
         options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options))
         self._check_no_capture()
         workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
         workspace.topology.vertex_rank = parts.rank
+        workspace.progress.show = self._show_progress
         x = parts.mesh.vertices
-        return Step(workspace, (x, x), options, 0.0, self._show_progress, paths=paths)
+        return kind(workspace, (x, x), options, paths)
 
     def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | MeshPaths | None) -> ArrayLike:
         """The positions of all vertices in the world at the start of a step."""
@@ -899,16 +906,17 @@ class CollisionPipeline:
 
         Where any toi suffices, what starts close is a contact.
         """
+        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1)
         if any_suffices:
-            return self._on_step(vertices_t0, vertices_t1, lambda step: step.least_toi(any_suffices=True), motion)
+            return on_step(lambda step: step.least_toi(any_suffices=True), motion)
         if not self._options.holds:
-            return self._on_step(vertices_t0, vertices_t1, Step.least_toi, motion)
-        toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding().least_toi(), motion)
+            return on_step(LeastToiStep.least_toi, motion)
+        toi = on_step(lambda step: step.holding().least_toi(), motion)
         if toi <= 0.0 and self._holds_pairs:
             # something may start within its distance: then it has toi 0, whichever way it moves
             holds = self._holds(self._at_start(vertices_t0, motion))
             if np.isfinite(holds).any():
-                toi = self._on_step(vertices_t0, vertices_t1, lambda step: step.holding(holds).held_toi(), motion)
+                toi = on_step(lambda step: step.holding(holds).held_toi(), motion)
         return toi
 
     @property
@@ -975,7 +983,8 @@ class CollisionPipeline:
         arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
         if motion is None:
             arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
-            found = search_step(self.mesh, vertices_t0, vertices_t1, self._solver(self._on_step), **arguments)
+            solver = self._solver(partial(self._on_step, ContactStep))
+            found = search_step(self.mesh, vertices_t0, vertices_t1, solver, **arguments)
         else:
             found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
@@ -995,8 +1004,8 @@ class CollisionPipeline:
         check_own_frames(self.mesh, start, end)
         course = ArcCourse(self.mesh, start, end, paths)
 
-        def step_to(_: Any, end: ArcEnd, work: Callable[[Step], MeshResult]) -> MeshResult:
-            return self._on_step(start, end.vertices, work, end.paths)
+        def step_to(_: Any, end: ArcEnd, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
+            return self._on_step(ContactStep, start, end.vertices, work, end.paths)
 
         arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
         found = search_step(self.mesh, start, end, self._solver(step_to), course=course, **arguments)
@@ -1014,8 +1023,7 @@ class CollisionPipeline:
         if self._options.start_gap_share > 0.0 or not (separation > 0.0 or self.mesh.is_thick):
             return False  # what is within its distance may come closer, or there is none
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
-        found = DistanceInEdges.of(self._topology, start, separation)
-        return found is not None and found.is_many
+        return DistanceInEdges.of(self._topology, start, separation) is not None
 
 
 def check_options_on_arcs(options: Options) -> None:

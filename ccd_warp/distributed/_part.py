@@ -9,7 +9,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.body_boxes import swept_boxes
 from ccd_warp._engine.mesh.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
 from ccd_warp._engine.mesh.worlds import WorldPlaces, plain_places
 from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
@@ -216,44 +215,3 @@ class PartTopology(Topology):
             else:
                 self._axes_below[name] = np.bitwise_or.reduce(self._vertex_below[corners[name]], axis=1)
         return self._axes_below[name]
-
-
-class TogetherIn:
-    """What the ranks reduce while they make a step together; ``home`` are the vertices that lie in the region."""
-
-    def __init__(self, whole: DistributedMesh, part: Part, topology: PartTopology, is_home: NDArray[np.bool_]) -> None:
-        self.whole, self.part, self.topology = whole, part, topology
-        self.ranks = whole.ranks
-        wanted = np.concatenate([whole.sample_vertices, whole.sample_primitives.ravel()])
-        numbers = part.vertex_numbers
-        place = np.minimum(np.searchsorted(numbers, wanted), max(len(numbers) - 1, 0))
-        self._rows = np.zeros(0, dtype=np.intp)
-        self._samples = np.zeros(0, dtype=np.intp)
-        if len(numbers):
-            self._samples = np.flatnonzero((numbers[place] == wanted) & is_home[place])
-            self._rows = place[self._samples]
-        self._num_samples = len(wanted)
-
-    def collect_samples(self, positions: Positions) -> None:
-        """Bring the positions of the samples to all ranks: each comes from the one rank whose region it lies in."""
-        if self.ranks.size == 1:
-            self.topology.samples_of_all = self._by_coordinate(np.stack([x[self._rows] for x in positions]))
-            return
-        mine = np.zeros((2, self._num_samples, 3))
-        mine[:, self._samples] = [x[self._rows] for x in positions]
-        # as integers, so that the sum with zeros keeps every bit
-        self.topology.samples_of_all = self._by_coordinate(self.ranks.total(mine.view(np.int64)).view(np.float64))
-
-    def _by_coordinate(self, samples: NDArray[np.float64]) -> NDArray[np.float64]:
-        return samples.transpose(0, 2, 1).reshape(2, 3, 1 + len(self.whole.sample_primitives), -1)
-
-    def body_boxes(self, positions: Positions) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Boxes around the motion of every body, wherever its vertices are; those without vertices are inverted."""
-        num_bodies = self.whole.num_bodies
-        both = np.full((2, num_bodies, 3), np.inf)
-        here = np.flatnonzero(np.diff(self.part.mesh.body_vertex_range))
-        if len(here):
-            lower, upper = swept_boxes(positions, self.part.mesh.body_vertex_range[here])
-            both[0, here], both[1, here] = lower, -upper
-        both = self.ranks.least(both)
-        return both[0], -both[1]

@@ -1,20 +1,16 @@
 """What intersects at one time, on one rank."""
 
-from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.at_one_time.intersection_step import IntersectionStep, Keys
-from ccd_warp._engine.mesh.topology import Topology
-from ccd_warp._intersections import Intersections
-from ccd_warp._status import IntersectionKind, PairKind, primitives_of
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._input.options import Options
+from ccd_warp._status import IntersectionKind, primitives_of
+from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._part import Part, PartTopology
-from ccd_warp.distributed._part_step import StepOnPart
 
 _INDEX = 0xFFFFFFFF
 
@@ -40,44 +36,33 @@ class PartEdgePointTopology(EdgePointTopology):
         return np.pad(begin, (0, self.mesh.num_edges), mode="edge"), rows  # the points of edges exclude nothing
 
 
-class PartIntersectionStep(StepOnPart, IntersectionStep):
+class PartIntersectionStep(IntersectionStep):
     """The intersections among the primitives of a part.
 
     A rank tests all pairs that it finds, those of other ranks, too: a vertex in a face, or two edges, are found by way
     of an edge and a face whose own pair may belong to another rank. In the end it keeps its own. Quantization and
     inactive bodies are those of the part alone, since exact tests decide, whatever else the search finds: the boxes of
-    two primitives that meet overlap, and so do those of their bodies in the part.
+    two primitives that meet overlap, and so do those of their bodies in the part. So until then a rank asks no other.
     """
+
+    counts_survivors = True  # the plan of the ranks depends on their work
+
+    def __init__(
+        self, workspace: Workspace, positions: Positions, options: Options, paths: None, ranks: AcrossRanks
+    ) -> None:
+        """Begin at the first of these positions."""
+        self._across = ranks
+        super().__init__(workspace, positions, options)
 
     def with_edge_points(self, topology: Topology) -> EdgePointTopology:
         """The topology of the part with a point for each edge."""
-        return PartEdgePointTopology(self.together.part, self.together.topology)
+        return PartEdgePointTopology(self._across.part, self._across.topology)
 
     def own_keys(self, kind: IntersectionKind, keys: Keys) -> Keys:
         """The pairs, of some given by keys, that belong to this rank."""
-        topology, arrays = self.together.topology, primitives_of(kind)
+        topology, arrays = self._across.topology, primitives_of(kind)
         if arrays[0] == "vertex":
             # the ends of an edge that meets the region need not
-            keys = keys[self.together.part.is_tested[keys >> 32]]
+            keys = keys[self._across.part.is_tested[keys >> 32]]
         own: Keys = keys[topology.own_pairs_of(arrays, keys >> 32, keys & _INDEX)]
         return own
-
-    def intersections(self) -> Intersections:
-        """All pairs of this rank that touch or pass through each other, and how many the cull has left."""
-        self._survivors: Counter[PairKind] = Counter()
-        found = super().intersections()
-        self.counts = replace(self.counts, num_after_cull={kind: self._survivors[kind] for kind in self.plan.kinds})
-        return found
-
-    def timed_batches(self, batches: Iterator[Any]) -> Iterator[Any]:
-        """The batches of the search, whose pairs are counted: the plan of the ranks depends on their work."""
-        for batch in super().timed_batches(batches):
-            self._survivors.update(batch.found)
-            yield batch
-
-    def first_vertices(self, kind: PairKind, first: NDArray[np.int64]) -> NDArray[np.integer]:
-        """A vertex of each of these primitives; where they are searched for in faces, edges come before vertices."""
-        edges = self.original.edges
-        if kind != PairKind.VERTEX_FACE:
-            return super().first_vertices(kind, first)
-        return np.concatenate([edges[:, 0], self.points.tested_vertices])[first]

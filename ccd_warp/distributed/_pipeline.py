@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
@@ -12,6 +13,8 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.candidates import validated_inflation
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
@@ -21,6 +24,7 @@ from ccd_warp._engine.host.line_search import (
     search_step,
     validated_line_search,
 )
+from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
@@ -34,9 +38,9 @@ from ccd_warp._pipeline import check_options_on_arcs, validated_distance, valida
 from ccd_warp._results import Contacts, MeshResult
 from ccd_warp._status import PairKind
 from ccd_warp._texts import text_completed_by
+from ccd_warp.distributed._across_ranks import work_by_vertex
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part_step import AcrossRanks, PartStep, StepOnPart
 from ccd_warp.distributed._partition import imbalance
 from ccd_warp.distributed._plan import in_space, is_within
 from ccd_warp.distributed._planning import (
@@ -68,6 +72,7 @@ if TYPE_CHECKING:
     from ccd_warp.distributed._motion import LocalPaths
 
 _T = TypeVar("_T")
+_StepT = TypeVar("_StepT", bound=Step)
 
 
 class DistributedPipeline:
@@ -157,7 +162,7 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedResult:
             plan = self._planned
-            result: MeshResult = self._run(*self._ends, PartStep.contacts, paths=self._paths)
+            result: MeshResult = self._run(ContactStep, *self._ends, ContactStep.contacts, self._paths)
             with self._timed("results"):
                 vertex_toi = self._to_local(result.vertex_toi)
                 least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
@@ -208,21 +213,16 @@ class DistributedPipeline:
         holds = self._options.holds and not any_suffices
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-            plan = self._planned
-
-            def least(step: PartStep) -> float:
+            def least(step: LeastToiStep) -> float:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
-            toi = self._run(*self._ends, least, paths=self._paths)
+            toi = self._run(LeastToiStep, *self._ends, least, self._paths)
             if holds and toi <= 0.0 and self._holds_pairs:
-                everywhere = AcrossRanks(plan.together)
-                of_vertices = everywhere.least_of_vertices(self._holds(plan.start))
+                everywhere = self._planned.everywhere
+                of_vertices = everywhere.least_of_vertices(self._holds(self._planned.start))
                 if not everywhere.all(not np.isfinite(of_vertices).any()):
-
-                    def held(step: PartStep) -> float:
-                        return step.holding(of_vertices).held_toi()
-
-                    toi = self._run(*self._ends, held, paths=self._paths)
+                    held = lambda step: step.holding(of_vertices).held_toi()  # noqa: E731
+                    toi = self._run(LeastToiStep, *self._ends, held, self._paths)
             self._finished()
             return toi
 
@@ -250,9 +250,11 @@ class DistributedPipeline:
         Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
         """
 
+        from ccd_warp._engine.host.candidate_step import CandidateStep  # few programs need it
+
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
-            found = self._run(*self._ends, lambda step: step.candidates(inflation), paths=self._paths)
+            found = self._run(CandidateStep, *self._ends, lambda step: step.candidates(inflation), self._paths)
             candidates = candidates_of(plan.part, plan.topology, found, self._ranks)
             self._finished()
             return candidates
@@ -276,11 +278,11 @@ class DistributedPipeline:
 
         Guarantee: every pair that passes the filter and is within the distance is found once, on one rank.
         """
-        from ccd_warp.distributed._part_proximity import PartProximityStep  # few programs need it
+        from ccd_warp._engine.at_one_time.proximity_step import ProximityStep  # few programs need it
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
             plan = self._planned
-            found = self._run(plan.start, plan.start, lambda step: step.proximities(distance), PartProximityStep)
+            found = self._run(ProximityStep, plan.start, plan.start, lambda step: step.proximities(distance))
             proximities = of_part(DistributedProximities, plan.part, found, self._ranks)
             self._finished()
             return proximities
@@ -308,11 +310,11 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
         """
-        from ccd_warp.distributed._part_proximity import PartDisplacementStep  # few programs need it
+        from ccd_warp._engine.at_one_time.proximity_step import DisplacementStep  # few programs need it
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
             plan = self._planned
-            found = self._run(plan.start, plan.start, lambda step: step.bounds(search_radius), PartDisplacementStep)
+            found = self._run(DisplacementStep, plan.start, plan.start, lambda step: step.bounds(search_radius))
             with self._timed("results"):
                 bounds = self._to_local(found)
             self._finished()
@@ -342,7 +344,7 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedIntersections:
             plan = self._planned
-            found = self._run(plan.start, plan.start, PartIntersectionStep.intersections, PartIntersectionStep)
+            found = self._run(PartIntersectionStep, plan.start, plan.start, PartIntersectionStep.intersections)
             total = int(self._ranks.total(np.array(len(found))))
             intersections = of_part(DistributedIntersections, plan.part, found, self._ranks, num_intersections=total)
             self._finished()
@@ -389,15 +391,13 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
-            everywhere = AcrossRanks(plan.together)
-            course, solver = None, self._solver(self._run)
+            everywhere, step_to = self._planned.everywhere, partial(self._run, ContactStep)
+            course, solver = None, self._solver(step_to)
             if self._paths is not None:
                 from ccd_warp.distributed._motion import PartCourse
 
                 course = PartCourse(everywhere, plan.part.mesh, *self._ends, self._paths)
-                solver = self._solver(
-                    lambda _, end, work: self._run(self._ends[0], end.vertices, work, paths=end.paths)
-                )
+                solver = self._solver(lambda _, end, work: step_to(self._ends[0], end.vertices, work, end.paths))
             found = search_step(
                 plan.part.mesh,
                 *self._ends,
@@ -472,20 +472,20 @@ class DistributedPipeline:
 
     def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
-        from ccd_warp.distributed._part_proximity import PartHoldStep  # few programs need it
+        from ccd_warp._engine.at_one_time.proximity_step import HoldStep  # few programs need it
 
-        return self._run(start, start, lambda step: step.find_holds(self._hold_distance), PartHoldStep)
+        return self._run(HoldStep, start, start, lambda step: step.find_holds(self._hold_distance))
 
     def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact, of those of this part, that starts within its distance, or passes by at it."""
-        from ccd_warp.distributed._part_proximity import PartHoldStep
+        from ccd_warp._engine.at_one_time.proximity_step import HoldStep
 
         is_straight = isinstance(end, np.ndarray)
 
         def work(step: Any) -> Any:
             return step.worlds_near(contacts, self._hold_distance, is_straight=is_straight)
 
-        return self._run(start, end if is_straight else start, work, PartHoldStep)
+        return self._run(HoldStep, start, end if is_straight else start, work)
 
     @property
     def _hold_distance(self) -> float:
@@ -603,20 +603,18 @@ class DistributedPipeline:
 
     def _run(
         self,
+        kind: type[_StepT],
         start: NDArray[np.float64],
         end: NDArray[np.float64],
-        work: Callable[[Any], _T],
-        kind: type[StepOnPart] = PartStep,
+        work: Callable[[_StepT], _T],
         paths: MeshPaths | None = None,
     ) -> _T:
-        """Run ``work`` on a step of the part."""
+        """Run ``work`` on a step of a kind of the part."""
         assert self._workspace
         ends = in_space(start), in_space(end)
-        further = {} if paths is None else {"paths": paths}
-        self._step = step = kind(self._planned.together, self._workspace, ends, self._options, **further)
-        result = work(step)
-        if "total" not in step.timings:
-            step.finish_timings()
+        with kind(self._workspace, ends, self._options, paths, self._planned.everywhere) as step:
+            result = work(step)
+        self._step: Step = step
         for stage, seconds in step.timings.items():
             if stage != "total":
                 self._seconds[stage] = self._seconds.get(stage, 0.0) + seconds
@@ -645,7 +643,8 @@ class DistributedPipeline:
             is_improved = False
         self._wants_plan = measured > _MOST_IMBALANCE and (is_improved or measured > _WORSE * plan.imbalance)
         if self._wants_plan:
-            by_vertex = self._step.work_by_vertex(WORK_OF_CANDIDATE, WORK_OF_PAIR)
+            num_vertices = plan.part.mesh.num_vertices
+            by_vertex = work_by_vertex(self._step, num_vertices, WORK_OF_CANDIDATE, WORK_OF_PAIR)
             self._work = work_of_owners(plan, self.mesh, by_vertex)
         self._seconds["total"] = time.perf_counter() - self._begin
         self.work = RankWork(

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp.distributed import _partition as partition
+from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._part import Part, PartTopology, TogetherIn, part_mesh
+from ccd_warp.distributed._part import Part, PartTopology, part_mesh
 from ccd_warp.distributed._plan import Bounds, axes_below, destinations, in_space, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
@@ -34,7 +35,7 @@ class Plan:
         regions: The regions of the ranks.
         part: The primitives of this rank's region.
         topology: Their data on the device.
-        together: What the ranks reduce in a step.
+        everywhere: What steps and line searches ask of all ranks.
         start: Start positions of the vertices of the part in the present step, shape [n, 3] or [n, 2].
         end: End positions.
         static_rows: Rows of the static vertices that this rank owns.
@@ -48,7 +49,7 @@ class Plan:
     regions: partition.Regions
     part: Part
     topology: PartTopology
-    together: TogetherIn
+    everywhere: AcrossRanks
     start: NDArray[np.float64]
     end: NDArray[np.float64]
     static_rows: NDArray[np.intp]
@@ -101,7 +102,6 @@ def make_plan(
         whole.num_vertices,
     )
     is_home = _is_in(part_lower, region)
-    together = TogetherIn(whole, part, topology, is_home)
     num_home = int(is_home[part.tested_vertices].sum())
     for c in (part.mesh.edges, part.mesh.faces):
         num_home += int(_is_in(united(part_lower, part_upper, c)[0], region).sum())
@@ -116,7 +116,7 @@ def make_plan(
         regions,
         part,
         topology,
-        together,
+        AcrossRanks(whole, part, topology, is_home),
         part_start,
         part_end,
         static_rows,

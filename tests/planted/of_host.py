@@ -112,7 +112,7 @@ PLANTED = [
           "((lower[:, None] < upper) & (lower < upper[:, None]))",
           ("kernels/boxes/test_bodies.py::test_bodies_near_another_are_those_of_every_pair_of_boxes",)),
     Fault("nothing is searched where one body of several is far from all", "ccd_warp/_engine/host/step.py",
-          "return near is not None and not near.any()", "return near is not None and not near.all()",
+          "near is not None and not near.any():", "near is not None and not near.all():",
           ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first_with_its_gap",)),
     # --- search ---
     Fault("rings around two vertices of three", "kernels/search/collision_filter.py",
@@ -168,7 +168,7 @@ PLANTED = [
           "    if kind == POINT_POINT:\n        lower_hold(b, bits, minima)",
           ("kernels/pair/test_hold.py::test_cable_slides_from_one_cable_to_the_next_without_losing_height",)),
     # --- engine ---
-    Fault("work for pairs that come after a closed one", "ccd_warp/_engine/host/step.py",
+    Fault("work for pairs that come after a closed one", "ccd_warp/_engine/host/least_toi_step.py",
           "is_earlier = toi < bound", "is_earlier = toi < np.inf",
           ("engine/test_max_work.py::test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work",)),
     Fault("two worlds in one cell", "ccd_warp/_engine/mesh/worlds.py",

@@ -1,7 +1,7 @@
 """What intersects at one time: candidates of the search, tests in float64, exact tests of what these leave open."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,6 @@ from ccd_warp._status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.kernels.at_one_time import intersections as kernels
 
 _APART, _FOUND, _OPEN = int(kernels.APART), int(kernels.FOUND), int(kernels.OPEN)
-_CODE_BYTES = 4
 # Pairs of an edge and a face whose vertices and sides are tested at a time.
 _CHUNK = 1 << 18
 _INDEX = 0xFFFFFFFF
@@ -51,6 +50,8 @@ _CROSSING_IN_PLANE = _Tests(exact.edges_cross_in_plane, points.of_edges)
 class IntersectionStep(Step):
     """The search at one time, as a step in which only the points of the edges move (`edge_points`)."""
 
+    goal = "intersections"
+    bytes_beside = 4  # of a code
     topology: EdgePointTopology
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
@@ -87,32 +88,30 @@ class IntersectionStep(Step):
     def intersections(self) -> Intersections:
         """All pairs that touch or pass through each other."""
         with self.timed("input"):
-            execution = HostPlan.of(self.workspace, self.options, "intersections").execution
+            execution = HostPlan.of(self.workspace, self.options, self.goal).execution
             fill = self.points.fill_positions
             execution.run([lambda k=k, at=at: fill(self.x, at, k) for k, at in enumerate(self.positions)])  # type: ignore[misc]
-        plan = self.begin("intersections", 1.0, inflation=0.0)
+        plan = self.begin(1.0, inflation=0.0)
         with self.timed("pairs"):
             plan.set_search(1.0, 0.0, 0.0)
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes + _CODE_BYTES))
-        for batch in self.timed_batches(batches):
+            batches = plan.batches(self.capacity())
+        for batch in self.batches(batches):
             with self.timed("tests"):
                 for kind, count in batch.found.items():
                     if count:
-                        keys = plan.found_keys(kind, count)
+                        keys = plan.memory.keys(kind, count)
                         self._take(kind, keys, self.topology.corner_arrays(kind))
         with self.timed("tests"):
             self._take_more(PairKind.EDGE_EDGE, _keys_of(self.points.close_edges))
         with self.timed("exact"):
             parts = [self._of_kind(kind) for kind in IntersectionKind]
             kinds, pairs, parameters = (np.concatenate(part) for part in zip(*parts, strict=True))
-        plan.release_positions()
-        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
-        self.counts = replace(self.counts, num_vertices=self.original.num_vertices)
+        self.finish(num_vertices=self.original.num_vertices)
         return located(self.original, self.x[:, : self.original.dimension], kinds, pairs, parameters)
 
     def _take(self, kind: PairKind, keys: wp.array, corner_arrays: tuple[str, str]) -> None:
         """Test pairs, given by keys on the device, and keep those that are not apart."""
-        found = self.buffers.get("pair codes", len(keys), wp.int32)
+        found = self.workspace.buffers.get("pair codes", len(keys), wp.int32)
         self.execution.launch(
             kernels.test_pairs,
             len(keys),

@@ -51,13 +51,9 @@ class ProximityStore:
             name: self._buffers.grown(f"pair {name}", self.total, self.total + num_pairs, dtype)
             for name, dtype in PROXIMITY_DTYPES.items()
         }
+        self._count.fill_(self.total)
         self._list = new_proximity_list({"count": self._count, **arrays})
         return self._list
-
-    def restart(self) -> None:
-        """Forget what has been listed."""
-        self.total = 0
-        self._count.zero_()
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""

@@ -1,8 +1,6 @@
 """What is near at one time: steps whose two ends are the same positions, with distances in place of times."""
 
-from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,10 +15,9 @@ from ccd_warp._engine.mesh.hold_distance import corners_by_kind
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.topology import Positions
-from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._proximities import Proximities
-from ccd_warp._results import Contacts, Counts
+from ccd_warp._results import Contacts
 from ccd_warp._runtime.launch import Execution, load_all
 from ccd_warp._status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
@@ -35,58 +32,52 @@ _FEW = 1 << 10
 class StepAtOneTime(Step):
     """A step with a workspace of its own, in which boxes have the size of its goal."""
 
-    goal: Goal
+    counts_survivors = True
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the other arguments are those of every step."""
         super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
         self._end = positions[1]
-        self.survivors: Counter[PairKind] = Counter()
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
-        plan = self.begin(self.goal, 1.0, half_up(distance))
+        plan = self.begin(1.0, half_up(distance))
         self.timings.setdefault("distances", 0.0)
         plan.set_search(1.0, half_up(distance), distance)
         return plan
 
     def _least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
         """Measure the pairs, end the call, and return the minima of the vertices."""
-        for batch in self.timed_batches(batches):
+        for _ in self.batches(batches):
             with self.timed("distances"):
-                self.survivors.update(batch.found)
                 plan.measure_pairs(sink)
         with self.timed("gather"):
             least: wp.array = self.workspace.contacts.minima.vertex.view(wp.float64)
             result = least.numpy().copy()
-        self.finish(plan)
+        self.finish()
         return result
-
-    def finish(self, plan: HostPlan) -> None:
-        """Release what the call has used, and count what it has done."""
-        plan.release_positions()
-        self.finish_counts(plan.num_searches, plan.num_candidates, plan.num_batches)
-        self.counts = replace(self.counts, num_after_cull={kind: self.survivors[kind] for kind in plan.kinds})
 
 
 class ProximityStep(StepAtOneTime):
     """The pairs within a distance."""
 
     goal = "proximities"
+    bytes_beside = BYTES_PER_PROXIMITY
 
     def proximities(self, distance: float) -> Proximities:
         """All pairs within a distance and their radii."""
         plan = self.search(distance)
         with self.timed("pairs"):
-            store = ProximityStore(self.topology, self.buffers, self.execution)
+            store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes + BYTES_PER_PROXIMITY))
-        if plan.has_planes:
+            batches = plan.batches(self.capacity())
+        if self.planes is not None:
+            begin = lambda count: plan.bind(proximities=store.begin_batch(count))  # noqa: E731
             with self.timed("planes"):
-                self.survivors[PairKind.VERTEX_PLANE] = self._list_near_planes(plan, store)
-        for batch in self.timed_batches(batches):
+                self.survivors[PairKind.VERTEX_PLANE] = self.planes.listed(_FEW, begin, Stages.list_near_planes)
+                store.end_batch()
+        for batch in self.batches(batches):
             with self.timed("distances"):
-                self.survivors.update(batch.found)
                 plan.bind(proximities=store.begin_batch(sum(batch.found.values())))
                 plan.measure_pairs(NEAR)
                 store.end_batch()
@@ -96,21 +87,8 @@ class ProximityStep(StepAtOneTime):
             if dimension == 2:
                 arrays["direction"] = arrays["direction"][:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
-        self.finish(plan)
+        self.finish()
         return Proximities(**arrays, mesh=self.mesh, positions=x, radius=self.mesh.radius)
-
-    @staticmethod
-    def _list_near_planes(plan: HostPlan, store: ProximityStore) -> int:
-        """List vertices and planes, whose number is returned; repeated where they exceed what was expected."""
-        store.restart()
-        plan.bind(proximities=store.begin_batch(_FEW))
-        found = plan.meet_planes(Stages.list_near_planes)
-        if found > _FEW:
-            store.restart()
-            plan.bind(proximities=store.begin_batch(found))
-            plan.meet_planes(Stages.list_near_planes, is_repeated=True)
-        store.end_batch()
-        return found
 
 
 class DisplacementStep(StepAtOneTime):
@@ -131,10 +109,10 @@ class DisplacementStep(StepAtOneTime):
             load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
-        if plan.has_planes:
+            batches = plan.batches(self.capacity())
+        if self.planes is not None:
             with self.timed("planes"):
-                self.survivors[PairKind.VERTEX_PLANE] = plan.meet_planes(Stages.bound_by_half_spaces)
+                self.survivors[PairKind.VERTEX_PLANE] = self.planes.meet(Stages.bound_by_half_spaces)
         bounds = self._least_of_vertices(plan, batches, DISPLACEMENT)
         bounds[self.mesh.unused_vertices] = np.inf
         return bounds
@@ -154,7 +132,7 @@ class HoldStep(StepAtOneTime):
         with self.timed("pairs"):
             self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity(plan.memory.pair_bytes))
+            batches = plan.batches(self.capacity())
         return self._least_of_vertices(plan, batches, HOLD)
 
     def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
@@ -163,7 +141,6 @@ class HoldStep(StepAtOneTime):
         Or passes by on a straight way to the second of the positions.
         """
         topology, device = self.topology, self.topology.device
-        self.counts = Counts()  # nothing is searched
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
         if len(contacts):
             values = {"kind": wp.int32, "primitives": wp.vec2i}

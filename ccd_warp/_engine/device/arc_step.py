@@ -14,8 +14,9 @@ from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch
 from ccd_warp._engine.device.step import Capacities
-from ccd_warp._engine.host.arcs import Arcs, Slice, slices_of
+from ccd_warp._engine.host.arcs import Arcs, slices_of
 from ccd_warp._engine.mesh.scene import length_scale_of
+from ccd_warp._engine.slices import Slice
 from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.step import shorten_paths as kernels

@@ -1,12 +1,13 @@
 """Slices of a step in which bodies turn: where they are at both ends of each, and what kernels know of their arcs."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.slices import Slice
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
@@ -19,25 +20,6 @@ if TYPE_CHECKING:
 TURN_OF_A_SLICE = 0.2
 _ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
 _COLUMNS = dtypes_of(kernels.BodyPaths)
-
-
-@dataclass(frozen=True)
-class Slice:
-    """A part of a step.
-
-    Attributes:
-        t_begin: Its begin, a time of the step.
-        t_end: Its end.
-    """
-
-    t_begin: float
-    t_end: float
-
-    @staticmethod
-    def all(count: int, t_max: float) -> "list[Slice]":
-        """So many slices of equal length, of [0, t_max]."""
-        ends = [t_max * k / count for k in range(count)] + [t_max]
-        return [Slice(*ends[k : k + 2]) for k in range(count)]
 
 
 def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
@@ -56,7 +38,12 @@ class Arcs:
         start: Positions at the begin of a slice.
         end: Positions at its end.
         paths: The paths of the bodies, as the struct of the kernels.
+        slices: The slices of a step on the host.
+        active: Bodies that are searched in it, bool, shape [B]; None for all.
     """
+
+    slices: list[Slice]
+    active: NDArray[np.bool_] | None
 
     def __init__(self, topology: Topology, radius: wp.array | None = None, box_radius: wp.array | None = None) -> None:
         """Allocate the arrays; ``radius`` and ``box_radius`` are others than those of the mesh."""
@@ -71,6 +58,7 @@ class Arcs:
         )
         self._arrays = self._columns(*_COLUMNS)
         self.paths = struct_of(kernels.BodyPaths, self._arrays)
+        self._ends: list[wp.array] = []
 
     def _columns(self, *names: str) -> dict[str, wp.array]:
         """Arrays with a row a body, by the names of columns of a table of paths."""
@@ -93,9 +81,22 @@ class Arcs:
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def positions(self) -> Positions:
+    def begin_on_host(self, paths: "MeshPaths", positions: Positions, t_max: float) -> "Arcs":
+        """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
+        self.begin(paths)
+        self.slices, self.active = slices_of(paths, t_max), None if paths.active.all() else paths.active
+        device = self._topology.device
+        self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
+        return self
+
+    def placed(self, part: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
+        self.place(part, execution, *self._ends)
         return self.start.numpy(), self.end.numpy()
+
+    def release(self) -> None:
+        """Do not keep the caller's arrays alive."""
+        self._ends.clear()
 
     def turns(self, part: Slice) -> Any:
         """How the vertices turn in a slice, as the struct of the kernels."""

@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -49,20 +48,6 @@ def new_minima(topology: Topology, **arrays: wp.array) -> Any:
 
 
 new_contact_list = partial(struct_of, ContactList)
-
-
-@dataclass(frozen=True)
-class Gathered:
-    """Sorted contacts, and the earliest of every vertex, body and world."""
-
-    contacts: Contacts
-    toi: float
-    vertex_toi: NDArray[np.float64]
-    body_toi: NDArray[np.float64]
-    world_toi: NDArray[np.float64]
-    vertex_contact: NDArray[np.int32]
-    body_contact: NDArray[np.int32]
-    world_contact: NDArray[np.int32]
 
 
 class _Ordered:
@@ -251,8 +236,8 @@ class ContactStore:
             return {name: array[:count].numpy() for name, array in arrays.items()}
         return {name: array.numpy()[:count] for name, array in arrays.items()}
 
-    def gather(self, *, is_ordered: bool = True) -> Gathered:
-        """All contacts, sorted by kind and pair, and the first contact of every vertex, body and world.
+    def gather(self, *, is_ordered: bool = True) -> dict[str, Any]:
+        """All contacts, sorted by kind and pair, and the first of every vertex, body and world: fields of `MeshResult`.
 
         Those that are not ordered are as they were found, and of the first ones nothing is known.
         """
@@ -272,13 +257,16 @@ class ContactStore:
             contacts = {name: values[:count].copy() for name, values in contacts.items()}
         return self._gathered(contacts, first)
 
-    def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> Gathered:
+    def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> dict[str, Any]:
         if self._execution.is_cuda:
             toi = self._toi.numpy() if self._read is None else self._read
         else:
             toi = self._toi_view.copy()
-        vertex_toi, body_toi, world_toi, scene_toi = (toi[i:j] for i, j in self._ranges)
-        return Gathered(Contacts(**contacts), float(scene_toi[0]), vertex_toi, body_toi, world_toi, *first)
+        *of_owners, scene = (toi[i:j] for i, j in self._ranges)
+        owners = "vertex", "body", "world"
+        found: dict[str, Any] = {"contacts": Contacts(**contacts), "toi": float(scene[0])}
+        found |= {f"{owner}_toi": values for owner, values in zip(owners, of_owners, strict=True)}
+        return found | {f"{owner}_contact": values for owner, values in zip(owners, first, strict=True)}
 
     @lazy_property
     def _few(self) -> "_Ordered":

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._contact_place import joined
 from ccd_warp._contacts import Contacts
+from ccd_warp._engine.host.one_process import OneProcess
 from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_real
 from ccd_warp._intersections import Intersections, crossing_at_start
 from ccd_warp._mesh import CollisionMesh
@@ -171,22 +172,6 @@ class Course:
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which vertices share that have one fraction whatever is asked for."""
         return least
-
-
-class OneProcess:
-    """What a line search asks of everything at once: here one process has it all."""
-
-    def all(self, flag: bool) -> bool:
-        """Whether a flag is set everywhere."""
-        return flag
-
-    def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The least of each number everywhere."""
-        return values
-
-    def least_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The least value of each vertex everywhere."""
-        return values
 
 
 def search_step(

@@ -7,6 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._display import shortened
+from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._pairs import pair_corners
 from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
@@ -14,7 +15,10 @@ from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from ccd_warp._engine.host.plan import HostPlan
+    from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._engine.mesh.topology import Positions, Topology
+    from ccd_warp._input.options import Options
     from ccd_warp._mesh import CollisionMesh
     from ccd_warp._status import PairKind
 
@@ -86,14 +90,16 @@ class DistanceInEdges(NamedTuple):
         start: NDArray[np.float64],
         distance: float,
         radius: NDArray[np.float64] | None = None,
+        rings: int = 0,
     ) -> "DistanceInEdges | None":
-        """That of a mesh at its start positions, from samples of its edges; None where no edge counts.
+        """That of a mesh at its start positions, from samples of its edges, if it is so many that neighbours are near.
 
         Args:
             topology: The mesh.
             start: Its start positions.
             distance: What is added to the radii, a length.
             radius: Radii of the vertices in place of those of the mesh, which has some.
+            rings: Of neighbours that are excluded; a distance that does not reach beyond these is none, either.
         """
         mesh = topology.mesh
         radius = mesh.radius if radius is None else radius
@@ -110,16 +116,7 @@ class DistanceInEdges(NamedTuple):
             edge = float(np.median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)))
             if radius is not None:
                 distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
-        return cls(distance, edge, is_thick)
-
-    @property
-    def is_many(self) -> bool:
-        """Whether the distance is many edges long."""
-        return self.distance > _MANY_EDGES * self.edge > 0.0
-
-    def reaches_beyond(self, rings: int) -> bool:
-        """Whether it is so many that neighbours are within it, and no exclusion of so many rings leaves these out."""
-        return self.is_many and self.distance > rings * self.edge
+        return cls(distance, edge, is_thick) if distance > max(_MANY_EDGES, rings) * edge > 0.0 else None
 
     def described(self) -> str:
         """How many edges the distance is, and what to do."""
@@ -129,6 +126,51 @@ class DistanceInEdges(NamedTuple):
             f"{self.edge:.6g}; neighbours are within it: exclusion_rings of the mesh leaves them out, or is the unit "
             "another?"
         )
+
+
+class Oddities:
+    """What a step has found to be odd.
+
+    Attributes:
+        distance: The distance of pairs, where it is many edges long.
+        overlaps: A sentence on pairs that are so many that parts of the scene seem to lie in each other.
+        is_stuck: Whether rounding may be why a toi is 0.
+    """
+
+    distance: DistanceInEdges | None = None
+    overlaps = ""
+    is_stuck = False
+
+    def note_pairs(self, plan: "HostPlan", num_pairs: int, batch: "Mapping[PairKind, int]") -> None:
+        """Note so many pairs left by the cull, and of which bodies most of those in a batch are, the last one.
+
+        Nothing has to be said of the many pairs that follow from a distance of many edges.
+        """
+        mesh = plan.topology.mesh
+        num_primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
+        is_said = self.distance is not None or bool(self.overlaps)
+        if is_said or num_pairs < max(_MANY_PAIRS, _MANY_PAIRS_EACH * num_primitives):
+            return
+        keys = {kind: plan.memory.keys(kind, count) for kind, count in batch.items() if count}
+        of_bodies = _most_common_bodies(mesh, keys) if mesh.num_bodies > 1 and keys else ""
+        self.overlaps = (
+            f"{num_pairs:,} pairs of {num_primitives:,} primitives may touch, so parts of the scene seem to lie in "
+            "each other, or to be long and thin side by side; pair_kinds, or exclusion_rings of the mesh, leave pairs "
+            f"out, and memory_limit bounds the memory{of_bodies}"
+        )
+
+    def explain(self, workspace: "Workspace", positions: "Positions", options: "Options", *, is_whole: bool) -> None:
+        """Warn of each oddity, once for a mesh; of a part, whose vertices have other numbers, of none of them."""
+        mesh = workspace.topology.mesh
+        if self.distance is not None:
+            workspace.warn_once("distance", self.distance.described)
+        if self.overlaps:
+            workspace.warn_once("overlaps", lambda: self.overlaps)
+        if self.is_stuck and is_whole:
+            farthest = Farthest.of(positions)
+            if farthest.hides_gaps(options.tolerance, length_scale_of(mesh, options)):
+                said = "rounding at the size of the positions is more than the tolerance and hides gaps at the start"
+                workspace.warn_once("size", lambda: f"{said}, so toi is 0: {farthest.described(mesh)}")
 
 
 def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions", within: float = 0.0) -> str:
@@ -142,24 +184,6 @@ def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions", w
     if within > 0.0:
         return f"rounding, or within of the motion, up to {within:.3g}, hides {gaps} at the start, with toi 0"
     return f"rounding hides {gaps} at the start, with toi 0: {Farthest.of(positions).described(mesh)}"
-
-
-def are_many(mesh: "CollisionMesh", num_pairs: int) -> bool:
-    """Whether so many pairs are left by the cull that parts of the scene seem to lie in each other or side by side."""
-    return num_pairs >= max(_MANY_PAIRS, _MANY_PAIRS_EACH * _num_primitives(mesh))
-
-
-def overlaps_described(mesh: "CollisionMesh", num_pairs: int, keys: "Mapping[PairKind, wp.array]") -> str:
-    """A sentence on so many pairs, of which some keys are given, with the bodies of most of these."""
-    return (
-        f"{num_pairs:,} pairs of {_num_primitives(mesh):,} primitives may touch, so parts of the scene seem to lie in "
-        "each other, or to be long and thin side by side; pair_kinds, or exclusion_rings of the mesh, leave pairs out, "
-        "and memory_limit bounds the memory" + ("" if mesh.num_bodies == 1 else _most_common_bodies(mesh, keys))
-    )
-
-
-def _num_primitives(mesh: "CollisionMesh") -> int:
-    return mesh.num_vertices + mesh.num_edges + mesh.num_faces
 
 
 def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:

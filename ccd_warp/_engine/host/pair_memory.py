@@ -63,7 +63,7 @@ class PairMemory:
         self._recording = recording
 
     def keys(self, kind: PairKind, count: int) -> wp.array:
-        """The first keys of a kind."""
+        """The first keys of a kind: those of pairs that the narrow phase leaves open are marked."""
         keys: wp.array = self._recording.values[f"{kind.name} keys"][:count]
         return keys
 

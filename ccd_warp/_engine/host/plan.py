@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
-_NONE = dict.fromkeys(PairKind, 0)
+NO_PAIRS = dict.fromkeys(PairKind, 0)
 _OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
@@ -62,6 +62,7 @@ class HostPlan(Plan):
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
+        num_met_by_planes: Vertices that have met planes in this step, or slice.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
     """
 
@@ -69,15 +70,7 @@ class HostPlan(Plan):
     def of(
         workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False, arcs: "Arcs | None" = None
     ) -> "HostPlan":
-        """The plan of a workspace for such calls.
-
-        Args:
-            workspace: The workspace.
-            options: The options of the call.
-            goal: Its goal.
-            is_held: Whether some pairs start within their distance.
-            arcs: Those of the workspace where bodies turn.
-        """
+        """The plan of a workspace for calls with such options and a goal, where pairs are held, or bodies turn."""
         of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
         key = (goal, of_options, is_held, arcs is not None)
         if key not in workspace.plans:
@@ -87,19 +80,15 @@ class HostPlan(Plan):
         return workspace.plans[key]
 
     def __init__(
-        self,
-        workspace: "Workspace",
-        options: "Options",
-        goal: Goal,
-        is_held: bool = False,
-        arcs: "Arcs | None" = None,
+        self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, arcs: "Arcs | None"
     ) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=arcs is not None)
         if goal in ("proximities", "displacements"):
             norm = EUCLIDEAN_NORM
-        self._radii = (topology.radius, topology.box_radius) if arcs is None else (arcs.radius, arcs.box_radius)
+        has_radii: Any = topology if arcs is None else arcs
+        self._radii = has_radii.radius, has_radii.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         has_queue = execution.is_cuda and self._has_narrow_phase
@@ -154,13 +143,13 @@ class HostPlan(Plan):
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
-        self.num_searches = dict(_NONE)
-        self.num_batches = self._num_met_by_planes = 0
+        self.num_searches = dict(NO_PAIRS)
+        self.num_batches = self.num_met_by_planes = 0
         self.begin_candidates()
 
     def begin_candidates(self) -> None:
         """Count the candidates of the next search."""
-        self.num_candidates = _NONE | {PairKind.VERTEX_PLANE: self._num_met_by_planes}
+        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: self.num_met_by_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -191,24 +180,6 @@ class HostPlan(Plan):
         """Use these values of the stages, by the names of their fields."""
         for name, value in values.items():
             self._recording.bind(name, value)
-
-    def meet_planes(
-        self, record: Callable[[Stages, Recording], None] | None = None, *, is_repeated: bool = False
-    ) -> int:
-        """Let vertices meet planes, by default in the narrow phase; returns the number of pairs.
-
-        One that ``is_repeated``, since the capacity was less than all pairs, is not counted again.
-        """
-        sink = self._sink
-        self._clear_counts()
-        self.play("planes", record or (lambda stages, recording: stages.meet_planes(recording, sink, Slot("searched"))))
-        kind = PairKind.VERTEX_PLANE
-        found = int(self.counts()[kind, FOUND])
-        if not is_repeated:
-            self._num_met_by_planes = found
-            self.num_searches[kind] += 1
-            self.num_candidates[kind] += found
-        return found
 
     def fill_boxes(
         self, positions: Positions, t_end: float, inflation: float, active: wp.array, *, goes_on: bool = False
@@ -305,7 +276,7 @@ class HostPlan(Plan):
         while True:
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
-            self._clear_counts()
+            self.clear_counts()
             self.play(section, record)
             needed = self._num_needed()
             if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
@@ -362,7 +333,7 @@ class HostPlan(Plan):
 
     def _search_part(self, stages: Stages, part: Part) -> None:
         """Search some items of a tree pair alone, now."""
-        self._clear_counts()
+        self.clear_counts()
         stages.find_some_pairs(self.execution, part.tree_pair, part.items, part.level)
         self.num_searches[part.tree_pair.kind] += 1
 
@@ -403,7 +374,8 @@ class HostPlan(Plan):
         counts = self.counts()[:, OPEN].tolist()
         return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
 
-    def _clear_counts(self) -> None:
+    def clear_counts(self) -> None:
+        """Count the pairs of the next launches from 0."""
         self._read = None
         if self._view is None:
             self._counts.zero_()
@@ -415,38 +387,19 @@ class HostPlan(Plan):
         section = "narrow phase, second round" if is_second else "narrow phase"
         self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
 
+    def meet_planes(self, stages: Stages, recording: Recording) -> None:
+        """Record that vertices meet planes beside the narrow phase."""
+        stages.meet_planes(recording, self._sink, Slot("searched"))
+
     def measure_pairs(self, sink: int) -> None:
         """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
         self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
 
-    def found_keys(self, kind: PairKind, count: int) -> wp.array:
-        """The keys of a batch, which has so many of a kind; those that the narrow phase leaves open are marked."""
-        return self.memory.keys(kind, count)
-
-    def replace_keys(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
-        """Let a batch consist of these pairs of a kind, some of those that it has."""
-        if len(keys):
-            self.found_keys(kind, len(keys)).assign(keys)
+    def set_counts(self, column: int, numbers: Mapping[PairKind, int]) -> None:
+        """Let pairs of kinds count as so many: `FOUND` in a batch, or `OPEN`, which share their work."""
         counts = self.counts()
-        counts[kind, FOUND] = len(keys)
-        if self._view is None:
-            self._counts.assign(counts)
-
-    def open_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
-        """The marked keys of the open pairs among the first ``count`` of a batch."""
-        keys = self.memory.keys(kind, count).numpy()
-        return keys[keys < 0]
-
-    def open_pairs(self, kind: PairKind, count: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """The marked keys of the same pairs, and their toi so far."""
-        keys, toi = self.memory.keys(kind, count).numpy(), self.memory.open_toi(kind, count).numpy()
-        return keys[keys < 0], toi[keys < 0]
-
-    def set_number_open(self, num_open: Mapping[PairKind, int]) -> None:
-        """Let the open pairs of a kind share their work with others: so many of them in all."""
-        counts = self.counts()
-        for kind, count in num_open.items():
-            counts[kind, OPEN] = count
+        for kind, number in numbers.items():
+            counts[kind, column] = number
         if self._view is None:
             self._counts.assign(counts)
 

@@ -1,0 +1,54 @@
+"""All pairs of a step whose boxes overlap."""
+
+from dataclasses import replace
+
+from ccd_warp._engine.host.candidates import Candidates, Collector, union
+from ccd_warp._engine.host.pair_memory import KEY_BYTES
+from ccd_warp._engine.host.search import PairSearch
+from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.slices import Slice
+from ccd_warp._status import PairKind
+
+
+class CandidateStep(Step):
+    """The candidates."""
+
+    goal = "candidates"
+
+    def candidates(self, inflation: float) -> Candidates:
+        """All pairs whose boxes, enlarged by ``inflation``, overlap, in a slice where the step has several."""
+        of_slices = [self._find(part, inflation) for part in self.slices]
+        candidates = of_slices[0] if len(of_slices) == 1 else union(of_slices)
+        if self.planes is not None:
+            self.plan.num_searches[PairKind.VERTEX_PLANE] = 1
+            self.plan.num_candidates[PairKind.VERTEX_PLANE] = len(candidates.vertex_plane)
+        self.finish()
+        return candidates
+
+    def _find(self, part: Slice, inflation: float) -> Candidates:
+        """The candidates of a slice, or of the whole step."""
+        plan = self.begin(1.0, inflation, part)
+        # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
+        is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
+        collector = Collector(self.execution, is_sorted=is_sorted)
+        with self.timed("pairs"):
+            plan.set_search(1.0, inflation, 0.0)
+            tree_pairs = list(filter(plan.may_meet, plan.tree_pairs))
+            search = PairSearch(plan.stages_now(), self.execution, self.workspace.buffers, tree_pairs)
+            # counts what the search has just allocated
+            search.largest_capacity = self.capacity(KEY_BYTES, search.num_workers)
+        for ranges in self.timer.each("pairs", search.ranges()):
+            with self.timed("copy"):
+                collector.take(ranges)
+        for counts, more in ((plan.num_searches, search.num_launches), (plan.num_candidates, search.candidates)):
+            for kind, number in more.items():
+                counts[kind] += number
+        plan.num_batches += search.num_batches
+        with self.timed("copy"):
+            candidates = collector.candidates()
+        if self.planes is not None:
+            with self.timed("planes"):
+                radius = (self.topology if self.arcs is None else self.arcs).box_radius
+                near = self.planes.candidates(self.positions, inflation, radius)
+            candidates = replace(candidates, vertex_plane=near)
+        return candidates

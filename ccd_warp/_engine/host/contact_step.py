@@ -1,0 +1,117 @@
+"""All contacts of a step: the toi of every pair that the cull leaves."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._contact_place import located
+from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore
+from ccd_warp._engine.host.impact_step import ImpactStep
+from ccd_warp._engine.host.oddities import hidden_sentence
+from ccd_warp._engine.host.pair_memory import MOST_PAIRS
+from ccd_warp._engine.slices import Slice
+from ccd_warp._results import MeshResult
+from ccd_warp._status import CCDStatus, PairKind
+from ccd_warp._touch import Touch
+from ccd_warp.kernels.pair.norm import is_ball
+from ccd_warp.kernels.step.minima import OPEN
+
+
+class ContactStep(ImpactStep):
+    """The contacts."""
+
+    goal = "contacts"
+    bytes_beside = BYTES_PER_CONTACT
+    counts_survivors = True
+
+    def contacts(self, *, is_ordered: bool = True) -> MeshResult:
+        """Compute the toi of every pair that the cull leaves, and gather the result.
+
+        Where contacts need no order, the result has no first ones, and they do not know where they are.
+        """
+        store = self.workspace.contacts
+        for part in self.slices:
+            self._find(part, store)
+        if not store.is_complete:
+            least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
+            raise ValueError(
+                f"memory_limit is {self.options.memory_limit} bytes; expected at least {least} for the {store.total} "
+                f"contacts of this step, or collision_free_step, which keeps none"
+            )
+        with self.timed("gather"):
+            if len(self.slices) > 1:
+                store.keep_earliest()
+            gathered = store.gather(is_ordered=is_ordered)
+            place = self._place() if is_ordered else ()
+            contacts = located(gathered["contacts"], self.mesh, *place)
+        # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
+        of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+        of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
+        self.finish(
+            num_contacts={kind: of_kind[int(kind)] for kind in self.plan.kinds},
+            num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
+            num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
+        )
+        num_hidden = of_status[int(CCDStatus.ROUNDING_LIMIT)] if gathered["toi"] <= 0.0 else 0
+        self.oddities.is_stuck = num_hidden > 0
+        within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
+        hidden = hidden_sentence(num_hidden, self.mesh, self.positions, within)
+        known = {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
+        return MeshResult(**(gathered | known))
+
+    def _find(self, part: Slice, store: ContactStore) -> None:
+        """Add the contacts of a slice, or of the whole step."""
+        plan = self.begin_slice(part)
+        with self.timed("pairs"):
+            if part is self.slices[0]:
+                limit = self.options.memory_limit
+                largest = MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
+                store.begin(self.execution, largest)
+                plan.reset_minima(store.count)
+            if self.is_idle():
+                return
+            self.bind_options(part)
+            plan.set_search(self.options.t_max if self.arcs is None else 1.0, self.inflation, self.separation)
+            batches = plan.batches(self.capacity())
+        if self.planes is not None:
+            with self.timed("planes"):
+                expected = store.num_with_planes
+                found = self.planes.listed(expected, lambda count: plan.bind(contacts=store.begin_batch(count)))
+                store.end_batch(found)
+                store.num_with_planes = max(expected, found)
+                self.survivors[PairKind.VERTEX_PLANE] += found
+        open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
+        has_shared = False
+        for batch in self.batches(batches):
+            with self.timed("narrow phase"):
+                self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.found)
+                plan.bind(contacts=store.begin_batch(sum(batch.found.values())))
+                plan.solve(is_second=False)
+                if batch.is_only:
+                    if not self.ranks.is_alone:
+                        plan.set_counts(OPEN, self.ranks.all_open(plan.num_open()))
+                    has_shared = True
+                    plan.solve(is_second=True)
+                else:
+                    for kind in plan.num_open():
+                        keys = plan.memory.keys(kind, batch.found[kind]).numpy()
+                        open_keys.setdefault(kind, []).append(keys[keys < 0])
+                store.end_batch()
+        with self.timed("narrow phase"):
+            keys_left = {kind: np.concatenate(keys) for kind, keys in open_keys.items()}
+            num_open = {} if has_shared else self.ranks.all_open({kind: len(keys) for kind, keys in keys_left.items()})
+            for kind, keys in keys_left.items():
+                plan.set_open_pairs(kind, keys, num_open[kind])
+                plan.bind(contacts=store.begin_batch(len(keys)))
+                plan.solve(is_second=True)
+                store.end_batch()
+
+    def _place(self) -> tuple[Any, ...]:
+        """Where contacts are, what counts as touching, if it is one thing for all pairs, and what is how thick."""
+        radius, radii = self.mesh.radius if self.mesh.is_thick else None, None
+        if radius is not None:
+            radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
+        is_euclidean = is_ball(self.plan.norm)
+        touch = Touch.of(self.options, self.length_scale, is_euclidean=is_euclidean, radius=radius)
+        return *self.given, self.paths, None if self.holds else touch, radii

@@ -1,0 +1,135 @@
+"""The earliest toi of a step alone."""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.impact_step import ImpactStep
+from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.slices import Slice
+from ccd_warp._status import PairKind
+
+# Remaining share of the step below which recomputing the boxes for it pays.
+_WORTH_SHORTENING = 0.5
+# Where pairs are held, and press (`kernels.pair.hold`), a step below the first fraction is none if its motion is below
+# the second fraction of the size of the scene.
+_LOST_TOI, _LOST = 2.0**-20, 2.0**-30
+# Marked keys of open pairs and their toi so far, of each kind in batches.
+_OpenPairs = dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]
+
+
+class LeastToiStep(ImpactStep):
+    """The earliest toi of all pairs."""
+
+    goal = "bound"
+    bytes_beside = 8  # of a toi
+    _any_suffices = False
+
+    def least_toi(self, *, any_suffices: bool = False) -> float:
+        """Earliest toi of all pairs, inf if none touches.
+
+        In a large mesh the pairs of a sample of the queries come first. Where one touches, the full search covers only
+        the part of the step before that: the boxes are shorter, and the cull ends there. The bound of each round is the
+        least toi of the pairs of the previous round. It depends only on the input, and so does the result.
+
+        Args:
+            any_suffices: Whether to end with the first contact found, whose toi need not be the earliest.
+        """
+        self._any_suffices = any_suffices
+        best = np.inf
+        for part in self.slices:
+            best = self._least_of(part, best)
+            if best <= part.t_end:
+                break
+        self.oddities.is_stuck = best <= 0.0
+        self.finish()
+        return best
+
+    def held_toi(self) -> float:
+        """Earliest toi where some pairs are held; 0 where nothing moves until then by more than rounding."""
+        toi = self.least_toi()
+        start, end = self.positions
+        with np.errstate(over="ignore"):
+            motion = -self.ranks.least_number(-float(np.abs(end - start).max(initial=0.0)))
+            is_lost = toi <= _LOST_TOI and toi * motion <= _LOST * self.mesh.length_scale
+        return 0.0 if is_lost else toi
+
+    def _suffices(self, toi: float) -> bool:
+        """Whether no earlier toi is looked for."""
+        return toi <= 0.0 or (self._any_suffices and toi < np.inf)
+
+    def _least_of(self, part: Slice, best: float) -> float:
+        """The least of a toi and those in a slice, or in the whole step."""
+        plan = self.begin_slice(part)
+        if self.is_idle():
+            return best
+        self.bind_options(part)
+        if self.planes is not None:
+            with self.timed("planes"):
+                plan.set_least(best)
+                self.planes.meet()
+                best = self.ranks.least_number(plan.least())  # whether anything is searched is the same everywhere
+            if self._suffices(best):
+                return best
+        t_end, is_straight = self.options.t_max, self.arcs is None
+        for of_sample in (True, False) if self.topology.samples_queries and is_straight else (False,):
+            if is_straight and best <= _WORTH_SHORTENING * t_end:
+                t_end = best
+                with self.timed("boxes"):
+                    plan.shorten_boxes(t_end)
+            plan.set_search(min(best, t_end) if is_straight else 1.0, self.inflation, self.separation)
+            plan.set_least(best)
+            plan.begin_candidates()
+            open_pairs: _OpenPairs = {}
+            for batch in self.batches(self._searched(plan, best, of_sample=of_sample)):
+                with self.timed("narrow phase"):
+                    plan.solve(is_second=False)
+                    for kind in plan.num_open():
+                        of_kind = plan.memory.keys, plan.memory.open_toi
+                        keys, toi = (of_batch(kind, batch.found[kind]).numpy() for of_batch in of_kind)
+                        open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
+                if self._suffices(plan.least()):
+                    break
+            best = self.ranks.least_number(plan.least())
+            if self._suffices(best):
+                break
+            with self.timed("narrow phase"):
+                best = self.ranks.least_number(self._least_open_toi(plan, best, open_pairs))
+        return best
+
+    def _searched(self, plan: HostPlan, best: float, *, of_sample: bool) -> Iterator[Batch]:
+        """The batches of a search; none where few of its queries show that what touches does so at once."""
+        capacity = self.capacity()
+        if self.far_distance is not None:
+            # most queries have a partner within the distance, so a few of them show a toi of 0
+            for _ in self.batches(plan.few_batches(capacity)):
+                with self.timed("narrow phase"):
+                    plan.solve(is_second=False)
+            best = plan.least()
+        return iter(()) if self._suffices(best) else plan.batches(capacity, of_sample=of_sample)
+
+    def _least_open_toi(self, plan: HostPlan, bound: float, open_pairs: _OpenPairs) -> float:
+        """The second round: earliest toi of the pairs that the first has left open, or the bound."""
+        earlier = {}
+        for kind, batches in open_pairs.items():
+            keys, toi = map(np.concatenate, zip(*batches, strict=True))
+            # which pairs are earlier than all closed ones depends only on the pairs, and so does their share of the
+            # work
+            is_earlier = toi < bound
+            earlier[kind] = keys[is_earlier], toi[is_earlier]
+        num_open = self.ranks.all_open({kind: len(keys) for kind, (keys, _) in earlier.items()})
+        is_on_device = False  # whether the bound is that of the device, which is read when it is needed
+        for kind, (keys, toi) in earlier.items():
+            if len(keys) == 0:
+                continue
+            if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
+                bound = min(plan.least() if is_on_device else bound, float(toi.min()))
+                is_on_device = False
+                continue
+            plan.set_open_pairs(kind, keys, num_open[kind])
+            if not is_on_device:
+                plan.set_least(bound)
+            plan.solve(is_second=True)
+            is_on_device = True
+        return plan.least() if is_on_device else bound

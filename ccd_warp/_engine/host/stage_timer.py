@@ -1,0 +1,68 @@
+"""Seconds of the stages of a step: on CUDA by events, which are read once the result is available."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from functools import partial
+from typing import TypeVar
+
+import warp as wp
+
+_T = TypeVar("_T")
+
+
+class StageTimer:
+    """The time of each stage of a step.
+
+    Attributes:
+        seconds: Seconds by the name of the stage; once it is finished also their ``total``.
+        timed: Adds the time of a block to that of a stage.
+    """
+
+    def __init__(self, device: wp.Device) -> None:
+        self.seconds = {"input": 0.0}
+        self._events: list[tuple[str, wp.Event, wp.Event]] = []
+        of_device = partial(_BlockOnDevice, self._events, device) if device.is_cuda else partial(_Block, self.seconds)
+        self.timed: Callable[[str], AbstractContextManager[None]] = of_device
+
+    def each(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
+        """Items, while the time in which each is made is added to that of a stage."""
+        while True:
+            with self.timed(stage):
+                item = next(items, None)
+            if item is None:
+                return
+            yield item
+
+    def finish(self) -> None:
+        """Read the events, and sum the stages."""
+        for stage, begin, end in self._events:
+            seconds = 1e-3 * wp.get_event_elapsed_time(begin, end)
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+        self._events.clear()
+        self.seconds["total"] = sum(self.seconds.values())
+
+
+class _Block:
+    def __init__(self, seconds: dict[str, float], stage: str) -> None:
+        self._seconds, self._stage = seconds, stage
+
+    def __enter__(self) -> None:
+        self._begin = time.perf_counter()
+
+    def __exit__(self, *_: object) -> None:
+        self._seconds[self._stage] = self._seconds.get(self._stage, 0.0) + time.perf_counter() - self._begin
+
+
+class _BlockOnDevice:
+    def __init__(self, events: list[tuple[str, wp.Event, wp.Event]], device: wp.Device, stage: str) -> None:
+        self._events, self._device, self._stage = events, device, stage
+
+    def _event(self) -> wp.Event:
+        return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
+
+    def __enter__(self) -> None:
+        self._begin = self._event()
+
+    def __exit__(self, *_: object) -> None:
+        self._events.append((self._stage, self._begin, self._event()))
