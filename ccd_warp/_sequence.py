@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.frames import Body, InputError, body_between, warn_of_step
+from ccd_warp._files.frames import Body, body_between, warn_of_step
 from ccd_warp._files.mesh import Mesh
 from ccd_warp._files.parts import Parts, check_split
 from ccd_warp._files.series import Series, find_series
 from ccd_warp._frames import Frames, checked_static, mesh_of, read_frames, static_bodies
 from ccd_warp._half_space import HalfSpace
 from ccd_warp._input.arguments import check_count, check_flag, check_items, check_path, shown
-from ccd_warp._input.messages import printable
+from ccd_warp._input.messages import InputError, printable
 from ccd_warp._mesh import CollisionMesh
 from ccd_warp._texts import text_completed_by
 

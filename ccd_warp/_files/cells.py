@@ -33,7 +33,7 @@ def reading(path: Path) -> Iterator[None]:
             raise
         reason = printable(reason_of(error))
         if not isinstance(error, InputError):
-            reason = f"cannot be read ({reason}); write it again, or save it as PLY"
+            reason = f"cannot be read ({reason}); write it again, or save it as VTU or PLY"
         raise InputError(f"{path}: {reason}") from error
 
 

@@ -17,8 +17,6 @@ from ccd_warp._input.messages import InputError, warn
 
 _MOST_BYTES = 2**63 - 1
 
-__all__ = ["Body", "InputError", "body_between", "make_body", "read_frames", "read_static", "write_mesh"]
-
 
 @dataclass(frozen=True)
 class Body:

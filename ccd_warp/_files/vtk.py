@@ -6,6 +6,7 @@ cell as its type has, wherever the cell before it ends.
 
 import re
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 
@@ -44,7 +45,9 @@ def read_vtk(path: Path, max_bytes: int) -> Grid:
         raise InputError(f"its line CELLS says {stated}, and what is read of it makes {found}; {CUT}")
     if not is_old and not np.array_equal(np.diff(_offsets(data, is_text, found[0])), widths):
         raise InputError(f"its cells have other numbers of corners than their types; {CUT}")
-    return grid_of(mesh)
+    read = grid_of(mesh)  # blanks in names are escaped
+    fields, cell_fields = ({unquote(name): values for name, values in each.items()} for each in read[2:])
+    return read._replace(fields=fields, cell_fields=cell_fields)
 
 
 def _offsets(data: bytes, is_text: bool, count: int) -> np.ndarray:
