@@ -75,8 +75,8 @@ def read_frames(
     The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF and DAE where trimesh has what it needs for them), VTU, legacy
     VTK and XDMF (with the extra ``formats``), and ZIP archives of all but the last three. Numbers are double precision
     where the format holds it. The corners of an STL file are merged by their positions in ``start_path``, which
-    ``end_path`` must agree with; copies of a vertex that GLB makes at a seam are merged where they coincide at both
-    ends.
+    ``end_path`` must agree with; copies of a vertex that GLB and DAE make at a seam are merged where they coincide at
+    both ends.
 
     A ``RuntimeWarning`` says where the frames are in different units, vertices are at the same places in another order,
     edges shrink to a tenth, or the numbers in the names of the files tell that the two are swapped.

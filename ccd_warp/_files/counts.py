@@ -98,7 +98,9 @@ def _of_collada(root: ET.Element) -> int:
                     raise InputError("has a mesh that a controller moves, which is not read; export it without")
         return count
 
-    return sum(of_node(node) for scene in _all(root, "visual_scene") for node in scene if _name(node) == "node")
+    urls = {each.get("url", "").removeprefix("#") for each in _all(root, "instance_visual_scene")}
+    scenes = [scene for scene in _all(root, "visual_scene") if scene.get("id") in urls]
+    return sum(of_node(node) for scene in scenes for node in scene if _name(node) == "node")
 
 
 def _of_primitives(element: ET.Element) -> int:

@@ -121,7 +121,7 @@ def make_body(name: str, vertices_t0, vertices_t1, faces, *, is_static: bool = F
     return Body(name, start, end, np.array(faces, dtype=np.int64), np.arange(len(start)), is_static)
 
 
-def read_frames(start_path: Path, end_path: Path, **options: Any) -> Body:
+def read_frames(start_path: str | Path, end_path: str | Path, **options: Any) -> Body:
     """Read the two ends of a step, with the same faces, as a moving body; ``options`` are those of :class:`Reading`.
 
     Raises:
@@ -130,7 +130,7 @@ def read_frames(start_path: Path, end_path: Path, **options: Any) -> Body:
         ValueError: If ``max_bytes`` is not a positive integer.
     """
     how = _reading(options)
-    start, end = read_mesh(start_path, how), read_mesh(end_path, how._replace(split=False))
+    start, end = read_mesh(Path(start_path), how), read_mesh(Path(end_path), how._replace(split=False))
     body = body_between(start, end)
     warn_of_step(start, end)
     return body
@@ -199,9 +199,9 @@ def body_between(start: Mesh, end: Mesh) -> Body:
     return _body(start, end.vertices, (source_index, merged))
 
 
-def read_static(path: Path, **options: Any) -> Body:
+def read_static(path: str | Path, **options: Any) -> Body:
     """Read an obstacle that does not move; ``options`` are those of :class:`Reading`, and a field may be missing."""
-    mesh = read_mesh(path, _reading({"needs_field": False, **options}))
+    mesh = read_mesh(Path(path), _reading({"needs_field": False, **options}))
     warn_of_midsides(f"cells of {mesh.path.name}", mesh.midsides, mesh.faces, mesh.vertices)
     return _body(mesh, None, None if mesh.sharing == "indexed" else _merge(mesh, mesh.vertices))
 

@@ -250,7 +250,7 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{SHEET} --exclude step.csv", "step.csv: line 1 is '0,floor.ply,0,0,0,0,0,0,1'; expected rows KEY,A,B"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
-    (f"{RUN} --static escape.obj", r"line 1 holds '\x1b[31m'"),
+    (f"{RUN} --static escape.obj", r"line 1 holds 'v 0 0 \x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),
 ]
 
