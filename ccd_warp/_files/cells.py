@@ -12,6 +12,7 @@ import numpy as np
 from ccd_warp._input.messages import InputError, printable, reason_of
 
 Blocks = list[tuple[str, Any]]
+_LONGEST_REASON = 200  # characters of a parser's message, which may hold bytes of the file
 
 
 class Grid(NamedTuple):
@@ -33,7 +34,8 @@ def reading(path: Path) -> Iterator[None]:
             raise
         reason = printable(reason_of(error))
         if not isinstance(error, InputError):
-            reason = f"cannot be read ({reason}); write it again, or save it as VTU or PLY"
+            shown = reason if len(reason) <= _LONGEST_REASON else f"{reason[:_LONGEST_REASON]}…"
+            reason = f"cannot be read ({shown}); write it again, or save it as VTU or PLY"
         raise InputError(f"{path}: {reason}") from error
 
 

@@ -114,8 +114,8 @@ def test_stack_of_faces_within_little_memory():
     scene = leaning_stack(1_500, 1e-5)
     with wp.ScopedDevice("cpu"):
         ccd.mesh_ccd(*leaning_stack(50))  # kernels are loaded
-        Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # the peak so far is forgotten
         before = held_bytes()
+        Path("/proc/self/clear_refs").write_text("5", encoding="utf-8")  # the peak so far is forgotten
         result = ccd.mesh_ccd(*scene, memory_limit=64 << 20)
     # of the 3 n (n - 1) and 9/2 n (n - 1) pairs of swept boxes, those whose boxes at the ends overlap as well
     assert result.toi == np.inf and sum(result.counts.num_candidates.values()) == 6 * 1_500 * 1_499
