@@ -18,27 +18,7 @@ from typing import TYPE_CHECKING, Any
 if not Path(__file__).with_name("kernels").exists():  # a checkout, in which the kernels lie beside this folder
     __path__.append(str(Path(__file__).parents[1]))
 
-from ccd_warp._affine_motion import AffineMotion
-from ccd_warp._device_pairs import DeviceContacts
-from ccd_warp._device_results import DeviceDisplacements, DeviceProximities, LaunchResult
-from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._engine.host.line_search import LineSearchResult
-from ccd_warp._frames import Frames, read_frames
-from ccd_warp._half_space import HalfSpace, Planes
-from ccd_warp._input.body_options import BodyOptions
-from ccd_warp._input.option_types import (
-    CandidateOptions,
-    DisplacementOptions,
-    IntersectionOptions,
-    LineSearchOptions,
-    MeshOptions,
-    PairOptions,
-    ProximityOptions,
-)
-from ccd_warp._intersections import Intersections
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._one_shot import (
+from ccd_warp._calls.one_shot import (
     collision_free_step,
     displacement_bounds,
     find_candidates,
@@ -49,16 +29,36 @@ from ccd_warp._one_shot import (
     mesh_ccd,
     rigid_ccd,
 )
-from ccd_warp._pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
-from ccd_warp._pipeline import CollisionPipeline
-from ccd_warp._pose_sequence import PoseSequence, read_poses
-from ccd_warp._proximities import Proximities
-from ccd_warp._quiet import keep_warp_quiet
-from ccd_warp._results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
-from ccd_warp._sequence import FrameSequence, read_sequence
-from ccd_warp._status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
-from ccd_warp._toi_gradient import ToiGradient
-from ccd_warp._version import __version__
+from ccd_warp._calls.pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
+from ccd_warp._calls.pipeline import CollisionPipeline
+from ccd_warp._engine.host.candidates import Candidates
+from ccd_warp._engine.host.line_search import LineSearchResult
+from ccd_warp._files.mesh_frames import Frames, read_frames
+from ccd_warp._files.pose_sequence import PoseSequence, read_poses
+from ccd_warp._files.sequence import FrameSequence, read_sequence
+from ccd_warp._results.device_pairs import DeviceContacts
+from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
+from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.proximities import Proximities
+from ccd_warp._results.results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
+from ccd_warp._results.toi_gradient import ToiGradient
+from ccd_warp._rigid.affine_motion import AffineMotion
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.quiet import keep_warp_quiet
+from ccd_warp._runtime.status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
+from ccd_warp._runtime.version import __version__
+from ccd_warp._scene.half_space import HalfSpace, Planes
+from ccd_warp._scene.input.body_options import BodyOptions
+from ccd_warp._scene.input.option_types import (
+    CandidateOptions,
+    DisplacementOptions,
+    IntersectionOptions,
+    LineSearchOptions,
+    MeshOptions,
+    PairOptions,
+    ProximityOptions,
+)
+from ccd_warp._scene.mesh import CollisionMesh
 
 keep_warp_quiet()
 

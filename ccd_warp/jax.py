@@ -13,10 +13,10 @@ What has a gradient, and what has 0 in its place, is told in the guide to gradie
 from functools import partial
 from typing import Any
 
-from ccd_warp import _jax_calls as calls
+from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
-from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
-from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+from ccd_warp._gradients import jax_calls as calls
+from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
 
 try:
     import jax

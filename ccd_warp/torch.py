@@ -15,12 +15,12 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._device_results import TOIS
+from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
-from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_instance
-from ccd_warp._input.interop import as_warp
-from ccd_warp._own_tape import launched, play_back
-from ccd_warp._pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+from ccd_warp._gradients.own_tape import launched, play_back
+from ccd_warp._results.device_results import TOIS
+from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
+from ccd_warp._scene.input.interop import as_warp
 
 try:
     import torch

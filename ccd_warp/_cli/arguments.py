@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any, NoReturn, get_args
 
 from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
-from ccd_warp._input.options import Options
-from ccd_warp._version import __version__
+from ccd_warp._runtime.version import __version__
+from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
+from ccd_warp._scene.input.options import Options
 
 _DEFAULTS: dict[str, Any] = {field.name: field.default for field in fields(Options)}
 _STATUS = (

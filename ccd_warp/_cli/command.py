@@ -9,9 +9,9 @@ from typing import NoReturn
 
 from ccd_warp._cli.arguments import make_parser
 from ccd_warp._cli.process import FAILED, INTERRUPTED, say, write_out
-from ccd_warp._input.messages import printable
 from ccd_warp._runtime.shared_header import remove_headers
 from ccd_warp._runtime.threads import is_any_aside
+from ccd_warp._scene.input.messages import printable
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import Contacts
-from ccd_warp._display import point_text
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import MeshResult
-from ccd_warp._status import PairKind, primitives_of
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.results import MeshResult
+from ccd_warp._runtime.display import point_text
+from ccd_warp._runtime.status import PairKind, primitives_of
+from ccd_warp._scene.mesh import CollisionMesh
 
 
 def earliest(result: MeshResult, most: int) -> Contacts:

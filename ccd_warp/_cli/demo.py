@@ -15,8 +15,8 @@ from ccd_warp._cli.process import make_folder, start_quietly, teller
 from ccd_warp._cli.report import format_report, format_toi
 from ccd_warp._cli.solve import SolvedStep, load_kernels, positions_of, solve_scene
 from ccd_warp._files.frames import Body, make_body, write_mesh
-from ccd_warp._frames import mesh_of
-from ccd_warp._input.messages import printable
+from ccd_warp._files.mesh_frames import mesh_of
+from ccd_warp._scene.input.messages import printable
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from ccd_warp._cli.contacts import primitives_in_body, vertices_in_body
 from ccd_warp._cli.process import STDOUT, write_out
 from ccd_warp._cli.report import left_out
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._input.messages import InputError
-from ccd_warp._input.options import Options
-from ccd_warp._results import Counts
-from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp._version import __version__
+from ccd_warp._results.results import Counts
+from ccd_warp._runtime.status import CCDStatus, PairKind
+from ccd_warp._runtime.version import __version__
+from ccd_warp._scene.input.messages import InputError
+from ccd_warp._scene.input.options import Options
 
 RESULT_SUFFIXES = (".npz", ".json")
 _KINDS = [kind.name.lower() for kind in PairKind]

@@ -12,11 +12,11 @@ from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._input.messages import InputError, printable
-from ccd_warp._input.options import resolve_device
 from ccd_warp._runtime import progress_line
 from ccd_warp._runtime.launch import start_warp
 from ccd_warp._runtime.terminal import closed_stderr, has_terminal, write_to_terminal
+from ccd_warp._scene.input.messages import InputError, printable
+from ccd_warp._scene.input.options import resolve_device
 
 STDOUT = Path("-")
 FAILED = 3  # the status of a fault of the command itself, with a traceback

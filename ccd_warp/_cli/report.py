@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from ccd_warp._cli.contacts import described, earliest
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._display import counted, kind_name, named_counts, shown_range, start_sentence
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._files.frames import Body
-from ccd_warp._input.excluded_pairs import ExcludedPairs
-from ccd_warp._input.messages import printable
-from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._results import Counts
-from ccd_warp._status import CCDStatus
-from ccd_warp._version import __version__
+from ccd_warp._results.results import Counts
+from ccd_warp._runtime.display import counted, kind_name, named_counts, shown_range, start_sentence
+from ccd_warp._runtime.status import CCDStatus
+from ccd_warp._runtime.version import __version__
+from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
+from ccd_warp._scene.input.messages import printable
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 
 _MOST_BODIES = 30  # that a report lists; the result files have all
 _NOT_SEEN = (

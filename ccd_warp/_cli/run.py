@@ -14,8 +14,8 @@ from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import how_to_read, make_mesh, obstacles, pose_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, positions_of, solve_scene
 from ccd_warp._files.frames import Body, read_frames
-from ccd_warp._input.messages import InputError, printable
-from ccd_warp._motion import RigidMotion
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._scene.input.messages import InputError, printable
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._display import counted
 from ccd_warp._files.frames import Body
-from ccd_warp._frames import mesh_of, static_bodies
-from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arguments import check_count
-from ccd_warp._input.excluded_pairs import KEYS, ExcludedPairs, joined_pairs, validated_excluded_pairs
-from ccd_warp._input.messages import InputError, printable
-from ccd_warp._input.names import distinct_names
-from ccd_warp._input.options import Options
-from ccd_warp._intersections import Intersections
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._pose_sequence import PoseSequence
-from ccd_warp._status import CCDStatus
+from ccd_warp._files.mesh_frames import mesh_of, static_bodies
+from ccd_warp._files.pose_sequence import PoseSequence
+from ccd_warp._results.intersections import Intersections
+from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.status import CCDStatus
+from ccd_warp._scene.half_space import HalfSpace
+from ccd_warp._scene.input.arguments import check_count
+from ccd_warp._scene.input.excluded_pairs import KEYS, ExcludedPairs, joined_pairs, validated_excluded_pairs
+from ccd_warp._scene.input.messages import InputError, printable
+from ccd_warp._scene.input.names import distinct_names
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 
 _ROW = "expected rows KEY,A,B, as vertices,12,340 or bodies,cloth,wall"
 

@@ -38,15 +38,15 @@ from ccd_warp._cli.report import (
 from ccd_warp._cli.scene import StartContacts, how_to_read, make_mesh, obstacles, pose_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, moving_vertices, solve
 from ccd_warp._cli.table import COLUMNS, StepRow, csv_text, draw_plot
-from ccd_warp._contact_place import MovingVertices
-from ccd_warp._display import start_sentence
+from ccd_warp._files.pose_sequence import PoseSequence
+from ccd_warp._files.sequence import FrameSequence
 from ccd_warp._files.series import find_series
-from ccd_warp._input.messages import InputError, printable
-from ccd_warp._input.options import Options
-from ccd_warp._pose_sequence import PoseSequence
+from ccd_warp._results.contact_place import MovingVertices
+from ccd_warp._runtime.display import start_sentence
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.progress_line import ProgressLine
-from ccd_warp._sequence import FrameSequence
+from ccd_warp._scene.input.messages import InputError, printable
+from ccd_warp._scene.input.options import Options
 
 CSV, PLOT = "steps.csv", "steps.png"
 _MOST_ROWS = 20  # steps whose toi the report lists; the CSV file has all

@@ -13,21 +13,21 @@ from numpy.typing import NDArray
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.process import waiting, warnings_on_stderr
 from ccd_warp._cli.scene import StartContacts
-from ccd_warp._contact_place import MovingVertices
-from ccd_warp._display import kind_name
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._files.frames import Body
-from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.messages import InputError
-from ccd_warp._input.options import Options
-from ccd_warp._intersections import Intersections
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._odd_motion import motion_warnings
-from ccd_warp._results import MeshResult
+from ccd_warp._files.odd_motion import motion_warnings
+from ccd_warp._results.contact_place import MovingVertices
+from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.results import MeshResult
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.display import kind_name
 from ccd_warp._runtime.kernel_cache import announced_compilation
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.progress_line import ProgressLine
+from ccd_warp._scene.half_space import HalfSpace
+from ccd_warp._scene.input.messages import InputError
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._cli.contacts import described, earliest, vertices_in_body
 from ccd_warp._cli.solve import SolvedStep
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 
 _MOST_POINTS = 200  # that are kept for pictures, of contacts the earliest ones
 _KINDS = (PairKind.VERTEX_FACE, PairKind.EDGE_EDGE, PairKind.VERTEX_PLANE)

@@ -10,10 +10,10 @@ from ccd_warp._engine.boxes.grids import Grid
 from ccd_warp._engine.boxes.trees import Tree, sampled_pairs_of, tree_pairs_of, trees_of
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._engine.mesh.topology import Topology
-from ccd_warp._input.options import Options
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 

@@ -4,7 +4,7 @@ import io
 import zipfile
 
 from ccd_warp._files.text import CUT
-from ccd_warp._input.messages import InputError, reason_of
+from ccd_warp._scene.input.messages import InputError, reason_of
 
 # Default limit on the unpacked size, 256 MiB: four million triangles in text, eight in binary PLY. Text of short
 # numbers takes up to thirteen times its size while it is read.

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._input.messages import InputError, printable, reason_of
+from ccd_warp._scene.input.messages import InputError, printable, reason_of
 
 Blocks = list[tuple[str, Any]]
 _LONGEST_REASON = 200  # characters of a parser's message, which may hold bytes of the file
@@ -69,7 +69,7 @@ def triangles(grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
 
     And of quadratic cells, which are taken by their corners, the ends and the node of each edge.
     """
-    from ccd_warp._input.cells import SHELLS, VOLUMES, by_corners, surface_of
+    from ccd_warp._scene.input.cells import SHELLS, VOLUMES, by_corners, surface_of
 
     for kind, _ in grid.blocks:
         if kind not in (*SHELLS, *(VOLUMES if surface else ())):

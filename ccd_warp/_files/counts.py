@@ -10,7 +10,7 @@ from typing import Any
 
 from ccd_warp._files.archive import unpack
 from ccd_warp._files.text import CUT, shown
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _GLB_HEADER = 12  # bytes: magic, version, length
 # Extensions that a file may require and that do not affect its triangles.

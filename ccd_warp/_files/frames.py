@@ -10,10 +10,10 @@ import numpy as np
 from ccd_warp._files.mesh import Mesh, Reading, read_mesh
 from ccd_warp._files.natural import are_swapped
 from ccd_warp._files.parts import Parts, Split, components, groups
-from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arguments import check_count
-from ccd_warp._input.cells import warn_of_midsides
-from ccd_warp._input.messages import InputError, warn
+from ccd_warp._scene.half_space import HalfSpace
+from ccd_warp._scene.input.arguments import check_count
+from ccd_warp._scene.input.cells import warn_of_midsides
+from ccd_warp._scene.input.messages import InputError, warn
 
 _MOST_BYTES = 2**63 - 1
 

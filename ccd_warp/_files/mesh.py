@@ -22,8 +22,8 @@ from ccd_warp._files.stl import read_stl
 from ccd_warp._files.vtk import read_vtk
 from ccd_warp._files.vtu import read_vtu
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError, printable, reason_of
-from ccd_warp._input.trimesh_bodies import transformed
+from ccd_warp._scene.input.messages import InputError, printable, reason_of
+from ccd_warp._scene.input.trimesh_bodies import transformed
 
 # How a format stores a vertex that several faces share.
 #   indexed: once; the file's own vertices are taken as they are.

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _NUMBER = re.compile(r"([0-9]+)")
 

@@ -11,7 +11,7 @@ from ccd_warp._files.cells import reading
 from ccd_warp._files.mesh import Mesh, Reading, check_part, read_mesh
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.parts import groups_of_field
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _EXPECTED = "expected 'positions', numbers of shape (frames, n, 3), and 'faces', integers of shape (m, 3)"
 

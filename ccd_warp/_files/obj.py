@@ -6,7 +6,7 @@ from array import array
 import numpy as np
 
 from ccd_warp._files.text import CUT, fan, shown
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 # Keywords other than those of vertices and faces: attributes, points and lines, groups, materials, display.
 _BESIDE = frozenset(

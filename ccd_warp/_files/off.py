@@ -5,7 +5,7 @@ import re
 import numpy as np
 
 from ccd_warp._files.text import CUT, check_last_index, fan, integers, lists_in, shown, text_rows
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _MOST_BEHIND = 4  # numbers of a colour that may follow the corners of a face
 

@@ -3,7 +3,7 @@
 import stat
 from pathlib import Path
 
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 # A file that lies on the disk as it is may be larger than what an archive unpacks to: 1 GiB, or ``max_bytes`` if that
 # is more. A sparse file takes no disk, and is as large as it claims once it is read.

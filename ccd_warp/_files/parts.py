@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ccd_warp._files.cells import Grid
-from ccd_warp._input.arguments import shown
-from ccd_warp._input.messages import InputError, warn
+from ccd_warp._scene.input.arguments import shown
+from ccd_warp._scene.input.messages import InputError, warn
 
 _MOST_NAMES = 3  # of the groups of a part, in its name
 # Whether files are split by connected component, or the name of the field of cells by which.

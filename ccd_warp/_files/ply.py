@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ccd_warp._files.text import CUT, NO_INDICES, Rows, check_last_index, fan, integers, lists_in, shown, text_rows
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _TYPES = {
     **{b"char": "i1", b"uchar": "u1", b"short": "i2", b"ushort": "u2", b"int": "i4", b"uint": "u4"},

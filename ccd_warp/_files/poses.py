@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._files.opened import read_file
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 COLUMNS = ("t", "body", "px", "py", "pz", "qx", "qy", "qz", "qw")
 _EXPECTED = f"expected {', '.join(COLUMNS)}"

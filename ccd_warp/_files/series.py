@@ -11,7 +11,7 @@ from ccd_warp._files.natural import grouped_frames, natural_key, series_name
 from ccd_warp._files.npz import NpzSeries
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.xdmf import Xdmf
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ccd_warp._files.text import CUT, floats, shown
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER = 84  # bytes, the last four of them the number of facets

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 CUT = "the file is damaged or cut short; copy or export it again"
 NO_INDICES = np.zeros(0, dtype=np.int64)

@@ -13,7 +13,7 @@ import numpy as np
 from ccd_warp._files.cells import Grid, grid_of, load_meshio, whole_numbers
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.text import CUT
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _HEAD = re.compile(rb"# vtk DataFile Version (\d)\.\d+\s*\n[^\n]*\n\s*(ASCII|BINARY)\s*\n\s*DATASET (\w+)\s*\n")
 

@@ -13,7 +13,7 @@ import numpy as np
 from ccd_warp._files.cells import Blocks, Grid
 from ccd_warp._files.opened import check_size
 from ccd_warp._files.text import CUT, all_numbers
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _TYPES = {f"{name}{8 * size}": f"{kind}{size}" for name, kind in (("Int", "i"), ("UInt", "u")) for size in (1, 2, 4, 8)}
 _TYPES |= {"Float32": "f4", "Float64": "f8"}

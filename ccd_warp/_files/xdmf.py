@@ -16,7 +16,7 @@ import numpy as np
 from ccd_warp._files.cells import Grid, grid_of, load_meshio, reading, whole_numbers
 from ccd_warp._files.opened import PLAIN_BYTES, check_file, check_size, read_file
 from ccd_warp._files.text import CUT
-from ccd_warp._input.messages import InputError
+from ccd_warp._scene.input.messages import InputError
 
 _USUAL = {"ItemType": "Uniform", "Compression": "Raw", "Seek": "0"}
 _ATTRIBUTES = {"Name", "Dimensions", "DataType", "NumberType", "Precision", "Format", "Endian", *_USUAL}

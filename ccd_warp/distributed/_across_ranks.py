@@ -11,7 +11,7 @@ from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology
 from ccd_warp.kernels.step.minima import FOUND

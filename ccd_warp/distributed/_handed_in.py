@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arrays import as_array, as_positions, on_host, validated_indices
-from ccd_warp._input.mesh_checks import validated_radius
+from ccd_warp._scene.input.arrays import as_array, as_positions, on_host, validated_indices
+from ccd_warp._scene.input.mesh_checks import validated_radius
 
 
 @dataclass(frozen=True)

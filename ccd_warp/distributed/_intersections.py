@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._display import counted
-from ccd_warp._intersections import Crossings, Intersections
-from ccd_warp._texts import text_completed_by
+from ccd_warp._results.intersections import Crossings, Intersections
+from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp.distributed._results import PairsOnRanks
 
 

@@ -9,22 +9,22 @@ from typing import Any, NoReturn
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._display import counted
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import NUM_SAMPLES
-from ccd_warp._half_space import HalfSpace
-from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_any_array, as_array, as_positions, check_finite, on_host, validated_indices
-from ccd_warp._input.excluded_pairs import ExcludedPairs
-from ccd_warp._input.half_spaces import half_spaces_by_body, planes_of
-from ccd_warp._input.mesh_checks import (
+from ccd_warp._runtime.display import counted
+from ccd_warp._scene.half_space import HalfSpace
+from ccd_warp._scene.input.arguments import shown
+from ccd_warp._scene.input.arrays import as_any_array, as_array, as_positions, check_finite, on_host, validated_indices
+from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
+from ccd_warp._scene.input.half_spaces import half_spaces_by_body, planes_of
+from ccd_warp._scene.input.mesh_checks import (
     validated_body_pairs,
     validated_flags,
     validated_rigid,
     validated_rings,
     validated_static,
 )
-from ccd_warp._input.worlds import move_alone, worlds_of_bodies
+from ccd_warp._scene.input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.distributed import _numbering as numbering
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._handed_in import HandedIn, handed_in

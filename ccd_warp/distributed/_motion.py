@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.arc_course import ArcCourse
 from ccd_warp._engine.host.line_search import OneProcess
-from ccd_warp._input.arguments import shown
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import MeshPaths, check_motion, check_worlds_of, in_space
-from ccd_warp._motion import RigidMotion
-from ccd_warp._rotations import norms
+from ccd_warp._rigid.arc_course import ArcCourse
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_motion, check_worlds_of, in_space
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._rigid.rotations import norms
+from ccd_warp._scene.input.arguments import shown
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.distributed._mesh import DistributedMesh
 
 

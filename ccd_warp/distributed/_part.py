@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.topology import ARRAYS, Positions, PrimitiveSet, Role, Topology
 from ccd_warp._engine.mesh.worlds import WorldPlaces, plain_places
-from ccd_warp._mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._scene.mesh import MOST_WITH_PLANES, CollisionMesh
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._mesh import DistributedMesh
 

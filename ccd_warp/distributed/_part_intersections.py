@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
-from ccd_warp._engine.at_one_time.intersection_step import IntersectionStep, Keys
+from ccd_warp._at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
+from ccd_warp._at_one_time.intersection_step import IntersectionStep, Keys
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions, Topology
-from ccd_warp._input.options import Options
-from ccd_warp._status import IntersectionKind, primitives_of
+from ccd_warp._runtime.status import IntersectionKind, primitives_of
+from ccd_warp._scene.input.options import Options
 from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._part import Part, PartTopology
 

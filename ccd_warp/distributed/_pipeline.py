@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._calls.pipeline import check_options_on_arcs, validated_distance, validated_search_radius
 from ccd_warp._engine.host.candidates import validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
@@ -29,15 +30,14 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
-from ccd_warp._input.arguments import check_count, check_instance
-from ccd_warp._input.option_types import MeshOptions
-from ccd_warp._input.options import naming, options_of, resolve_device
-from ccd_warp._mesh_paths import MeshPaths, moved
-from ccd_warp._motion import RigidMotion
-from ccd_warp._pipeline import check_options_on_arcs, validated_distance, validated_search_radius
-from ccd_warp._results import Contacts, MeshResult
-from ccd_warp._status import PairKind
-from ccd_warp._texts import text_completed_by
+from ccd_warp._results.results import Contacts, MeshResult
+from ccd_warp._rigid.mesh_paths import MeshPaths, moved
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._runtime.texts import text_completed_by
+from ccd_warp._scene.input.arguments import check_count, check_instance
+from ccd_warp._scene.input.option_types import MeshOptions
+from ccd_warp._scene.input.options import naming, options_of, resolve_device
 from ccd_warp.distributed._across_ranks import work_by_vertex
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -278,7 +278,7 @@ class DistributedPipeline:
 
         Guarantee: every pair that passes the filter and is within the distance is found once, on one rank.
         """
-        from ccd_warp._engine.at_one_time.proximity_step import ProximityStep  # few programs need it
+        from ccd_warp._at_one_time.proximity_step import ProximityStep  # few programs need it
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
             plan = self._planned
@@ -310,7 +310,7 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
         """
-        from ccd_warp._engine.at_one_time.proximity_step import DisplacementStep  # few programs need it
+        from ccd_warp._at_one_time.proximity_step import DisplacementStep  # few programs need it
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
             plan = self._planned
@@ -472,13 +472,13 @@ class DistributedPipeline:
 
     def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
         """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
-        from ccd_warp._engine.at_one_time.proximity_step import HoldStep  # few programs need it
+        from ccd_warp._at_one_time.proximity_step import HoldStep  # few programs need it
 
         return self._run(HoldStep, start, start, lambda step: step.find_holds(self._hold_distance))
 
     def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact, of those of this part, that starts within its distance, or passes by at it."""
-        from ccd_warp._engine.at_one_time.proximity_step import HoldStep
+        from ccd_warp._at_one_time.proximity_step import HoldStep
 
         is_straight = isinstance(end, np.ndarray)
 

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._display import counted
 from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._intersections import Intersections
-from ccd_warp._motion import RigidMotion
-from ccd_warp._proximities import Proximities
-from ccd_warp._results import Contacts, Counts
-from ccd_warp._status import IntersectionKind, PairKind, primitives_of
-from ccd_warp._texts import text_completed_by
+from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.proximities import Proximities
+from ccd_warp._results.results import Contacts, Counts
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.status import IntersectionKind, PairKind, primitives_of
+from ccd_warp._runtime.texts import text_completed_by
 
 if TYPE_CHECKING:
     from ccd_warp.distributed._part import Part, PartTopology

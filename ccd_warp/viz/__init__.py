@@ -24,10 +24,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ccd_warp._input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._results import HostLaunchResult, MeshResult
+from ccd_warp._results.results import HostLaunchResult, MeshResult
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._scene.input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._camera import make_camera, validated_direction
 from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._mesh import CollisionMesh
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._camera import Camera, automatic_direction, make_camera
 from ccd_warp.viz._file import check_file_path
 from ccd_warp.viz._moving import outermost

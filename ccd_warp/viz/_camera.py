@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._input.arguments import shown
-from ccd_warp._input.arrays import as_array
+from ccd_warp._scene.input.arguments import shown
+from ccd_warp._scene.input.arrays import as_array
 
 # The automatic direction to the viewer: across the motion's larger horizontal axis, along it, and up.
 _ACROSS, _ALONG, _UP = -1.0, -0.62, 0.58

@@ -5,11 +5,11 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import points_at_toi
-from ccd_warp._input.arguments import check_instance
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._results import Contacts
+from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.results import Contacts
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._scene.input.arguments import check_instance
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import moving_vertices
 
 

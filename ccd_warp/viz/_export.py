@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import points_at_toi
-from ccd_warp._input.arguments import check_instance, check_real
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._pairs import pair_bodies
-from ccd_warp._results import HostLaunchResult, MeshResult
+from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.pairs import pair_bodies
+from ccd_warp._results.results import HostLaunchResult, MeshResult
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._scene.input.arguments import check_instance, check_real
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import moving_vertices
 from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._input.arguments import check_path
+from ccd_warp._scene.input.arguments import check_path
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -5,10 +5,10 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import TURN, MovingVertices
-from ccd_warp._input.arguments import check_instance
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
+from ccd_warp._results.contact_place import TURN, MovingVertices
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._scene.input.arguments import check_instance
+from ccd_warp._scene.mesh import CollisionMesh
 
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 

@@ -8,15 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import points_at_toi
-from ccd_warp._display import listed, shortened
-from ccd_warp._half_space import unit_normals
-from ccd_warp._input.arguments import check_instance
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._motion import RigidMotion
-from ccd_warp._pairs import pair_corners
-from ccd_warp._results import Contacts, HostLaunchResult, MeshResult
-from ccd_warp._status import PairKind
+from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.pairs import pair_corners
+from ccd_warp._results.results import Contacts, HostLaunchResult, MeshResult
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.display import listed, shortened
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._scene.half_space import unit_normals
+from ccd_warp._scene.input.arguments import check_instance
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import arcs_of, moving_vertices, outermost
 
 STATIC_COLOUR = "#c6c6c2"

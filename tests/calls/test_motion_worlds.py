@@ -6,9 +6,9 @@ import trimesh
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp import _motion_worlds, _pipeline
-from ccd_warp._engine.host import near_worlds, part_mesh
-from ccd_warp._engine.host.part_trees import PartTrees
+from ccd_warp._calls import pipeline
+from ccd_warp._rigid import motion_worlds, near_worlds, part_mesh
+from ccd_warp._rigid.part_trees import PartTrees
 
 WORLDS, NO_FACES, BOX = 7, np.zeros((0, 3), dtype=int), trimesh.creation.box((1, 1, 1))
 
@@ -22,7 +22,7 @@ def poses_of(places, count=WORLDS):
 
 def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
     """A wall that stands elsewhere in a later call is met there."""
-    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
     mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX], rigid=[0], static=[1])
     motion = ccd.RigidMotion(poses_of([[0, 0, 0]]), twist=np.tile([4.0, 0, 0, 0, 0, 0.1], (WORLDS, 1, 1)))
     for place in (2.0, 3.0, 2.0, 9.0):
@@ -33,7 +33,7 @@ def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
 
 @pytest.mark.parametrize("limit", [1 << 21, 1 << 24])
 def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
-    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
     mesh = ccd.CollisionMesh.from_trimesh([trimesh.creation.icosphere(3)] * 2, rigid=[0, 1])
     poses = poses_of([[0, 0, 0], [2.3, 0, 0]], 60)
     poses[..., 3:] = np.random.default_rng(3).normal(size=(60, 2, 4))
@@ -47,7 +47,7 @@ def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
 def test_worlds_are_searched_in_no_larger_parts_than_fit_and_all_of_them_count(monkeypatch):
     """Pairs of bodies take a byte each, so their number grows with the square of the worlds."""
     made, of = [], part_mesh.PartMesh.of.__func__
-    for module, name, value in ((_motion_worlds, "_LARGE", 0), (near_worlds, "MOST_BODIES", 5)):
+    for module, name, value in ((motion_worlds, "_LARGE", 0), (near_worlds, "MOST_BODIES", 5)):
         monkeypatch.setattr(module, name, value)
     monkeypatch.setattr(part_mesh.PartMesh, "of", classmethod(lambda *given: made.append(of(*given)) or made[-1]))
     mesh, twist = ccd.CollisionMesh.from_trimesh([BOX] * 3, rigid=[0, 1, 2]), np.zeros((WORLDS, 3, 6))
@@ -96,7 +96,7 @@ def throw(spacing):
 @pytest.fixture
 def parts_alone(monkeypatch):
     """Whether parts are looked for in small scenes, too; which is to be compared with what whole bodies find."""
-    return lambda wanted: monkeypatch.setattr(_pipeline, "_LARGE_SCENE", 1 if wanted else 1 << 60)
+    return lambda wanted: monkeypatch.setattr(pipeline, "_LARGE_SCENE", 1 if wanted else 1 << 60)
 
 
 @pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])

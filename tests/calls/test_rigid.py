@@ -9,7 +9,7 @@ from expected_warnings import OF_ROUNDING
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp import _motion_worlds
+from ccd_warp._rigid import motion_worlds
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:motion is None")]
 
@@ -147,7 +147,7 @@ def test_bodies_that_stretch_move_straight_between_the_places_of_their_maps():
 
 def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
     """Of a body, and of its sphere in a tree of parts."""
-    monkeypatch.setattr(_motion_worlds, "_LARGE", 0)
+    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
     ball, tois = trimesh.creation.icosphere(subdivisions=2), []
     strays = [(np.vstack([[[far] * 3], ball.vertices]), ball.faces + 1) for far in (np.nan, 1e9)]
     for body in ((ball.vertices, ball.faces), *strays):

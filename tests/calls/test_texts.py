@@ -14,7 +14,7 @@ from scenes import FACE, TRIANGLE, crowd, named_cloth_and_ball, random_pairs
 
 import ccd_warp as ccd
 from ccd_warp import distributed
-from ccd_warp._display import point_text
+from ccd_warp._runtime.display import point_text
 
 PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, distributed) for name in part.__all__]
 INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone

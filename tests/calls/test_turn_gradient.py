@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
-from ccd_warp import _motion_worlds
-from ccd_warp._turn_gradient import _inverse_jacobian, _jacobian
+from ccd_warp._rigid import motion_worlds
+from ccd_warp._rigid.turn_gradient import _inverse_jacobian, _jacobian
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
 FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
@@ -40,8 +40,8 @@ def gradients_of(motion, contacts):
 @pytest.mark.parametrize("large", [10**9, 0], ids=["in batches", "by parts"])
 def test_worlds_of_one_mesh_have_the_gradients_of_each_alone(large, monkeypatch):
     """Also where positions of the call, which belong to the caller, are overwritten before anything is asked for."""
-    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
-    monkeypatch.setattr(_motion_worlds, "_PRIMITIVES", 150)  # two worlds at a time
+    monkeypatch.setattr(motion_worlds, "_LARGE", large)
+    monkeypatch.setattr(motion_worlds, "_PRIMITIVES", 150)  # two worlds at a time
     mesh, *ends = step(is_still=large == 0)  # what deforms is in no part
     pipeline = ccd.CollisionPipeline(mesh, tolerance=1e-13, minimum_distance=0.05)
     poses = np.stack([thrown(seed) for seed in (0, 1, 6)], axis=1)

@@ -20,7 +20,7 @@ from programs import BLOCK, NO_MPI
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
-from ccd_warp._input.options import Options
+from ccd_warp._scene.input.options import Options
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

@@ -20,9 +20,9 @@ from ccd_warp._engine.boxes.box_sets import Layout
 from ccd_warp._engine.boxes.grids import Grid
 from ccd_warp._engine.boxes.trees import search_range
 from ccd_warp._engine.mesh.topology import PrimitiveSet
-from ccd_warp._input.options import Options
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.pair_queue import queue_of
+from ccd_warp._scene.input.options import Options
 from emulated import MARKS
 from emulated.device import emulation
 

@@ -11,7 +11,7 @@ from scenes import FACE, TRIANGLE, stacked, triangles
 import ccd_warp as ccd
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.device.line_search import passes_of
-from ccd_warp._pairs import pair_vertices
+from ccd_warp._results.pairs import pair_vertices
 
 EVERY_PER = ("scene", "world", "body", "vertex")
 every_per = pytest.mark.parametrize("per", EVERY_PER)

@@ -9,9 +9,9 @@ import warp as wp
 from laws.turning import turned
 
 import ccd_warp as ccd
-from ccd_warp._body_sweeps import BodySweeps
-from ccd_warp._engine.host import near_parts
-from ccd_warp._engine.host.near_parts import NearParts
+from ccd_warp._rigid import near_parts
+from ccd_warp._rigid.body_sweeps import BodySweeps
+from ccd_warp._rigid.near_parts import NearParts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
 

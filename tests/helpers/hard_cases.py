@@ -3,7 +3,7 @@
 A family is called as `FAMILIES[name](kind, n, rng, dimension=3)` and returns points_t0 and points_t1, float64, of shape
 [n, points of the kind, dimension]. Every family supports every kind, although a few are of little interest for point
 pairs. The oracle decides the truth of a query. Families that need an exact contact build it on a lattice
-(`_contacts.py`).
+(`_results/contacts.py`).
 
 The failures were measured against the exact oracle, on 200 vertex-face and 200 edge-edge queries of each family:
 - the ends and the univariate method: `univariate.py`, tolerance 1e-6 and the test by distance unless it says otherwise;

@@ -9,7 +9,7 @@ from laws.trajectories import add, cross, dot, exact, scaled, sub
 from laws.turning import rotated, shortest_rotation_vector, turning
 
 import ccd_warp as ccd
-from ccd_warp._rotations import arc_factors
+from ccd_warp._rigid.rotations import arc_factors
 
 EPS = 2.0**-52
 COUNT = 50  # of each family

@@ -11,7 +11,7 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
-from ccd_warp._input.interop import as_warp
+from ccd_warp._scene.input.interop import as_warp
 
 WALL = np.array([[1.0, -1, -1], [1, 1, -1], [1, 0, 1]])
 BULLET = np.array([[0.0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]])

@@ -13,9 +13,9 @@ import pytest
 from every_call import CALLS, run
 
 import ccd_warp as ccd
-from ccd_warp import _small_batch
-from ccd_warp._input.option_types import BroadPhase, Method, PairKindName, Precision
-from ccd_warp._input.options import Options
+from ccd_warp._calls import small_batch
+from ccd_warp._scene.input.option_types import BroadPhase, Method, PairKindName, Precision
+from ccd_warp._scene.input.options import Options
 
 MESH_ONLY = {"max_work", "broad_phase", "pair_kinds", "memory_limit"}
 # Every call with options.
@@ -97,7 +97,7 @@ def is_same(result, expected, rows=slice(None)):
 def test_as_many_pairs_as_are_kept_and_one_more_have_the_results_that_they_have_among_many():
     points = random_pairs(300)
     whole = ccd.vertex_face_ccd(*points)
-    for count in (0, _small_batch.CAPACITY, _small_batch.CAPACITY + 1):
+    for count in (0, small_batch.CAPACITY, small_batch.CAPACITY + 1):
         assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points)), whole, slice(count))
 
 

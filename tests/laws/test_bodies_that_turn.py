@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
-from ccd_warp import _motion_worlds
+from ccd_warp._rigid import motion_worlds
 from laws.moving import Moves
 from laws.near_paths import NearPaths
 from laws.outputs import different, outputs_of, tois_of
@@ -211,8 +211,8 @@ def of_body(mesh, body):
 @pytest.mark.parametrize("large", [10**9, 0])
 def test_worlds_of_one_mesh_have_the_bits_of_copies(primitives, large, monkeypatch):
     """However many are searched at a time, and by parts that may touch."""
-    monkeypatch.setattr(_motion_worlds, "_PRIMITIVES", primitives)
-    monkeypatch.setattr(_motion_worlds, "_LARGE", large)
+    monkeypatch.setattr(motion_worlds, "_PRIMITIVES", primitives)
+    monkeypatch.setattr(motion_worlds, "_LARGE", large)
     num_hit = 0
     for seed in (seed for seed in SEEDS if scene_of(seed).mesh.num_worlds == 1):
         scene = scene_of(seed)

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from ccd_warp import _quiet
+from ccd_warp._runtime import quiet
 
 SOLVE = """
 import numpy as np
@@ -47,7 +47,7 @@ def test_a_script_prints_what_it_prints_and_what_its_user_has_asked_for(tmp_path
 @pytest.mark.skipif(sys.platform != "linux", reason="the driver's name is Linux's")
 def test_only_the_line_about_a_missing_driver_is_kept_from_stderr(capfd):
     line = b"Warp CUDA warning: Could not find or load the NVIDIA CUDA driver. No GPU.\n"
-    with _quiet._without_driver_warning():
+    with quiet._without_driver_warning():
         os.write(2, b"before\n" + line + b"after\n")
     os.write(2, b"end\n")
     assert capfd.readouterr() == ("", "before\nafter\nend\n")

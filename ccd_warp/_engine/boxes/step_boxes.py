@@ -24,8 +24,8 @@ from ccd_warp._engine.mesh.topology import (
     sorted_keys,
     typical_static_extent,
 )
-from ccd_warp._mesh import blocks_of
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._scene.mesh import blocks_of
 from ccd_warp.kernels.boxes import box_tree as kernels
 
 # A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.

@@ -14,8 +14,8 @@ from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._status import PairKind
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.boxes import half_warp_tree
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, has_arcs, is_ball

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Topology
 from ccd_warp._engine.stages import Stages
-from ccd_warp._input.interop import as_positions, vector_of
 from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._scene.input.interop import as_positions, vector_of
 from ccd_warp.kernels.boxes import thickness
 from ccd_warp.kernels.step import device_step as kernels
 from ccd_warp.kernels.template import specialised

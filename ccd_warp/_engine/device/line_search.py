@@ -12,9 +12,9 @@ from ccd_warp._engine.device.input import SAFETY, Form, LineSearch
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.stages import Stages
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._status import LaunchFlag
+from ccd_warp._runtime.status import LaunchFlag
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.step import device_step
 from ccd_warp.kernels.template import specialised
 

@@ -9,10 +9,6 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import located
-from ccd_warp._contacts import Contacts
-from ccd_warp._device_pairs import DeviceContacts
-from ccd_warp._device_results import LaunchResult
 from ccd_warp._engine.boxes.box_sets import Layout, Order
 from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import order_at, rest_order
@@ -27,15 +23,19 @@ from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, plane_query
 from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.plan import Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
-from ccd_warp._input.interop import as_positions, without_worlds
-from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
+from ccd_warp._results.contact_place import located
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.device_pairs import DeviceContacts
+from ccd_warp._results.device_results import LaunchResult
+from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._touch import Touch
+from ccd_warp._scene.input.interop import as_positions, without_worlds
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step import device_step as kernels
 from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED, MOST_LISTED

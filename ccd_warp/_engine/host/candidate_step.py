@@ -7,7 +7,7 @@ from ccd_warp._engine.host.pair_memory import KEY_BYTES
 from ccd_warp._engine.host.search import PairSearch
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.slices import Slice
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 
 
 class CandidateStep(Step):

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.trees import TreePair
 from ccd_warp._engine.mesh.topology import WIDTH
-from ccd_warp._input.arguments import check_real
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads, run
-from ccd_warp._status import PairKind
+from ccd_warp._scene.input.arguments import check_real
 
 # Number of pairs of a kind above which several threads sort them.
 _WORTH_RANGES = 100_000

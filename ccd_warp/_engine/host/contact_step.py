@@ -5,15 +5,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._contact_place import located
 from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, ContactStore
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.oddities import hidden_sentence
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
 from ccd_warp._engine.slices import Slice
-from ccd_warp._results import MeshResult
-from ccd_warp._status import CCDStatus, PairKind
-from ccd_warp._touch import Touch
+from ccd_warp._results.contact_place import located
+from ccd_warp._results.results import MeshResult
+from ccd_warp._results.touch import Touch
+from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import OPEN
 

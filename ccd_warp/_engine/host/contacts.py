@@ -9,10 +9,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.structs import dtypes_of, struct_of

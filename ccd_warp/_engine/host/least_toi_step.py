@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.slices import Slice
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5

@@ -7,17 +7,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._contact_place import joined
-from ccd_warp._contacts import Contacts
 from ccd_warp._engine.host.one_process import OneProcess
-from ccd_warp._input.arguments import EVERY_PER, Per, check_choice, check_real
-from ccd_warp._intersections import Intersections, crossing_at_start
-from ccd_warp._mesh import CollisionMesh
-from ccd_warp._mesh_paths import moved
-from ccd_warp._motion import RigidMotion
-from ccd_warp._pairs import pair_bodies, pair_vertices
-from ccd_warp._results import MeshResult
-from ccd_warp._status import PairKind
+from ccd_warp._results.contact_place import joined
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.intersections import Intersections, crossing_at_start
+from ccd_warp._results.pairs import pair_bodies, pair_vertices
+from ccd_warp._results.results import MeshResult
+from ccd_warp._rigid.mesh_paths import moved
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_real
+from ccd_warp._scene.mesh import CollisionMesh
 
 DEFAULT_SAFETY = 0.9
 DEFAULT_MAX_ROUNDS = 16

@@ -6,9 +6,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._display import shortened
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._pairs import pair_corners
+from ccd_warp._results.pairs import pair_corners
+from ccd_warp._runtime.display import shortened
 from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from ccd_warp._engine.host.plan import HostPlan
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._engine.mesh.topology import Positions, Topology
-    from ccd_warp._input.options import Options
-    from ccd_warp._mesh import CollisionMesh
-    from ccd_warp._status import PairKind
+    from ccd_warp._runtime.status import PairKind
+    from ccd_warp._scene.input.options import Options
+    from ccd_warp._scene.mesh import CollisionMesh
 
 # Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them;
 # three, whatever the rounding of both.

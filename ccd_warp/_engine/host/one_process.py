@@ -11,7 +11,7 @@ from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 
 
 class OneProcess:

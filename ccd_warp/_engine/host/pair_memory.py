@@ -9,7 +9,7 @@ import warp as wp
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._runtime.launch import Recording, Slot
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 
 # Bytes of the key of a pair, and the largest number of pairs, which are counted in 32 bits.
 KEY_BYTES = 8

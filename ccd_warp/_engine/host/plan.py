@@ -16,15 +16,15 @@ from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Arcs
     from ccd_warp._engine.host.workspace import Workspace
-    from ccd_warp._input.options import Options
+    from ccd_warp._rigid.arcs import Arcs
+    from ccd_warp._scene.input.options import Options
 
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14

@@ -11,7 +11,7 @@ from ccd_warp._engine.mesh.planes import plane_candidates
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Recording
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.step.minima import FOUND
 
 _Record = Callable[[Stages, Recording], None]

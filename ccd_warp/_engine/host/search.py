@@ -17,7 +17,7 @@ from ccd_warp._engine.host.pair_memory import MOST_PAIRS
 from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.search.search_types import BOXES, SearchRange
 from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS
 from ccd_warp.kernels.step.step import Step

@@ -16,8 +16,8 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.slices import Slice
-from ccd_warp._input.options import Options
-from ccd_warp._results import Counts
+from ccd_warp._results.results import Counts
+from ccd_warp._scene.input.options import Options
 
 # Memory for pairs where the user sets no limit.
 _DEFAULT_PAIR_BYTES = 1 << 30

@@ -12,16 +12,16 @@ from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
 from ccd_warp._engine.mesh.scene import norm_of, plane_query
 from ccd_warp._engine.mesh.topology import Positions, Topology
-from ccd_warp._input.messages import warn
-from ccd_warp._input.options import Options
-from ccd_warp._mesh import CollisionMesh
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._scene.input.messages import warn
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.host.arcs import Arcs
+    from ccd_warp._rigid.arcs import Arcs
 
 _MOST_OPTIONS = 8
 
@@ -120,7 +120,7 @@ class Workspace:
     @lazy_property
     def arcs(self) -> "Arcs":
         """What is known of bodies that turn."""
-        from ccd_warp._engine.host.arcs import Arcs  # not before a scene needs it
+        from ccd_warp._rigid.arcs import Arcs  # not before a scene needs it
 
         return Arcs(self.topology)
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._scene.mesh import CollisionMesh
 
 # Rows of the largest table; of more groups, neighbours by number share a row.
 _MOST_ROWS = 1 << 10

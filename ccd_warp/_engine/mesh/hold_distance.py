@@ -9,7 +9,7 @@ from ccd_warp._engine.mesh.lengths import sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 
 if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
+    from ccd_warp._scene.input.options import Options
 
 # What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
 # the mesh are far above the margin of a pair (`kernels.pair.hold`), unless its motion is far larger than the mesh.

@@ -9,11 +9,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._half_space import unit_normals
+from ccd_warp._scene.half_space import unit_normals
 
 if TYPE_CHECKING:
     from ccd_warp._engine.mesh.topology import Topology
-    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._scene.mesh import CollisionMesh
 
 _U = 2.0**-53
 _UP = 1.0 + 4.0 * _U

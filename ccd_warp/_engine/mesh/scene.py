@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from ccd_warp._engine.mesh.lengths import next_above
-from ccd_warp._input.arguments import shown
-from ccd_warp._status import PairKind
+from ccd_warp._runtime.status import PairKind
+from ccd_warp._scene.input.arguments import shown
 from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
 
 if TYPE_CHECKING:
-    from ccd_warp._input.options import Options
-    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._scene.input.options import Options
+    from ccd_warp._scene.mesh import CollisionMesh
 
 
 def possible_kinds(mesh: "CollisionMesh", options: "Options") -> tuple[PairKind, ...]:

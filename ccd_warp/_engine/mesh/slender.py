@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.mesh.samples import uneven_samples
 
 if TYPE_CHECKING:
-    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._scene.mesh import CollisionMesh
 
 # Pairs of edges of a body with boxes that overlap in any frame, from which on a search of its own is worth its cost,
 # and of how many of them there may be one in the frame of the body.

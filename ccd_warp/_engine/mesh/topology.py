@@ -16,16 +16,16 @@ from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
 from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, lattice_bits, place_worlds, world_lattice
-from ccd_warp._input.worlds import move_alone, worlds_of_bodies
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._runtime.structs import struct_of
-from ccd_warp._status import PairKind, primitives_of
+from ccd_warp._scene.input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.search.collision_filter import CollisionFilter
 
 if TYPE_CHECKING:
-    from ccd_warp._mesh import CollisionMesh
+    from ccd_warp._scene.mesh import CollisionMesh
 
 WIDTH = int(kernels.WIDTH)
 # A sample of a set: of so many runs of primitives that follow one another by number, one. A run is a block of the tree

@@ -1,0 +1,1 @@
+"""The public calls, which put the parts together."""

@@ -1,0 +1,1051 @@
+"""The object for a time loop: a mesh, its options, and everything that stays the same from step to step."""
+
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import fields, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar, Unpack
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
+from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
+from ccd_warp._engine.host.candidates import Candidates, validated_inflation
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
+from ccd_warp._engine.host.line_search import (
+    DEFAULT_MAX_ROUNDS,
+    DEFAULT_SAFETY,
+    LineSearchResult,
+    Solver,
+    check_step_is_whole,
+    search_step,
+    validated_line_search,
+)
+from ccd_warp._engine.host.oddities import DistanceInEdges
+from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
+from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.proximities import Proximities
+from ccd_warp._results.results import Contacts, Counts, MeshResult
+from ccd_warp._rigid.affine_motion import AffineMotion
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames, check_rows
+from ccd_warp._rigid.motion import Motion, RigidMotion
+from ccd_warp._runtime.display import listed
+from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.progress_line import CallLine
+from ccd_warp._runtime.tape import wants_gradient
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
+from ccd_warp._scene.input.interop import check_writable, without_worlds
+from ccd_warp._scene.input.names import body_label
+from ccd_warp._scene.input.option_types import MeshOptions
+from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
+from ccd_warp._scene.mesh import CollisionMesh
+
+if TYPE_CHECKING:
+    from ccd_warp._engine.device.line_search import DeviceLineSearch
+    from ccd_warp._gradients.line_search_tape import TapedLineSearch
+    from ccd_warp._gradients.toi_tape import TapedLaunch
+    from ccd_warp._rigid.arc_step import DeviceArcStep
+    from ccd_warp._rigid.motion_worlds import MotionWorlds
+    from ccd_warp._rigid.near_parts import NearParts
+    from ccd_warp._rigid.part_mesh import PartMesh
+
+DEFAULT_NUM_ROUNDS = 8
+_MOST_ROUNDS = 100
+# Faces from which the parts of rigid bodies that may touch are looked for in one world.
+_LARGE_SCENE = 1 << 15
+
+
+_T = TypeVar("_T")
+_StepT = TypeVar("_StepT", bound=Step)
+
+
+class CollisionPipeline:
+    """All functions on one mesh with one set of options, for a time loop.
+
+    A pipeline keeps the topology, the trees of static bodies and all buffers, so a step no larger than an earlier one
+    allocates nothing but its result. :meth:`launch` and :meth:`launch_line_search` work on device arrays only and can
+    be captured in a graph; the other methods take and return NumPy arrays. The one-shot functions call these methods on
+    a temporary pipeline whose buffers are cached with the mesh.
+
+    Attributes:
+        mesh: The bodies.
+        counts: What the last call that returned NumPy arrays or a number did, all 0 before the first; of a line search
+            its last step, and of contacts only where :meth:`mesh_ccd` looked for them. :meth:`launch` and
+            :meth:`launch_line_search` leave it as it is: their counts are ``num_pairs`` and ``contacts.count`` of the
+            result, on the device.
+        timings: Seconds of each stage of that call, and their ``total``; empty before the first.
+    """
+
+    def __init__(
+        self,
+        mesh: CollisionMesh,
+        *,
+        max_pairs: int | None = None,
+        max_contacts: int | None = None,
+        **options: Unpack[MeshOptions],
+    ) -> None:
+        """Make a pipeline for a mesh with options.
+
+        Args:
+            mesh: The bodies.
+            max_pairs: Capacity for pairs, as in :meth:`reserve`.
+            max_contacts: Capacity for contacts, as in :meth:`reserve`.
+            **options: Options of :class:`ccd_warp.MeshOptions`.
+
+        Raises:
+            ValueError: If an option is out of its range.
+            TypeError: If there is no such option.
+        """
+        chosen = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
+        check_instance("mesh", mesh, CollisionMesh)
+        self._set_up(chosen, Workspace(mesh, resolve_device(chosen.device)))
+        with naming("CollisionPipeline"):
+            self._capacities = self._with_capacities(max_pairs, max_contacts)
+
+    def _set_up(self, options: Options, workspace: Workspace) -> None:
+        self.mesh = workspace.topology.mesh
+        self.counts = Counts()
+        self.timings: dict[str, float] = {}
+        self._options = options
+        self._topology = workspace.topology
+        # A call takes these two out while it uses them and puts them back only if it succeeds, so that no inconsistent
+        # state is used again.
+        self._workspace: Workspace | None = workspace
+        self._device_step: DeviceLineSearch | None = None
+        self._arc_step: DeviceArcStep | None = None  # of launches with a motion
+        self._show_progress: Callable[[Progress], None] | None = None  # the command line has a line of its own
+        self._lock = threading.Lock()
+        self._capacities = Capacities.default(self.mesh)
+        self._layout = self.mesh._vertices_in_space
+        self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
+        self._is_placing = False  # whether that launch may have moved some of the static bodies
+        self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
+        self._radius: wp.array | None = None
+        self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
+        self._line = CallLine()  # of launches
+        self._is_distance_checked = False  # at the positions of a launch
+        norm_of(self.mesh, options)
+
+    @property
+    def radius(self) -> wp.array | None:
+        """The radii of the vertices that launches read, float64, shape [V]; None if the mesh was made without.
+
+        It begins as a copy of ``mesh.radius`` and stays the same array, to which the caller, or a captured graph, may
+        write others between launches. Every launch reads it anew. A radius that is negative or not finite counts as a
+        coordinate that is not finite does: its world has toi 0 and a flag. Calls with NumPy arrays use ``mesh.radius``.
+        Where all radii and the minimum distance are 0, launches use the kernels for distances all the same, and calls
+        with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open.
+        """
+        if self._radius is None and self.mesh.radius is not None:
+            self._radius = self._topology.array(self.mesh.radius, wp.float64)
+        return self._radius
+
+    @classmethod
+    @contextmanager
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
+        """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
+        check_instance("mesh", mesh, CollisionMesh)
+        device = resolve_device(options.device)
+        idle = MeshCache.of(mesh).idle_workspaces.setdefault(str(device), [])
+        try:
+            workspace = idle.pop()
+        except IndexError:
+            workspace = Workspace(mesh, device)
+        pipeline = cls.__new__(cls)
+        pipeline._set_up(options, workspace)
+        try:
+            yield pipeline
+        finally:
+            if pipeline._workspace is not None:
+                idle.append(pipeline._workspace)
+
+    def __repr__(self) -> str:
+        given = [
+            f", {each.name}={shown(value)}"
+            for each in fields(self._options)
+            if (value := getattr(self._options, each.name)) != each.default
+        ]
+        return f"CollisionPipeline({self.mesh!r}{''.join(given)}, on {self._topology.device})"
+
+    def __reduce__(self) -> NoReturn:
+        """Refuse to be copied or pickled: its contents live on a device and belong to this process."""
+        raise TypeError(
+            "a CollisionPipeline cannot be copied or pickled; copy or pickle its mesh and its options, "
+            "and build another: CollisionPipeline(mesh, **options)"
+        )
+
+    def _on_step(
+        self,
+        kind: type[_StepT],
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        work: Callable[[_StepT], _T],
+        motion: RigidMotion | MeshPaths | None = None,
+    ) -> _T:
+        """Run ``work`` on a step of a kind and return its result."""
+        paths = None if motion is None else self._paths_of(motion)
+
+        def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            start, end = self.mesh.frames(vertices_t0, vertices_t1)
+            if paths is not None:
+                check_own_frames(self.mesh, start, end)
+            return start, end
+
+        return self._run(kind, frames, work, paths=paths)
+
+    def _straightened(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
+    ) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
+        """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
+        mesh = self.mesh
+        if motion is None:
+            self._warn_of_straight_motion()
+        if not isinstance(motion, AffineMotion):
+            return vertices_t0, vertices_t1, motion
+        bodies = np.flatnonzero(mesh.rigid)
+        check_rows(mesh, bodies, len(motion._affine_t0))
+        start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
+        rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
+        first = np.searchsorted(mesh.vertex_body[rows], bodies)
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            start[rows], end[rows] = motion._ends(start[rows], first)
+        return start, end, None
+
+    def _warn_of_straight_motion(self) -> None:
+        """Say once, in a call without a motion, that rigid bodies then move as others do."""
+        mesh = self.mesh
+
+        def described() -> str:
+            names = [body_label(body, mesh.names) for body in mesh._moving_rigid.tolist()]
+            return (
+                f"motion is None, and {listed(names)} {'is' if len(names) == 1 else 'are'} rigid: vertices move on "
+                f"straight lines, not on arcs; pass a RigidMotion as motion, and vertices in the frames of their "
+                f"bodies, or leave out rigid= where the mesh is built"
+            )
+
+        if len(mesh._moving_rigid) and self._workspace is not None:
+            self._workspace.warn_once("no motion", described)
+
+    def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
+        """The paths of the rigid bodies."""
+        if isinstance(motion, MeshPaths):
+            return motion
+        check_instance("motion", motion, RigidMotion)
+        check_options_on_arcs(self._options)
+        return MeshPaths.of(self.mesh, motion._body_paths)
+
+    def _run(
+        self,
+        kind: type[_StepT],
+        frames: Callable[[], tuple[NDArray[np.float64], NDArray[np.float64]]],
+        work: Callable[[_StepT], _T],
+        **further: Any,
+    ) -> _T:
+        """Run ``work`` on a step of a kind between validated positions."""
+        self._check_no_capture()
+        with self._lock:
+            begin = time.perf_counter()
+            start, end = map(self.mesh._in_space, self.mesh._both_placed(*frames()))
+            workspace, self._workspace = self._workspace, None
+            if workspace is None:
+                workspace = Workspace(self.mesh, self._topology.device)
+            seconds = time.perf_counter() - begin
+            line = CallLine()
+            with line, kind(workspace, (start, end), self._options, **further) as step:
+                step.workspace.progress.show = self._show_progress or line.show
+                step.timings["input"] = seconds
+                result = work(step)
+            self.timings = step.timings
+            self.counts = step.counts
+            self._workspace = workspace
+        return result
+
+    def _check_no_capture(self) -> None:
+        """Check that the device is not captured in a graph, which a call that waits for it cannot be part of."""
+        if self._topology.device.is_capturing:
+            raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
+
+    def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
+        capacities = self._capacities
+        if max_pairs is not None:
+            capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
+        if max_contacts is not None:
+            capacities = replace(capacities, max_contacts=check_count("max_contacts", max_contacts, MOST_CONTACTS))
+        return capacities
+
+    def reserve(
+        self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
+    ) -> LaunchResult:
+        """Allocate everything that :meth:`launch` needs: before the loop, and again after an overflow flag.
+
+        What :meth:`launch_proximity` and :meth:`launch_displacement_bounds` need is allocated by their first calls.
+
+        Later launches no longer write to the previous result. A graph captured before still writes to it, as long as
+        that result is kept alive: capture a new graph. A distance of pairs that is three median edges long, or more, is
+        warned of here, and where a first launch begins, once.
+
+        Args:
+            max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
+                the list of candidates, four for each pair, and 13 more that all kinds share. Default: unchanged;
+                initially one for each primitive, and at least 4,096.
+            max_contacts: Capacity for contacts, 80 bytes each, and for what :meth:`launch_proximity` lists, 64 bytes
+                each. Default: unchanged; initially one for each vertex, and at least 4,096.
+            vertices: Positions that are typical of the loop, shape [V, 3]. The trees are laid out for them, and static
+                bodies stay there until a launch gives them other positions. Default: unchanged; initially those of the
+                mesh. An unsuitable layout costs time but never misses a collision.
+
+        Returns:
+            The arrays to which later launches write.
+
+        Raises:
+            ValueError: If a capacity is out of its range, or the positions do not match the mesh.
+            RuntimeError: If a graph is being captured.
+            MemoryError: If the device has not as much memory; the pipeline stays as it was.
+        """
+        with self._lock:
+            if self._topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured; call reserve() before the capture")
+            with naming("reserve"):
+                capacities = self._with_capacities(max_pairs, max_contacts)
+            layout = None
+            if vertices is not None:
+                layout = self.mesh._in_space(self.mesh._placed(self.mesh.frame(vertices, "vertices").copy()))
+            self._check_distance(lambda: self._layout if layout is None else layout)
+            with self._line:
+                self._reserve(capacities, layout)
+            assert self._device_step
+            return self._device_step.result
+
+    def _check_distance(self, start: Callable[[], NDArray[np.float64]]) -> None:
+        """Warn once of a distance of pairs that is many edges long at the start positions of launches."""
+        separation = self._options.separation(length_scale_of(self.mesh, self._options))
+        if not separation > 0.0 and self.mesh.radius is None:
+            return
+        radius = None if self._radius is None else self._radius.numpy()
+        distance = DistanceInEdges.of(self._topology, start(), separation, radius, self.mesh.exclusion_rings)
+        if distance is not None:
+            self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
+            self._workspace.warn_once("distance", distance.described)
+
+    def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
+        """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
+        if not self._topology.device.is_capturing:
+            self._check_distance(lambda: step.start_of(prepared))
+            self._is_distance_checked = True
+
+    def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
+        """Make the device step, laid out for other positions if they are given."""
+        from ccd_warp._engine.device.line_search import DeviceLineSearch  # programs on the host have no use for it
+
+        before = self._device_step or self._interrupted
+        placed = self._layout if before is None else before.static_positions()
+        is_new_layout = layout is not None
+        if layout is not None:
+            placed = layout
+        layout = self._layout if layout is None else layout
+        try:
+            arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._line.progress
+            step = DeviceLineSearch(*arguments)
+        except RuntimeError as error:  # of Warp; what it has allocated so far is freed
+            if "allocate" not in str(error):
+                raise
+            num_kinds = len(possible_kinds(self.mesh, self._options))
+            least = capacities.num_bytes(num_kinds, is_cuda=self._topology.device.is_cuda)
+            raise MemoryError(
+                f"max_pairs is {capacities.max_pairs:,} and max_contacts is {capacities.max_contacts:,}, which take "
+                f"{least:,} bytes on {self._topology.device.alias} besides the boxes; expected capacities for which "
+                f"it has memory"
+            ) from error
+        if placed is layout:
+            self._is_placing = False
+        if is_new_layout:
+            self._placed_by = None
+        elif self._placed_by is not None and not self._placed_by.on_arcs:
+            self._placed_by = step
+        self._capacities, self._layout, self._device_step = capacities, layout, step
+        self._at_one_time.clear()
+        self._arc_step = None
+
+    def launch(
+        self,
+        vertices_t0: Any,
+        vertices_t1: Any = None,
+        *,
+        displacements: Any = None,
+        motion: RigidMotion | None = None,
+    ) -> LaunchResult:
+        """Check a step for collisions on the device, without waiting for the result.
+
+        This is for time loops on the device. Kernels of fixed sizes, recorded at the first call, read the positions and
+        write the arrays of the result. A call allocates nothing, copies nothing to or from the host and does not wait,
+        so it can be captured in a graph (``wp.ScopedCapture``, on CUDA and on the CPU) and replayed with the current
+        contents of the same arrays; on CUDA a first call outside the capture is required. Float64 positions of a mesh
+        without static bodies are read in place; others are converted by the kernel that checks them. Outside a capture,
+        positions of NumPy arrays of up to 32,768 rows are copied, which is faster.
+
+        ``memory_limit`` is ignored here; the capacities are the limits.
+
+        Inside a ``wp.Tape``, where an array or ``radius`` requires a gradient, one function is recorded, and the tois
+        of the result, arrays of this launch alone, require one; without a motion.
+
+        Args:
+            vertices_t0: Start positions on the pipeline's device: a contiguous array of Warp, NumPy, or any library
+                that supports DLPack, of vec3f or vec3d and shape [V], or of float32 or float64 and shape [V, 3]; or
+                rows of the moving vertices only, if the static bodies stay where they were. Of a mesh whose W worlds
+                have equally many vertices, n each, also of shape [W, n] or [W, n, 3]. Of a mesh in the plane vec2f or
+                vec2d, and 2 in place of 3.
+            vertices_t1: End positions of the same type; or rows of the moving vertices only. A static body whose rows
+                differ from those of its start has moved: its world has toi 0 and ``LaunchFlag.STATIC_MOVED``.
+            displacements: Displacements in place of end positions; they are added to the start positions in float64. A
+                solver that adds them in float32 must pass the resulting positions instead, because its rounding is part
+                of the motion.
+            motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
+                ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
+                arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
+                for each 0.2 radians; ``to_host()`` keeps the first. An :class:`ccd_warp.AffineMotion` is for rows that
+                it has moved.
+
+        Returns:
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
+
+        Raises:
+            ValueError: If an array or the motion is not as described, or if both or neither of ``vertices_t1`` and
+                ``displacements`` are given.
+            RuntimeError: If a CUDA graph is being captured, and there was no earlier call with arrays of these types.
+                If there are rows of moving vertices alone, after static bodies were placed by a launch with a motion
+                where there is none now, or the other way round.
+
+        References:
+            As for :func:`ccd_warp.mesh_ccd`.
+
+        Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the scene and for each world, body and vertex, whatever the
+        flags. A pair that exceeds the capacity counts with toi 0, and a world with a coordinate that is not finite, or
+        a static body that moves, has toi 0.
+        """
+        if (vertices_t1 is None) == (displacements is None):
+            given = "both" if vertices_t1 is not None else "neither"
+            raise ValueError(f"{given} of vertices_t1 and displacements is given; expected one of them")
+        if displacements is None:
+            return self._launch(vertices_t0, vertices_t1, motion)
+        return self._launch(vertices_t0, displacements, motion, name_t1="displacements", is_displacement=True)
+
+    def launch_line_search(
+        self,
+        vertices_t0: Any,
+        vertices_t1: Any,
+        *,
+        per: Per = "scene",
+        safety: float = DEFAULT_SAFETY,
+        num_rounds: int = DEFAULT_NUM_ROUNDS,
+        motion: RigidMotion | None = None,
+    ) -> LaunchResult:
+        """Shorten a step on the device until it is certain to be free of collisions, without waiting for the result.
+
+        Each pass checks the step as :meth:`launch` does, and then limits the motion of every vertex of a contact, and
+        of all vertices that share its fraction, to ``safety`` times the toi. Bodies or vertices with their own
+        fractions that touch in a third pass stay where they are, which may stop others in turn. The last pass but one
+        has one fraction for each world that still touches, and in the final pass a world that touches even then stays
+        where it is. With one fraction for the scene or for each world there are three passes. The number of launches is
+        always the same, so that a graph can contain them; a world that a pass finds free of contacts has no boxes in
+        the following passes.
+
+        A small gap is lost in the rounding of a long motion, and the toi is then 0. Where the first pass finds a toi
+        below 1e-6, the pair is therefore allowed to move by at least an eighth of its gap. If its toi is 0 in the
+        second pass, its vertices, and all that share their fraction, stay where they are. With one fraction for each
+        body or vertex this requires ``num_rounds`` of at least 4.
+
+        What starts within its distance may part and slide, and comes no closer, by default (``start_gap_fraction``).
+        Where the first pass finds a contact that starts so close, what is near at the start is searched for, and the
+        pass is made again; all passes of such a pipeline, if it keeps a distance, are solved in float64.
+
+        Inside a ``wp.Tape``, ``vertices_t1`` has to require a gradient where anything does: the backward pass turns
+        that of the shortened positions, which stand there, into that of the desired ones. ``is_regular()`` of the
+        result says which of them have a derivative.
+
+        Stationary pairs are ignored: primitives whose vertices all stay where they are may touch. Kinematic bodies move
+        as they are told. Where one meets vertices that stay, it passes through them: its world and the scene have
+        ``LaunchFlag.STRUCK``, and no toi is lowered by such a pair. With kinematic bodies one more pass, which shortens
+        nothing and keeps every toi, follows the others, and ``contacts`` are these pairs.
+
+        Args:
+            vertices_t0: Start positions, as in :meth:`launch`.
+            vertices_t1: Desired end positions, of the same type; they are overwritten with those of the shortened step.
+                Those of static and kinematic bodies are not written.
+            per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``, as in :func:`ccd_warp.line_search`.
+            safety: Fraction of its toi by which a vertex in contact may move, in (0, 1).
+            num_rounds: Number of passes if bodies or vertices have their own fractions, at least 3. In a pile that
+                falls one body stops another, each in a pass: fewer passes than it is high stop the whole world.
+            motion: How the rigid bodies turn, as in :meth:`launch`. Each goes on its path, shortened as a whole, and
+                stays rigid; their rows of ``vertices_t1`` are not written. Such a launch is no part of a graph.
+
+        Returns:
+            The result of the final pass. The toi of a world in which something moves is inf, and that of a world that
+            this pass had to stop is finite. The flags cover all passes, but for that of contacts, which is of the last;
+            on a tape it is of all, as each passes gradients. ``num_pairs`` are the most of any pass. With a motion,
+            ``body_fraction`` and ``motion`` say where the rigid bodies are at the end.
+
+        Raises:
+            ValueError: As in :meth:`launch`, or if an option is out of its range.
+            RuntimeError: As in :meth:`launch`.
+
+        References:
+            Li et al. 2020, "Incremental potential contact", section 5 (one fraction for the scene).
+
+        Guarantee: while every vertex moves on a straight line from ``vertices_t0`` to ``vertices_t1``, no pair with a
+        vertex that moves touches, or comes within its distance, or closer than one of its vertices was to something at
+        the start (as in :func:`ccd_warp.line_search`), whatever the flags; but for pairs of which what is kinematic
+        alone moves, and then ``LaunchFlag.STRUCK`` is set, or a flag for what was not checked. Proof: the final pass
+        checked exactly these rounded positions, and where its toi was not inf free vertices do not move. A rigid body
+        moves on the path of ``motion`` up to its fraction; a pair stays if, in float64, all its vertices do.
+        """
+        check_writable(vertices_t1, "vertices_t1")
+        with naming("launch_line_search"):
+            per, safety = validated_line_search(per, safety)
+            num_rounds = check_count("num_rounds", num_rounds, _MOST_ROUNDS, least=3)
+            check_step_is_whole(self._options.t_max)
+        search = LineSearch.of(per, num_rounds)
+        return self._launch(vertices_t0, vertices_t1, motion, line_search=search, safety=safety)
+
+    def _launch_on_arcs(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on the device step of bodies that turn, which the first such launch makes."""
+        from ccd_warp._rigid.arc_step import DeviceArcStep  # few programs need it
+
+        if isinstance(motion, AffineMotion):
+            raise ValueError(
+                f"motion is {shown(motion)}; expected a RigidMotion for a launch, or vertices_t0 and vertices_t1 at "
+                f"motion.positions_t0 and motion.positions_t1, between which they move straight, and no motion"
+            )
+        paths, mesh = self._paths_of(motion), self.mesh
+        step, self._arc_step = self._arc_step, None
+        if step is None:
+            if self._topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
+            layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
+            of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
+            step = DeviceArcStep(*of_step, self._line.progress)
+        prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
+        if not self._is_distance_checked:
+            self._check_first_distance(step, prepared)
+        self._check_places(step, prepared)
+        step.launch_on_paths(prepared, motion, paths)
+        self._arc_step = step
+        return step.result
+
+    def _check_places(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
+        """Check that a step knows where static bodies stand; launches with and without a motion keep places apart."""
+        if prepared.places_static:
+            self._placed_by = step
+        elif self._placed_by is not None and self._placed_by is not step:
+            raise RuntimeError(
+                "static bodies were placed by a launch with a motion, and now there is none, or the other way round; "
+                "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
+            )
+
+    def _launch(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
+        given = vertices_t0, vertices_t1
+        is_taped = wants_gradient(*given, self._radius)
+        if is_taped and motion is not None:
+            raise ValueError(
+                "a launch with a motion is not recorded, and an array on the tape requires a gradient; expected none "
+                "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
+                "motion.gradient_by_poses() and gradient_by_twist() take"
+            )
+        with self._lock, self._line:
+            name_t1 = arguments.get("name_t1", "vertices_t1")
+            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
+            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
+            if motion is None:
+                self._warn_of_straight_motion()
+            else:
+                return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
+            if self._device_step is None:
+                if self._topology.device.is_capturing:
+                    raise RuntimeError("nothing is reserved; call reserve() before the capture")
+                self._reserve(self._capacities, None)
+            step = self._device_step
+            assert step
+            prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
+            if not self._is_distance_checked:
+                self._check_first_distance(step, prepared)
+            taped = self._taped(step, prepared, given) if is_taped else None
+            if self._is_placing and not prepared.places_static:
+                raise RuntimeError(
+                    "a launch was interrupted while it placed static bodies; "
+                    "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
+                )
+            self._check_places(step, prepared)
+            self._interrupted, self._is_placing = step, prepared.places_static
+            self._device_step = None
+            result = (step if taped is None else taped).launch(prepared)
+            self._device_step = step
+            self._interrupted, self._is_placing = None, False
+            return step.result if result is None else result
+
+    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
+        """A launch, or a line search, that is recorded on the active tape."""
+        taped: Any
+        if prepared.form.line_search is None:
+            from ccd_warp._gradients.toi_tape import TapedLaunch as taped  # few programs need them
+        else:
+            from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
+        return taped(step, prepared, given, self._radius)
+
+    def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
+        """Find what is near at one time on the device, without waiting for the result.
+
+        As :meth:`launch`, for loops on the device: a call allocates nothing after the first, does not wait, and can be
+        captured in a graph, with the distance of that call. Two launches of this kind write to one result.
+
+        Args:
+            positions: Positions of all vertices, those of static bodies as well, as ``vertices_t0`` of :meth:`launch`.
+            distance: Largest Euclidean distance of a pair, as in :func:`ccd_warp.find_proximity`.
+
+        Returns:
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`. They have capacity for
+            ``max_contacts`` pairs, of ``max_pairs`` that the cull leaves of each kind.
+
+        Raises:
+            ValueError: If the positions are not as described, or the distance is out of its range; or if the positions
+                or ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
+            RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
+
+        Guarantee: as for :func:`ccd_warp.find_proximity`, where no flag is set; a flag says that pairs may be missing.
+        """
+        from ccd_warp._at_one_time.device_step import DeviceProximityStep  # few programs need it
+
+        with naming("launch_proximity"):
+            distance = validated_distance(distance)
+        return self._launch_at_one_time(DeviceProximityStep, positions, distance)
+
+    def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
+        """For each vertex a length by which it may move, on the device, without waiting for the result.
+
+        Args:
+            positions: Positions of all vertices, those of static bodies as well, as ``vertices_t0`` of :meth:`launch`.
+            search_radius: Distance beyond which nothing counts as near, as in :func:`ccd_warp.displacement_bounds`.
+
+        Returns:
+            The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
+
+        Raises:
+            ValueError: As in :meth:`displacement_bounds`, or if the positions are not as described; or if they or
+                ``radius`` require a gradient inside a ``wp.Tape``, as only times of impact have one.
+            RuntimeError: If a graph is being captured, and there was no earlier call with an array of this type.
+
+        Guarantee: as for :func:`ccd_warp.displacement_bounds`, whatever the flags. The vertices of a pair that exceeds
+        the capacity, and those of a world with a coordinate that is not finite, have bound 0.
+        """
+        from ccd_warp._at_one_time.device_step import DeviceDisplacementStep
+
+        with naming("launch_displacement_bounds"):
+            search_radius = validated_search_radius(search_radius, self._options)
+        return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius)
+
+    def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
+        """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
+        for name, array in (("positions", positions), ("radius", self._radius)):
+            if wants_gradient(array):
+                raise ValueError(
+                    f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
+                    "which alone have gradients; expected an array that requires none, or no tape"
+                )
+        with self._lock, self._line:
+            step = self._at_one_time.get(kind)
+            if step is None:
+                if self._topology.device.is_capturing:
+                    raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
+                of_step = self._topology, self._options, self._capacities, self._layout, self.radius
+                step = kind(*of_step, self._line.progress)
+            prepared = step.prepare_positions(positions)
+            self._at_one_time.pop(kind, None)
+            step.launch_within(prepared, step.values(length))
+            self._at_one_time[kind] = step
+            return step.arrays
+
+    @property
+    def num_allocations(self) -> int:
+        """Number of device arrays allocated so far."""
+        return self._workspace.buffers.num_allocations if self._workspace else 0
+
+    def find_candidates(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        inflation: float = 0.0,
+        *,
+        motion: Motion | None = None,
+    ) -> Candidates:
+        """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
+        from ccd_warp._engine.host.candidate_step import CandidateStep  # few programs need it
+
+        with naming("find_candidates"):
+            inflation = validated_inflation(inflation)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        work = lambda step: step.candidates(inflation)  # noqa: E731
+        return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
+
+    def find_intersections(self, positions: ArrayLike) -> Intersections:
+        """Find the pairs that touch or cross at one time, exactly (:func:`ccd_warp.find_intersections`)."""
+        from ccd_warp._at_one_time.intersection_step import IntersectionStep  # few programs need it
+
+        return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
+
+    def find_proximity(self, positions: ArrayLike, distance: float) -> Proximities:
+        """Find the pairs within a Euclidean distance at one time (:func:`ccd_warp.find_proximity`).
+
+        Separations of the pipeline play no part.
+        """
+        from ccd_warp._at_one_time.proximity_step import ProximityStep  # few programs need it
+
+        with naming("find_proximity"):
+            distance = validated_distance(distance)
+        return self._run(ProximityStep, lambda: self._one_frame(positions), lambda step: step.proximities(distance))
+
+    def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
+        """Lengths by which vertices may move (:func:`ccd_warp.displacement_bounds`).
+
+        They keep the ``minimum_distance`` of the pipeline, which must have no ``minimum_separation``.
+        """
+        from ccd_warp._at_one_time.proximity_step import DisplacementStep
+
+        with naming("displacement_bounds"):
+            search_radius = validated_search_radius(search_radius, self._options)
+        return self._run(DisplacementStep, lambda: self._one_frame(positions), lambda step: step.bounds(search_radius))
+
+    def _one_frame(self, positions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at one time, as both ends of a step."""
+        frame = self.mesh.frame(positions, "positions")
+        return frame, frame
+
+    def mesh_ccd(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: Motion | None = None,
+        check_start: bool = False,
+    ) -> MeshResult:
+        """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
+        with naming("mesh_ccd"):
+            check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is not None:
+            result = worlds.result()
+            self.counts, self.timings = result.counts, result.timings
+        else:
+            result = self._contacts(vertices_t0, vertices_t1, motion)
+        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
+
+    def _contacts(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | MeshPaths | None,
+        *,
+        is_ordered: bool = True,
+    ) -> MeshResult:
+        """The contacts of a step."""
+        contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
+        return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
+
+    def _worlds_of(
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
+    ) -> MotionWorlds | None:
+        """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
+        if not isinstance(motion, RigidMotion) or self.mesh.num_worlds > 1:
+            return None
+        is_one = motion.num_worlds == 1
+        if is_one and not self._looks_for_parts():
+            return None
+        from ccd_warp._rigid.motion_worlds import MotionWorlds  # few programs need it
+
+        check_options_on_arcs(self._options)
+        if check_start and not is_one:
+            raise ValueError(
+                f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
+                f"mesh.replicate({motion.num_worlds}), or False"
+            )
+        worlds = MotionWorlds(self, *self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1)), motion)
+        return worlds if not is_one or worlds.is_sparse else None
+
+    def _looks_for_parts(self) -> bool:
+        """Whether it may pay to divide rigid bodies of one world: not in a first step, which takes less time itself.
+
+        Bodies that are copies are divided once.
+        """
+        kept = MeshCache.of(self.mesh).parts
+        is_later = kept.get("is later", False)
+        kept["is later"] = True
+        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or vars(self.mesh).get("_is_of_instances", False))
+
+    def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
+        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
+        from ccd_warp._rigid.near_parts import NearParts  # few programs need them
+        from ccd_warp._rigid.part_mesh import world_alone
+
+        # radii may be others on the device than those of the mesh
+        mesh, kept = self.mesh, MeshCache.of(self.mesh).parts
+        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
+        if not is_plain or not (start is end or np.array_equal(start, end)):
+            return None
+        positions, parts = kept.get("parts", (None, None))
+        if positions is not start and (positions is None or not np.array_equal(positions, start)):
+            world = world_alone(mesh, start)
+            parts = None if world is None else NearParts(world, world.vertices)
+            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
+        found: NearParts | None = parts
+        return found
+
+    @property
+    def _execution(self) -> Execution:
+        device = self._topology.device
+        return Execution(device, self._options.threads, StopFlag(device))
+
+    @property
+    def _reach_of_parts(self) -> float:
+        """A Euclidean distance beyond which parts do not come within the separation of a pair."""
+        return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
+
+    def _step_of(self, kind: type[_StepT], parts: PartMesh, paths: MeshPaths) -> _StepT:
+        """A step of a kind of a mesh of parts along paths."""
+        options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options))
+        self._check_no_capture()
+        workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
+        workspace.topology.vertex_rank = parts.rank
+        workspace.progress.show = self._show_progress
+        x = parts.mesh.vertices
+        return kind(workspace, (x, x), options, paths)
+
+    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | MeshPaths | None) -> ArrayLike:
+        """The positions of all vertices in the world at the start of a step."""
+        if motion is None:
+            return vertices_t0
+        start = self.mesh.frame(vertices_t0)
+        return self._paths_of(motion).at(self.mesh, start, start, 0.0)
+
+    def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:
+        """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
+        vertices_t0 = self._at_start(vertices_t0, motion)
+        counts, timings = self.counts, self.timings
+        start = self.find_intersections(vertices_t0)
+        timings["intersections at start"] = self.timings["total"]
+        timings["total"] += self.timings["total"]
+        self.counts, self.timings = counts, timings
+        if start.num_crossing:
+            crossing = start[start.is_crossing]
+            of_bodies = "crossing", frozenset(crossing.by_bodies())
+            if self._workspace is not None:
+                said = f"at the start {crossing.describe()}; what crosses already is not seen in the step"
+                self._workspace.warn_once(of_bodies, lambda: said)
+        return start
+
+    def collision_free_step(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: Motion | None = None,
+        check_start: bool = False,
+    ) -> float:
+        """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
+        with naming("collision_free_step"):
+            check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start)
+        toi = min(least, self._options.t_max)
+        if check_start:
+            self._checked_start(vertices_t0, motion)
+        return toi
+
+    def _least_of_worlds(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | None,
+        *,
+        check_start: bool,
+        any_suffices: bool = False,
+    ) -> float:
+        """The earliest toi of a step, also where a motion has many worlds; inf if it is free."""
+        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        if worlds is None:
+            return self._least_toi(vertices_t0, vertices_t1, motion, any_suffices=any_suffices)
+        least = worlds.least_toi(any_suffices=any_suffices)
+        self.counts, self.timings = worlds.counts(), worlds.timings
+        return least
+
+    def _least_toi(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion | MeshPaths | None = None,
+        *,
+        any_suffices: bool = False,
+    ) -> float:
+        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held.
+
+        Where any toi suffices, what starts close is a contact.
+        """
+        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1)
+        if any_suffices:
+            return on_step(lambda step: step.least_toi(any_suffices=True), motion)
+        if not self._options.holds:
+            return on_step(LeastToiStep.least_toi, motion)
+        toi = on_step(lambda step: step.holding().least_toi(), motion)
+        if toi <= 0.0 and self._holds_pairs:
+            # something may start within its distance: then it has toi 0, whichever way it moves
+            holds = self._holds(self._at_start(vertices_t0, motion))
+            if np.isfinite(holds).any():
+                toi = on_step(lambda step: step.holding(holds).held_toi(), motion)
+        return toi
+
+    @property
+    def _holds_pairs(self) -> bool:
+        """Whether pairs keep a distance within which they may start."""
+        return holds_pairs(self.mesh, self._options)
+
+    def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
+        """How near each vertex is to anything at one time, as far as it is within its distance."""
+        from ccd_warp._at_one_time.proximity_step import HoldStep  # few programs need it
+
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
+        return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
+
+    def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which worlds have a contact that starts within its distance, or passes by at it."""
+        from ccd_warp._at_one_time.proximity_step import HoldStep
+
+        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
+        of_search = self.counts, self.timings
+        is_straight = isinstance(end, np.ndarray)
+        frames = start, end if is_straight else start
+        near = self._run(
+            HoldStep, lambda: frames, lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)
+        )
+        self.counts, self.timings = of_search
+        return near
+
+    def is_step_collision_free(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        motion: Motion | None = None,
+        check_start: bool = False,
+    ) -> bool:
+        """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
+        with naming("is_step_collision_free"):
+            check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start, any_suffices=True)
+        if not check_start:
+            return least == np.inf
+        return self._checked_start(vertices_t0, motion).num_crossing == 0 and least == np.inf
+
+    def line_search(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        *,
+        per: Per = "scene",
+        safety: float = DEFAULT_SAFETY,
+        max_rounds: int = DEFAULT_MAX_ROUNDS,
+        motion: Motion | None = None,
+        check_start: bool = False,
+    ) -> LineSearchResult:
+        """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
+        with naming("line_search"):
+            check_step_is_whole(self._options.t_max)
+            per, safety = validated_line_search(per, safety)
+            max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
+            check_start = check_flag("check_start", check_start)
+        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
+        if motion is None:
+            arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
+            solver = self._solver(partial(self._on_step, ContactStep))
+            found = search_step(self.mesh, vertices_t0, vertices_t1, solver, **arguments)
+        else:
+            found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
+        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+
+    def _search_on_arcs(
+        self,
+        vertices_t0: ArrayLike,
+        vertices_t1: ArrayLike,
+        motion: RigidMotion,
+        arguments: dict[str, Any],
+    ) -> LineSearchResult:
+        """A line search in which bodies turn."""
+        from ccd_warp._rigid.arc_course import ArcCourse, ArcEnd  # few programs need it
+
+        start, end = self.mesh.frames(vertices_t0, vertices_t1)
+        paths = self._paths_of(motion)
+        check_own_frames(self.mesh, start, end)
+        course = ArcCourse(self.mesh, start, end, paths)
+
+        def step_to(_: Any, end: ArcEnd, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
+            return self._on_step(ContactStep, start, end.vertices, work, end.paths)
+
+        arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
+        found = search_step(self.mesh, start, end, self._solver(step_to), course=course, **arguments)
+        of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
+        return replace(found, motion=motion.shortened(of_bodies.reshape(motion.turns.shape)))
+
+    def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
+        """The steps of a line search, of what does some work on one."""
+        worlds_near = self._worlds_near if self._holds_pairs else None
+        return Solver.of(step_to, worlds_near, self._holds, holds=self._options.holds)
+
+    def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
+        """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""
+        separation = self._options.separation(length_scale_of(self.mesh, self._options))
+        if self._options.start_gap_share > 0.0 or not (separation > 0.0 or self.mesh.is_thick):
+            return False  # what is within its distance may come closer, or there is none
+        start = self.mesh._in_space(self.mesh.frame(vertices_t0))
+        return DistanceInEdges.of(self._topology, start, separation) is not None
+
+
+def check_options_on_arcs(options: Options) -> None:
+    """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
+    if not options.is_clipping:
+        raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
+    if options.start_gap_share > 0.0:
+        raise ValueError(
+            f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
+        )
+
+
+def validated_distance(distance: float) -> float:
+    """The argument ``distance``, validated."""
+    return check_real("distance", distance, "a finite length of at least 0", lambda x: x >= 0)
+
+
+def validated_search_radius(search_radius: float, options: Options) -> float:
+    """The argument ``search_radius``, validated, for which the options must have no other separation."""
+    if options.minimum_separation > 0:
+        raise ValueError(
+            f"minimum_separation is {options.minimum_separation}; expected 0, and minimum_distance in its place: "
+            f"bounds of displacements are Euclidean"
+        )
+    return check_real("search_radius", search_radius, "a finite length above 0", lambda x: x > 0)

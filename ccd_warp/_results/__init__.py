@@ -1,0 +1,1 @@
+"""What calls return: tables of pairs, contacts, and the arrays of launches."""

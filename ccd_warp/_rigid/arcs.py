@@ -1,0 +1,107 @@
+"""Slices of a step in which bodies turn: where they are at both ends of each, and what kernels know of their arcs."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.slices import Slice
+from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp.kernels.pair.turns import Turns
+from ccd_warp.kernels.step import place_bodies as kernels
+
+if TYPE_CHECKING:
+    from ccd_warp._rigid.mesh_paths import MeshPaths
+
+# Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
+TURN_OF_A_SLICE = 0.2
+_ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
+_COLUMNS = dtypes_of(kernels.BodyPaths)
+
+
+def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
+    """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
+    turn = paths.largest_turn if paths.turn is None else paths.turn
+    count = np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING)
+    return Slice.all(max(1, int(count)), t_max)
+
+
+class Arcs:
+    """The arrays of a mesh whose bodies turn; those of a slice are overwritten by the next.
+
+    Attributes:
+        radius: By how much each vertex is enlarged in a slice: its radius, its sagitta and its rounding.
+        box_radius: The same for its boxes.
+        start: Positions at the begin of a slice.
+        end: Positions at its end.
+        paths: The paths of the bodies, as the struct of the kernels.
+        slices: The slices of a step on the host.
+        active: Bodies that are searched in it, bool, shape [B]; None for all.
+    """
+
+    slices: list[Slice]
+    active: NDArray[np.bool_] | None
+
+    def __init__(self, topology: Topology, radius: wp.array | None = None, box_radius: wp.array | None = None) -> None:
+        """Allocate the arrays; ``radius`` and ``box_radius`` are others than those of the mesh."""
+        mesh, device = topology.mesh, topology.device
+        self._topology = topology
+        self._radii = (topology.radius, topology.box_radius) if radius is None else (radius, box_radius)
+        self.start, self.end, self._velocity = (
+            wp.zeros(mesh.num_vertices, dtype=wp.vec3d, device=device) for _ in range(3)
+        )
+        self.radius, self.box_radius, self._slack = (
+            wp.zeros(mesh.num_vertices, dtype=wp.float64, device=device) for _ in range(3)
+        )
+        self._arrays = self._columns(*_COLUMNS)
+        self.paths = struct_of(kernels.BodyPaths, self._arrays)
+        self._ends: list[wp.array] = []
+
+    def _columns(self, *names: str) -> dict[str, wp.array]:
+        """Arrays with a row a body, by the names of columns of a table of paths."""
+        count, device = self._topology.mesh.num_bodies, self._topology.device
+        return {name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names}
+
+    def new_paths(self, *names: str) -> Any:
+        """Another table of paths, of these columns alone."""
+        return struct_of(kernels.BodyPaths, self._columns(*names))
+
+    def begin(self, paths: "MeshPaths") -> None:
+        """Begin a step along these paths."""
+        for name, array in self._arrays.items():
+            array.assign(getattr(paths, "pivot_t0" if name == "start" else name))
+
+    def place(self, part: Slice, launcher: Execution | Recording, start: Any, end: Any) -> None:
+        """Place vertices at both ends of a slice, given their positions at both ends of the step."""
+        topology = self._topology
+        inputs = [part.t_begin, part.t_end, topology.vertex_body, self.paths, start, end, *self._radii]
+        outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
+        launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
+
+    def begin_on_host(self, paths: "MeshPaths", positions: Positions, t_max: float) -> "Arcs":
+        """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
+        self.begin(paths)
+        self.slices, self.active = slices_of(paths, t_max), None if paths.active.all() else paths.active
+        device = self._topology.device
+        self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
+        return self
+
+    def placed(self, part: Slice, execution: Execution) -> Positions:
+        """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
+        self.place(part, execution, *self._ends)
+        return self.start.numpy(), self.end.numpy()
+
+    def release(self) -> None:
+        """Do not keep the caller's arrays alive."""
+        self._ends.clear()
+
+    def turns(self, part: Slice) -> Any:
+        """How the vertices turn in a slice, as the struct of the kernels."""
+        turns = Turns()
+        turns.velocity, turns.omega, turns.slack = self._velocity, self._arrays["omega"], self._slack
+        turns.vertex_body = self._topology.vertex_body
+        turns.t_begin, turns.t_length = part.t_begin, part.t_end - part.t_begin
+        return turns

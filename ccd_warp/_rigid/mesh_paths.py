@@ -1,0 +1,272 @@
+"""How all vertices of a mesh move in a step: those of bodies on paths on arcs, the others straight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
+from ccd_warp._rigid.rotations import arcs, rotated
+from ccd_warp._runtime.display import counted
+from ccd_warp._scene.input.names import body_label
+
+if TYPE_CHECKING:
+    from ccd_warp._scene.mesh import CollisionMesh
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeshPaths(BodyPaths):
+    """The paths of all bodies of a mesh.
+
+    Attributes:
+        is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
+        active: Bodies that are searched, bool, shape [B].
+        turn: Angle for whose slices the step is cut, no less than that of any body; None for the largest of them.
+    """
+
+    is_rigid: NDArray[np.bool_]
+    active: NDArray[np.bool_]
+    turn: float | None = None
+
+    @classmethod
+    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
+        """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
+
+        Raises:
+            ValueError: If the numbers of bodies differ, a static body moves, or any leaves the plane of a mesh in it.
+        """
+        check_motion(mesh, given)
+        check_worlds(mesh)
+        return cls.of_checked(mesh, given)
+
+    @classmethod
+    def of_checked(cls, mesh: CollisionMesh, given: BodyPaths, **further: Any) -> MeshPaths:
+        """Those of a motion that is known to fit the mesh, with ``further`` attributes.
+
+        A body that stands on its path, and may be beside it, moves: it turns with a velocity that its excess covers, so
+        that no line search takes it for one that stays.
+        """
+        bodies = np.flatnonzero(mesh.rigid)
+        rows: dict[str, Any] = {}
+        for field in fields(BodyPaths):
+            of_rigid = getattr(given, field.name)
+            rows[field.name] = np.zeros((mesh.num_bodies, *of_rigid.shape[1:]))
+            rows[field.name][bodies] = of_rigid
+        rows["turning"][bodies[(given.excess > 0.0) & ~given.moves], 0] = UNSEEN
+        rows |= {"is_rigid": mesh.rigid.copy(), "active": np.ones(mesh.num_bodies, dtype=bool)}
+        return cls(**rows | further)
+
+    def at(
+        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
+    ) -> NDArray[np.float64]:
+        """Where vertices are at a time, one for all or one a vertex; all of them by default."""
+        vertices = np.arange(len(start)) if vertices is None else vertices
+        return self.places(mesh.vertex_body[vertices], start[vertices], end[vertices], t)
+
+    def places(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
+        times = _times(t, len(body))
+        with np.errstate(invalid="ignore"):  # of vertices that take no part
+            x: NDArray[np.float64] = (1.0 - times) * start + times * end
+            rigid, rows = self._rows_of(body)
+            x[rigid] = self.positions(in_space(start[rigid]), rows, times[rigid, 0])[:, : x.shape[1]]
+        return x
+
+    def velocities(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """How vertices of these bodies move at a time, as displacements in the whole step, shape [n, 3]."""
+        v: NDArray[np.float64] = end - start
+        rigid, rows = self._rows_of(body)
+        times = _times(t, len(body))[rigid, 0]
+        omega, turning = self.omega[rows], self.turning[rows]
+        arms = rotated(self.rotation[rows], in_space(start[rigid]) - self.pivot[rows])
+        arms = arms + arcs(omega, arms, times)
+        turned = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
+        v[rigid] = turned[:, : v.shape[1]]
+        return v
+
+    def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
+        """Which vertices, given the body of each, are on a path, and the rows of these paths."""
+        rigid = np.flatnonzero(self.is_rigid[body])
+        return rigid, body[rigid]
+
+
+class WorldPaths(MeshPaths):
+    """The paths of the rigid bodies of a mesh of one world in many: body b in world w has the number w B + b.
+
+    There are rows of rigid bodies alone, so that what stands in all worlds costs nothing.
+    """
+
+    @classmethod
+    def of_worlds(cls, mesh: CollisionMesh, given: BodyPaths) -> WorldPaths:
+        """Of a motion that has a row for each rigid body, of one world after another."""
+        return cls(**vars(given), is_rigid=mesh.rigid, active=np.ones(1, dtype=bool))
+
+    def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
+        world, own = np.divmod(body, len(self.is_rigid))
+        rigid = np.flatnonzero(self.is_rigid[own])
+        number = np.cumsum(self.is_rigid)
+        return rigid, world[rigid] * number[-1] + number[own[rigid]] - 1
+
+
+def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
+    f = fraction[..., None]
+    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
+    # rounding. Vertices that take no part may be at no number.
+    with np.errstate(invalid="ignore"):
+        return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
+
+
+def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors in the plane, shape [..., 2], with z = 0; others as they are."""
+    if vectors.shape[-1] == 3:
+        return vectors
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
+
+
+def _times(t: Any, count: int) -> NDArray[np.float64]:
+    """One time for all, or one for each, shape [count, 1]."""
+    return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
+
+
+def check_motion(mesh: CollisionMesh, given: BodyPaths, num_worlds: int = 1) -> None:
+    """Check that a motion fits a mesh, of whose rigid bodies it has a row each in so many worlds.
+
+    Raises:
+        ValueError: If not.
+    """
+    bodies = np.flatnonzero(mesh.rigid)
+    check_rows(mesh, bodies, len(given) // num_worlds)
+    _check_rest(mesh, bodies, given)
+    _check_plane(mesh, bodies, given)
+
+
+def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> None:
+    """Check that a motion has a row for each of the rigid bodies, of which there are some.
+
+    Raises:
+        ValueError: If not.
+    """
+    if len(bodies) == 0:
+        raise ValueError(
+            "motion is given, and no body of the mesh is rigid; expected rigid=[…] where the mesh was built, or "
+            "rigid_ccd, for which all bodies are"
+        )
+    if num_rows != len(bodies):
+        count, left = divmod(num_rows, len(bodies))
+        worlds = "" if left or count < 2 else f", or for {count} worlds mesh.replicate({count})"
+        raise ValueError(
+            f"motion has {counted(num_rows, 'row', 'rows')} for "
+            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+        )
+
+
+def check_own_frames(mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
+    """Check that the rows of rigid bodies, which are in their own frames, are the same at both ends.
+
+    Raises:
+        ValueError: If one differs.
+    """
+    if start is end:
+        return
+    differs = (start != end).any(axis=1) & mesh.rigid[mesh.vertex_body]
+    differs[mesh.unused_vertices] = False
+    for vertex in np.flatnonzero(differs)[:1].tolist():
+        raise ValueError(
+            f"vertices_t1 has another row for vertex {vertex}{mesh._where(vertex)} than vertices_t0, and its body "
+            f"is rigid; expected its place in the body's own frame in both, as the motion says where the body is"
+        )
+
+
+def check_worlds(mesh: CollisionMesh) -> None:
+    """Check that no rigid body has vertices in several worlds, which may have to stop it at different times.
+
+    Raises:
+        ValueError: If one has.
+    """
+    if mesh.num_worlds == 1:
+        return
+    first = np.zeros(mesh.num_bodies, dtype=np.int32)
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
+    first[filled] = mesh.vertex_world[mesh._stand_ins[mesh.body_vertex_range[filled]]]
+    differs = (mesh.vertex_world != first[mesh.vertex_body]) & mesh.rigid[mesh.vertex_body]
+    differs[mesh.unused_vertices] = False
+    for vertex in np.flatnonzero(differs)[:1].tolist():
+        body = int(mesh.vertex_body[vertex])
+        raise ValueError(_of_worlds(body_label(body, mesh.names), int(first[body]), int(mesh.vertex_world[vertex])))
+
+
+def check_worlds_of(bodies: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
+    """Check the same of bodies whose first and last worlds are known.
+
+    Raises:
+        ValueError: If one has vertices in several.
+    """
+    for body in np.flatnonzero(bodies & (first < last))[:1].tolist():
+        raise ValueError(_of_worlds(f"body {body}", int(first[body]), int(last[body])))
+
+
+def _of_worlds(body: str, first: int, last: int) -> str:
+    return (
+        f"motion is given, and {body}, which is rigid, has vertices in worlds {first} and {last}; "
+        f"expected a body for each world"
+    )
+
+
+def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+    """Check that paths of these bodies, of one world after another, leave the static ones where they are.
+
+    Raises:
+        ValueError: If one moves.
+    """
+    num_worlds = len(given) // len(bodies)
+    is_static = np.tile(mesh.static[bodies], num_worlds)
+    for row in np.flatnonzero(is_static & (given.excess > 0.0))[:1].tolist():
+        raise ValueError(
+            f"within of the motion lets {_body_of(mesh, bodies, given, row)} leave its pose, which is static; expected "
+            f"0 for it, or kinematic in place of static for a body that moves as it is told"
+        )
+    for row in np.flatnonzero(is_static & given.moves)[:1].tolist():
+        raise ValueError(
+            f"motion moves {_body_of(mesh, bodies, given, row)}, which is static; expected equal poses at "
+            f"both ends, or kinematic in place of static for a body that moves as it is told"
+        )
+
+
+def _check_plane(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+    """Check that paths of these bodies, of one world after another, stay in the plane of a mesh in it.
+
+    Raises:
+        ValueError: If one leaves it.
+    """
+    if mesh.dimension == 3:
+        return
+    across = {
+        "quaternion at the start": ("x and y", given.rotation[:, :2]),
+        "rotation vector": ("x and y", given.omega[:, :2]),
+        "pivot": ("z", given.pivot[:, 2:]),
+        "place at the start": ("z", given.pivot_t0[:, 2:]),
+        "displacement": ("z", given.velocity[:, 2:] + given.turning[:, 2:]),
+    }
+    for name, (axes, values) in across.items():
+        for row in np.flatnonzero(values.any(axis=1))[:1].tolist():
+            found = " and ".join(str(value) for value in values[row].tolist())
+            raise ValueError(
+                f"motion takes {_body_of(mesh, bodies, given, row)} out of the plane of the mesh: {axes} of its {name} "
+                f"{'is' if axes == 'z' else 'are'} {found}; expected 0, as bodies in the plane turn about z alone: "
+                f"poses (x, y, 0) with quaternions (0, 0, z, w), twists (x, y, 0, 0, 0, angle)"
+            )
+
+
+def _body_of(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths, row: int) -> str:
+    """What a message calls the body of a row, of those of one world after another."""
+    world, k = divmod(row, len(bodies))
+    where = f" in world {world}" if len(given) > len(bodies) else ""
+    return f"{body_label(int(bodies[k]), mesh.names)}{where}"

@@ -1,0 +1,222 @@
+"""A mesh of one world with a motion of many: its bodies stand in memory once.
+
+Of large bodies only the parts are searched that may touch in a world (`near_worlds`). Other worlds go in batches: a
+batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
+once. A further world costs its rows of the motion, and what is found in it.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import MISSING, fields
+from functools import partial
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.least_toi_step import LeastToiStep
+from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._results.contact_place import ContactPlace, MovingVertices
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.results import Counts, MeshResult
+from ccd_warp._results.touch import Touch
+from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._rigid.near_worlds import NearWorlds
+from ccd_warp._rigid.part_mesh import PartMesh, rows_within
+from ccd_warp._rigid.world_results import result_of, sizes_of
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.status import PairKind, primitives_of
+from ccd_warp.kernels.pair.norm import is_ball
+
+_T = TypeVar("_T")
+_StepT = TypeVar("_StepT", bound=Step)
+# Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
+_PRIMITIVES = 1 << 19
+# Faces from which, and bodies up to which, it pays to look for parts that may touch.
+_LARGE, _MOST_BODIES = 2000, 64
+# Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
+_MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
+
+
+class MotionWorlds:
+    """The worlds of a motion for a mesh of one world.
+
+    Attributes:
+        num_worlds: Number of worlds.
+        timings: Seconds of each stage of all that has been searched.
+    """
+
+    def __init__(
+        self,
+        pipeline: Any,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        motion: RigidMotion,
+    ) -> None:
+        """Begin a search; ``start`` and ``end`` are the positions of all vertices, the same in every world.
+
+        Batches are calls of the pipelines of such a class as ``pipeline``, a ``CollisionPipeline``.
+
+        Raises:
+            ValueError: If the motion has not a row for each rigid body of the mesh in every world, moves a static one,
+                or a row of a rigid body differs between both ends.
+        """
+        self._pipeline, self._motion, self.num_worlds = pipeline, motion, motion.num_worlds
+        mesh = self._mesh = pipeline.mesh
+        given = motion._body_paths
+        check_motion(mesh, given, self.num_worlds)
+        check_worlds(mesh)
+        check_own_frames(mesh, start, end)
+        num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
+        most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)
+        self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
+        self._counts: list[Counts] = []
+        self.timings: dict[str, float] = {}
+        self._given, self._turn = (start, end), given.largest_turn
+
+    def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
+        """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
+
+        It gets a pipeline of the copies, positions and paths.
+        """
+        count, mesh = self._num_copies, self._mesh
+        copies = mesh._copies(count)
+        start = np.tile(self._given[0], (count, 1))
+        end = start if self._given[1] is self._given[0] else np.tile(self._given[1], (count, 1))
+        # bodies that all copies share, half-spaces, come last
+        num_own = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
+        copy_of_body = np.arange(copies.num_bodies) // num_own
+        copy_of_body[count * num_own :] = 0
+        for first in range(0, self.num_worlds, count):
+            worlds = np.arange(first, min(first + count, self.num_worlds))
+            is_searched = np.arange(count) < len(worlds)
+            of_batch = self._motion._of_worlds(np.append(worlds, np.repeat(worlds[-1:], count - len(worlds))))
+            # as many slices for all worlds, so that batches change no bit
+            paths = MeshPaths.of_checked(copies, of_batch, active=is_searched[copy_of_body], turn=self._turn)
+            with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
+                pipeline._show_progress = self._pipeline._show_progress
+                found = call(pipeline, start, end, paths)
+                self._add(pipeline.counts, pipeline.timings)
+            yield worlds, found
+
+    def _add(self, counts: Counts, timings: dict[str, float]) -> None:
+        """Count what a step did."""
+        self._counts.append(counts)
+        for name, seconds in timings.items():
+            self.timings[name] = self.timings.get(name, 0.0) + seconds
+
+    def counts(self) -> Counts:
+        """What all that has been searched did; sizes are those of all worlds."""
+        kinds = possible_kinds(self._mesh, self._pipeline._options)
+        total: dict[str, Any] = {}
+        for each in fields(Counts):
+            values = [getattr(counts, each.name) for counts in self._counts]
+            if each.default is MISSING:
+                total[each.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
+            else:
+                total[each.name] = sum(values)
+        return Counts(**(total | sizes_of(self._mesh, self.num_worlds)))
+
+    def least_toi(self, *, any_suffices: bool = False) -> float:
+        """The least toi of all worlds, or that of any contact, inf if there is none."""
+
+        def least_of(tois: Iterator[float]) -> float:
+            least = np.inf
+            for toi in tois:
+                least = min(least, toi)
+                if least <= 0.0 or (any_suffices and least < np.inf):
+                    break
+            return least
+
+        parts, pipeline = self._near, self._pipeline
+        if parts is not None:
+            holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
+
+            def of_parts(step: LeastToiStep) -> float:
+                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
+
+            found = parts.each(self._on_parts(LeastToiStep, of_parts))
+            least = least_of(toi for *_, toi in found)
+            if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
+                return least
+        call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
+        return least_of(toi for _, toi in self._each(call))
+
+    def result(self) -> MeshResult:
+        """The contacts in all worlds."""
+        world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
+        for worlds, result, of_one in self._results():
+            world_toi[worlds] = result.world_toi[: len(worlds)]
+            contacts.append(of_one)
+            hidden = hidden or result.hidden_gaps
+        mesh, options = self._mesh, self._pipeline._options
+        frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
+        scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
+        touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
+        return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
+
+    def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
+        """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
+        parts = self._near
+        if parts is None:
+            call = partial(type(self._pipeline)._contacts, is_ordered=False)
+            for worlds, result in self._each(call):
+                yield worlds, result, self._in_one_world(result.contacts, worlds)
+            return
+        mesh = self._mesh
+        of_step = partial(ContactStep.contacts, is_ordered=False)
+        for worlds, of_parts, result in parts.each(self._on_parts(ContactStep, of_step)):
+            yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
+
+    @property
+    def is_sparse(self) -> bool:
+        """Whether parts are looked for, and few of the primitives are in those that may touch."""
+        num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
+        return self._near is not None and self._near.num_primitives < _FEW * num_primitives
+
+    @lazy_property
+    def _near(self) -> NearWorlds | None:
+        """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
+        mesh, pipeline = self._mesh, self._pipeline
+        most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
+        if mesh.num_faces < _LARGE or mesh.num_bodies > most:
+            return None
+        parts = pipeline._near_parts(*self._given)
+        if parts is None:
+            return None
+        options = pipeline._options
+        reach, execution = pipeline._reach_of_parts, pipeline._execution
+        return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+
+    def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
+        """Some work on a step of a kind of a mesh of parts."""
+
+        def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
+            step: _StepT
+            with self._pipeline._step_of(kind, parts, paths) as step:
+                found = work(step)
+            self._add(step.counts, step.timings)
+            return found
+
+        return on_parts
+
+    def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp]) -> Contacts:
+        """The contacts of a batch as those of the mesh of one world."""
+        mesh = self._mesh
+        is_shared = mesh.planes.vertices < 0
+        planes = np.append(np.tile(np.flatnonzero(~is_shared), self._num_copies), np.flatnonzero(is_shared))
+        sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
+        primitives, copy = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.int32)
+        for kind in PairKind:
+            rows = np.flatnonzero(contacts.kind == int(kind))
+            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
+                of_copies = primitives[rows, column]
+                if name == "plane":  # the other is a vertex
+                    primitives[rows, column] = planes[of_copies]
+                else:
+                    copy[rows] = of_copies // sizes[name]
+                    primitives[rows, column] -= copy[rows] * sizes[name]
+        place = ContactPlace(mesh, world=worlds[copy].astype(np.int32))
+        return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)

@@ -1,0 +1,80 @@
+"""Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
+
+Slices of all worlds are tested by boxes (`near_parts`), and the parts that may touch in some slice of a world are the
+bodies of this world in a mesh of parts (`part_mesh`), along the paths of the whole bodies: so the answers are those of
+whole bodies, in every bit.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._rigid.arcs import TURN_OF_A_SLICE
+from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.near_parts import NearParts, spans
+from ccd_warp._rigid.part_mesh import MOST_BODIES, PartMesh, rows_within
+from ccd_warp._rigid.part_trees import distinct, ranges
+from ccd_warp._runtime.launch import Execution
+
+if TYPE_CHECKING:
+    from ccd_warp._rigid.motion import RigidMotion
+
+_T = TypeVar("_T")
+_MOST_ROWS = 1 << 19  # primitives of a mesh of parts
+
+
+class NearWorlds:
+    """The parts of all worlds of a motion, for a mesh of one, that may touch.
+
+    Attributes:
+        parts: Those of the mesh.
+        num_primitives: The number of primitives of all parts that may touch.
+    """
+
+    def __init__(
+        self,
+        parts: NearParts,
+        motion: "RigidMotion",
+        t_max: float,
+        reach: float,
+        execution: Execution,
+        memory_limit: int | None = None,
+    ) -> None:
+        """Find those of the parts that may come within a distance in a step up to a time."""
+        self._motion, self._turn = motion, motion._body_paths.largest_turn
+        self.parts = parts
+        self._most_rows = rows_within(memory_limit, _MOST_ROWS)
+        turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
+        each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
+        of_slice, begin, end = spans(each, t_max)
+        slices, a, b = self.parts.near(motion, of_slice, begin, end, reach, execution)
+        count = len(self.parts.body)
+        of_pair = of_slice[slices] * count
+        self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
+        self._sizes = np.diff(self.parts.begins)[self._part]
+        self.num_primitives = int(self._sizes.sum())
+
+    def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
+        """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""
+        first, sizes = self.parts.begins, self._sizes
+        worlds, start = np.unique(self._world, return_index=True)
+        bounds = np.append(start, len(self._world))
+        before = np.append(0, np.cumsum(sizes))[bounds]
+        number = np.repeat(np.arange(len(worlds)), np.diff(bounds))
+        bodies = np.append(0, np.cumsum(self.parts.num_bodies(number, self._part, len(worlds))))
+        k = 0
+        while k < len(worlds):
+            fits = (
+                int(np.searchsorted(of, of[k] + most, side="right")) - 1
+                for of, most in ((before, self._most_rows), (bodies, MOST_BODIES))
+            )
+            last = min(max(k + 1, min(fits)), len(worlds))
+            chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
+            of_part = np.searchsorted(chosen, self._world[rows])
+            own, counts = self._part[rows], sizes[rows]
+            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), ranges(first[own], counts))
+            given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
+            yield chosen, parts, work(parts, MeshPaths.of_checked(parts.mesh, given, turn=self._turn))
+            k = last

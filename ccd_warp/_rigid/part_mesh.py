@@ -1,0 +1,165 @@
+"""Meshes of parts of a mesh of one world, those that may touch in a world of a motion a world of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._results.contact_place import ContactPlace
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._rigid.near_parts import NearParts
+from ccd_warp._runtime.status import PairKind, primitives_of
+from ccd_warp._scene.half_space import Planes
+from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
+from ccd_warp._scene.mesh import CollisionMesh
+
+# Bodies of a mesh of parts at most, or one world's: pairs of them that may collide take a byte each.
+MOST_BODIES = 1 << 13
+_BYTES_OF_A_ROW = 1024  # of a primitive with its boxes and pairs, about
+
+
+def rows_within(memory_limit: int | None, most: int) -> int:
+    """How many primitives a mesh may have, and no more than that."""
+    return most if memory_limit is None else min(most, memory_limit // _BYTES_OF_A_ROW)
+
+
+def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> CollisionMesh | None:
+    """A mesh of one world with vertices at these positions, whose pairs ``body_pairs`` alone excludes.
+
+    None where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body. A
+    particle that is no codimensional point meets faces and half-spaces as others do, and is in no part.
+    """
+    if (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh):
+        return None
+    if (~mesh.static & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
+        return None
+    if positions is mesh.vertices and not mesh.exclude_pairs:
+        return mesh
+    has_points = np.zeros(mesh.num_bodies, dtype=bool)
+    has_points[mesh.vertex_body[mesh.codimensional_points]] = True
+    return _mesh(
+        positions, mesh.faces, mesh.edges[mesh.codimensional_edges], np.diff(mesh.body_vertex_range), mesh.static,
+        mesh.rigid, has_points, _allowed(mesh), mesh.vertex_world, mesh.names, mesh.radius, mesh.planes,
+    )  # fmt: skip
+
+
+def _has_lone_vertices(mesh: CollisionMesh) -> bool:
+    """Whether a vertex that may collide is of no primitive."""
+    is_used = np.zeros(mesh.num_vertices, dtype=bool)
+    is_used[mesh.unused_vertices] = True
+    is_used[mesh.faces] = is_used[mesh.edges] = True
+    is_used[mesh.codimensional_points] = True
+    return not is_used.all()
+
+
+def _allowed(mesh: CollisionMesh) -> NDArray[np.bool_] | None:
+    """Which pairs of bodies may collide; None if all may."""
+    if "bodies" not in mesh.exclude_pairs:
+        return mesh.body_pairs
+    count = mesh.num_bodies
+    allowed = np.ones((count, count), dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
+    a, b = mesh.exclude_pairs["bodies"].T
+    allowed[a, b] = allowed[b, a] = False
+    return allowed
+
+
+def _mesh(
+    vertices: Any, faces: Any, edges: Any, sizes: Any, static: Any, rigid: Any, has_points: Any, pairs: Any,
+    world: Any, names: Any, radius: Any, planes: Planes,
+) -> CollisionMesh:  # fmt: skip
+    none = np.zeros(len(static), dtype=bool)
+    return CollisionMesh(
+        vertices=np.array(vertices, dtype=np.float64),
+        faces=np.array(faces, dtype=np.int32).reshape(-1, 3),
+        body_vertex_range=np.append(0, np.cumsum(sizes)).astype(np.int32),
+        static=np.array(static),
+        kinematic=none.copy(),
+        rigid=np.array(rigid),
+        self_collision=none.copy(),
+        given_edges=np.array(edges, dtype=np.int32).reshape(-1, 2),
+        with_codimensional_points=has_points,
+        with_inner_vertices=none.copy(),
+        body_pairs=pairs,
+        exclusion_rings=1,
+        vertex_world=np.array(world, dtype=np.int32),
+        names=tuple(names),
+        exclude_pairs=ExcludedPairs(),
+        radius=None if radius is None else np.array(radius),
+        planes=planes,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PartMesh:
+    """Some primitives of a mesh of one world in each of several worlds.
+
+    Attributes:
+        mesh: The mesh; its rigid bodies are those that have a primitive in some world, those of a world in their order.
+        vertex: The vertex of the one world that each vertex is, shape [V].
+        face: The face of the one world that each face is.
+        is_used: Which rigid bodies of each world are bodies of the mesh, bool, shape [W, B].
+        rank: The first row in which each vertex is: primitives in this order are near each other, shape [V].
+    """
+
+    mesh: CollisionMesh
+    vertex: NDArray[np.intp]
+    face: NDArray[np.intp]
+    is_used: NDArray[np.bool_]
+    rank: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, parts: NearParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
+        """The mesh of primitives, as ``NearParts.primitives`` has them, in so many worlds, ascending."""
+        one = parts.mesh
+        size = one.num_vertices
+        corners, kind, number = parts.primitives(row)
+        keys = world_of_row[:, None] * size + corners
+        unique, first, corners = np.unique(keys, return_index=True, return_inverse=True)
+        corners = corners.reshape(keys.shape)
+        world, vertex = np.divmod(unique, size)
+        body = one.vertex_body[vertex]
+        body_keys, sizes = np.unique(world * one.num_bodies + body, return_counts=True)
+        world_of_body, body = np.divmod(body_keys, one.num_bodies)
+        planes = one.planes  # their bodies come last
+        num_own = len(body)
+        body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
+        world_of_body = np.append(world_of_body, np.zeros(len(planes), dtype=world_of_body.dtype))
+        planes = replace(planes, bodies=(num_own + np.arange(len(planes))).astype(np.int32))
+        rigid = one.rigid[body]
+        is_used = np.zeros((count, int(one.rigid.sum())), dtype=bool)
+        is_used[world_of_body[rigid], parts.row_of[body[rigid]]] = True
+        faces = kind == 0
+        mesh = _mesh(
+            one.vertices[vertex], corners[faces], corners[kind == 1][:, :2], sizes, one.static[body], rigid,
+            np.ones(len(body), dtype=bool), None if one.body_pairs is None else one.body_pairs[np.ix_(body, body)],
+            world, [one.names[b] for b in body.tolist()], None if one.radius is None else one.radius[vertex], planes,
+        )  # fmt: skip
+        return cls(mesh, vertex, number[faces], is_used, first // 3)
+
+    def in_one_world(self, contacts: Contacts, mesh: CollisionMesh, worlds: NDArray[np.intp]) -> Contacts:
+        """Contacts as those of the mesh of one world, given what each world of this mesh is."""
+        if len(contacts) == 0:
+            return contacts
+        numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
+            "vertex": lambda own: self.vertex[own],
+            "face": lambda own: self.face[own],
+            "plane": lambda own: own,
+            "edge": lambda own: _edges(mesh, self.vertex[self.mesh.edges[own]]),
+        }
+        primitives = contacts.primitives.copy()
+        for kind in PairKind:
+            rows = np.flatnonzero(contacts.kind == int(kind))
+            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
+                primitives[rows, column] = numbers[name](primitives[rows, column])
+        place = ContactPlace(mesh, world=worlds[contacts.world].astype(np.int32))
+        return replace(contacts, primitives=primitives)._of(place)
+
+
+def _edges(world: CollisionMesh, ends: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The edges of a mesh, which are in the order of (max, min), with these vertices, shape [n, 2]."""
+    keys = world.edges[:, 1].astype(np.int64) * world.num_vertices + world.edges[:, 0]
+    return np.searchsorted(keys, ends[:, 1] * world.num_vertices + ends[:, 0])

@@ -1,0 +1,125 @@
+"""The results of worlds from their contacts: of copies of a mesh, or of a mesh of one world with a motion of many."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._results.contact_place import MovingVertices, joined, located, radii_of
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.results import Counts, MeshResult
+from ccd_warp._results.touch import Touch
+from ccd_warp._runtime.status import CCDStatus, PairKind
+from ccd_warp._scene.mesh import CollisionMesh
+
+# Sorts of one column of numbers take a fraction of those of several.
+_MOST_KEYS = 1 << 62
+_NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, width
+    *(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), np.zeros(0), np.zeros((0, 2)), np.zeros((0, 3))),
+    *(np.zeros(0, np.int32), np.zeros(0), np.zeros(0)),
+)
+
+
+class WorldsResult(MeshResult):
+    """A result whose arrays of vertices and bodies are made at their first use: of many worlds they are large."""
+
+    def __getattr__(self, name: str) -> NDArray[Any]:
+        owner, _, kind = name.partition("_")
+        if owner not in ("vertex", "body") or kind not in ("toi", "contact"):
+            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+        contacts, num_worlds = self.contacts, len(self.world_toi)
+        mesh = contacts._known().mesh
+        size, owners = {
+            "vertex": (mesh.num_vertices, contacts.vertices),
+            "body": (mesh.num_bodies, contacts.bodies),
+        }[owner]
+        if mesh.num_worlds < num_worlds:
+            world = contacts.world[:, None].astype(np.int64)
+            least, first = firsts(contacts.toi, world * size + owners, num_worlds * size)
+            least, first = least.reshape(-1, size), first.reshape(-1, size)
+        else:
+            least, first = firsts(contacts.toi, owners, size)
+        vars(self).update({f"{owner}_toi": least, f"{owner}_contact": first})
+        found: NDArray[Any] = vars(self)[name]
+        return found
+
+
+def result_of(
+    mesh: CollisionMesh,
+    world_toi: NDArray[np.float64],
+    found: list[Contacts],
+    counts: Counts,
+    timings: dict[str, float],
+    hidden_gaps: str = "",
+    frames: MovingVertices | None = None,
+    touch: Touch | None = None,
+) -> MeshResult:
+    """The result of worlds with these tois and contacts.
+
+    For a mesh of one world, and tois of several, arrays of vertices and bodies have an axis of worlds in front, and the
+    contacts are those of one world after those of another. ``frames`` is how vertices move in all worlds, and ``touch``
+    what counts as touching, where contacts have no places yet.
+    """
+    num_worlds = len(world_toi)
+    has_axis = mesh.num_worlds < num_worlds
+    found = [each for each in found if len(each)]
+    contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
+    contacts = contacts[_in_order(contacts, has_axis=has_axis)]
+    if frames is not None and len(contacts):
+        place = contacts._known()
+        place.frames, place.touch, place.radii = frames.copied(contacts), touch, radii_of(mesh)
+    world_contact = firsts(contacts.toi, contacts.world[:, None], num_worlds)[1]
+    of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
+    of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
+    counts = replace(
+        counts,
+        num_contacts={kind: of_kind[int(kind)] for kind in counts.num_contacts},
+        num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
+        num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
+    )
+    result = object.__new__(WorldsResult)
+    vars(result).update(
+        toi=float(world_toi.min()),
+        contacts=contacts,
+        counts=counts,
+        timings=timings,
+        world_toi=world_toi,
+        world_contact=world_contact,
+        start=None,
+        hidden_gaps=hidden_gaps,
+    )
+    return result
+
+
+def _in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp]:
+    """The order of contacts by world, where there is an axis of worlds, kind and primitives."""
+    columns = [*([contacts.world] if has_axis else []), contacts.kind, *contacts.primitives.T]
+    keys, most = np.zeros(len(contacts), dtype=np.int64), 1
+    for column in columns:
+        size = int(column.max(initial=0)) + 1
+        most *= size
+        if most > _MOST_KEYS:
+            return np.lexsort(columns[::-1])
+        keys = keys * size + column
+    return np.argsort(keys, kind="stable")
+
+
+def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:
+    """The sizes among the counts, of a mesh, or of so many worlds where the mesh has one."""
+    sizes = {name: int(getattr(mesh, name)) for name in ("num_bodies", "num_vertices", "num_edges", "num_faces")}
+    sizes["num_codimensional_edges"] = len(mesh.codimensional_edges)
+    sizes["num_codimensional_points"] = len(mesh.codimensional_points)
+    copies = num_worlds // mesh.num_worlds
+    return {name: copies * size for name, size in sizes.items()}
+
+
+def firsts(toi: NDArray[np.float64], owners: NDArray[Any], count: int) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """The least toi of each owner, and the first contact that has it, -1 for none."""
+    least, first = np.full(count, np.inf), np.full(count, len(toi), dtype=np.int32)
+    for column in owners.T:
+        np.minimum.at(least, column, toi)
+    for column in owners.T:
+        has_it = np.flatnonzero(toi == least[column])
+        np.minimum.at(first, column[has_it], has_it.astype(np.int32))
+    return least, np.where(first == len(toi), np.int32(-1), first)
