@@ -11,6 +11,7 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.input.interop import as_warp
 
 WALL = np.array([[1.0, -1, -1], [1, 1, -1], [1, 0, 1]])
@@ -61,13 +62,13 @@ def test_launch_reads_where_it_is_and_results_go_out_where_they_are(library, dty
 
 
 def test_pairs_are_read_where_they_are(library, monkeypatch):
-    seen, launch = [], ccd._pair_ccd.Execution.launch
+    seen, launch = [], Execution.launch
 
     def watched(execution, kernel, count, inputs, outputs, **options):
         seen.append([outputs[0].points_t0.ptr, outputs[0].points_t1.ptr])
         launch(execution, kernel, count, inputs, outputs, **options)
 
-    monkeypatch.setattr(ccd._pair_ccd.Execution, "launch", watched)
+    monkeypatch.setattr(Execution, "launch", watched)
     # more than the few of NumPy that are copied to where a launch has been recorded
     frames = [library.array(np.repeat(points, 600, axis=0)) for points in PAIR]
     toi = ccd.vertex_face_ccd(*frames, device="cpu").toi
