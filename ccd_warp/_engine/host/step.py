@@ -96,7 +96,7 @@ class Step:
             self.plan = plan = HostPlan.of(*arguments, is_held=self.is_held, arcs=self.arcs)
             self.execution = plan.execution
             self.planes = PlaneStage(plan) if plan.has_planes else None
-            if part in (None, self.slices[0]):
+            if part is None or part is self.slices[0]:
                 plan.begin_counts()
             if part is not None and self.arcs is not None:
                 t_end, self.positions = 1.0, self.arcs.placed(part, self.execution)
