@@ -104,6 +104,10 @@ class AcrossRanks(OneProcess):
         with self.timed("reductions"):
             return self._ranks.agree(number)[0]
 
+    def all(self, flag: bool) -> bool:
+        """Whether a flag is set on all ranks; asked between steps, so no time of theirs."""
+        return self._ranks.agree(float(flag))[0] > 0.0
+
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least of each number over all ranks."""
         return self._ranks.least(values)

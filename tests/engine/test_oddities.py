@@ -1,6 +1,7 @@
 """Lengths that hardly mean what they say: positions that blow up, and a distance of many edges."""
 
 import itertools
+import signal
 import warnings
 
 import numpy as np
@@ -131,6 +132,14 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
         assert not pipeline.is_step_collision_free(mesh.vertices, end)
         assert not any(pipeline.counts.num_after_cull.values())
         assert pipeline.mesh_ccd(mesh.vertices, end).toi == 0.0 < sum(pipeline.counts.num_after_cull.values())
+
+
+def test_a_warning_that_is_an_error_hides_no_interrupt(monkeypatch):
+    mesh = two_sheets()
+    monkeypatch.setattr("ccd_warp._engine.host.plan.HostPlan.play", lambda *_: signal.raise_signal(signal.SIGINT))
+    with warnings.catch_warnings(), pytest.raises(KeyboardInterrupt):
+        warnings.simplefilter("error")
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, minimum_distance=2.5)
 
 
 @pytest.mark.parametrize("thickness", ["distance", "separation", "radius", "radius on the device"])

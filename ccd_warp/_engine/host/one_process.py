@@ -53,7 +53,7 @@ class OneProcess:
 
     def all(self, flag: bool) -> bool:
         """Whether a flag is set everywhere."""
-        return self.least_number(float(flag)) > 0.0
+        return flag
 
     def least(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least of each number everywhere."""

@@ -83,8 +83,9 @@ class Step:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self.oddities.explain(self.workspace, self.positions, self.options, is_whole=self.ranks.is_alone)
+    def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
+        if error is None or issubclass(error, Exception):  # a warning that is an error would hide an interrupt
+            self.oddities.explain(self.workspace, self.positions, self.options, is_whole=self.ranks.is_alone)
 
     def begin(self, t_end: float, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
         """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box.
