@@ -239,13 +239,14 @@ def _arrays(vertices: Sequence[Any]) -> list[Any]:
 def _handed_over(array: Any) -> Any:
     """An array as a tensor: in its own memory on the CPU, and in memory of PyTorch on CUDA.
 
-    Warp would free its own before a stream of PyTorch, which does not block, has read it.
+    Warp would free its own before a stream of PyTorch, which does not block, has read it; and what it allocates while a
+    graph is captured is no memory that PyTorch can ask CUDA about.
     """
-    shared = wp.to_torch(array, requires_grad=False)
     if array.device.is_cpu:
-        return shared
-    tensor = torch.empty_like(shared)
-    copy: Any = wp.from_torch(tensor, dtype=array.dtype)
+        return wp.to_torch(array, requires_grad=False)
+    dtype, device = wp.dtype_to_torch(array.dtype), wp.device_to_torch(array.device)
+    tensor = torch.empty(array.shape, dtype=dtype, device=device)
+    copy: Any = wp.from_torch(tensor)
     wp.copy(copy, array)
     return tensor
 
