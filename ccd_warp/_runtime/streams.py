@@ -46,7 +46,8 @@ def beside(device: Any, handle: int) -> AbstractContextManager[Any]:
 def in_order_with(theirs: Any) -> Iterator[None]:
     """A block whose launches are on a stream that blocks, in the order of two streams that may not block.
 
-    The two are a library's and the current one of its device, on which other launches are.
+    The two are a library's and the current one of its device, on which other launches are. The null stream is also in
+    the order of all streams that block.
     """
     current = theirs.device.stream
     own = current if current.is_blocking else theirs.device.null_stream
