@@ -47,6 +47,10 @@ def pytest_sessionstart(session):
     if name not in (names := [device.alias for device in wp.get_devices()]):
         raise pytest.UsageError(f"--device is {name!r}; expected emulated or one of {', '.join(names)}")
     wp.set_device(name)
+    if wp.get_device().is_cuda:
+        from uploads import upload_to_launches
+
+        upload_to_launches()
 
 
 def pytest_sessionfinish():

@@ -136,8 +136,9 @@ def test_graphs_and_launches_of_what_moves_follow_a_static_body_and_its_radius(b
     mesh, start, end = falling(static=[0], radius=0.0)
     pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase)
     whole, moving = ([on_device(x[rows]) for x in (start, end)] for rows in (slice(None), mesh.moving_vertices))
-    result, graphs = pipeline.launch(*whole), []
+    graphs = []
     for frames in (whole, moving):
+        result = pipeline.launch(*frames)  # which has to come before the capture on CUDA
         with wp.ScopedCapture() as capture:
             pipeline.launch(*frames)
         graphs.append(capture.graph)
