@@ -324,6 +324,54 @@ def device_step(folder: Path) -> list[str]:
     return table_of(pd.DataFrame(columns))
 
 
+def gpu_launches(folder: Path) -> list[str]:
+    """Launches of scenes on a GPU and on the CPU beside it, with the kernels that take longest."""
+    rows, code = raw.read(folder, "gpu_times"), raw.read(folder, "cuda_code")
+    rows = rows[rows.scene.notna()].assign(is_cpu=lambda r: r.device == "cpu")
+    stages = code[code.kernel == "solve_pairs"].set_index("hash").module.str.split().str[2]
+
+    def shares(kernels: dict[str, float]) -> str:
+        parts = [(name.rpartition("_")[::2], seconds / sum(kernels.values())) for name, seconds in kernels.items()]
+        named = [(f"`{short.split('__')[-1]}` {stages.get(key, '')}".strip(), part) for (short, key), part in parts]
+        return ", ".join(f"{name} {100 * part:.0f} %" for name, part in named if part >= 0.08)
+
+    on_cpu = rows[rows.is_cpu].set_index("scene")[["launch", "mesh_ccd"]].add_prefix("cpu ")
+    rows = rows[~rows.is_cpu].join(on_cpu, on="scene")
+    columns = {"scene": rows.scene, "pairs": counted(rows.pairs), "broad phase": rows.broad_phase}
+    columns |= {"`launch`": rows.launch.map(time_text), "in a graph": rows.replay.map(time_text)}
+    columns |= {"its kernels": rows.kernels.map(shares), "`launch` on the CPU": rows["cpu launch"].map(time_text)}
+    columns |= {
+        f"`mesh_ccd`{of}": rows[f"{key}mesh_ccd"].map(time_text)
+        for of, key in ((" there", ""), (" on the CPU", "cpu "))
+    }
+    return table_of(pd.DataFrame(columns))
+
+
+def gpu_queries(folder: Path) -> list[str]:
+    rows = raw.read(folder, "gpu_times")
+    rows = rows[rows.queries.notna()]
+    rates = rows.assign(
+        count=counted(rows.queries) + " queries", rate=(rows.queries_a_second / 1e9).map("{:.3f}".format)
+    )
+    rates["ends"] = rates.touching.map({1: "touch", 0: "freed by the first test"})
+    table = rates.pivot_table(
+        index=["kind", "ends", "precision"], columns="count", values="rate", aggfunc="first", sort=False
+    )
+    return table_of(table.add_suffix(" [G/s]").reset_index().rename(columns={"ends": "queries that"}))
+
+
+def cuda_code(folder: Path) -> list[str]:
+    """What kernels keep on the stack, and what the driver reserves for it on 132 multiprocessors of 2,048 threads."""
+    rows = raw.read(folder, "cuda_code")
+    rows = rows[rows.stack > 0]
+    columns = {"kernel": rows.module, **{name: counted(rows[name]) for name in ("registers", "instructions")}}
+    columns |= {
+        "stack, bytes": counted(rows["stack"]),
+        "local memory": counted(rows["stack"] * 132 * 2048 / 1e6) + " MB",
+    }
+    return table_of(pd.DataFrame(columns))
+
+
 def gradients(folder: Path) -> list[str]:
     rows = raw.read(folder, "gradients")
     is_new = rows.scene != rows.scene.shift()
@@ -351,6 +399,9 @@ TABLES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "speed": (speed, "sweep"),
     "by tolerance": (by_tolerance, "sweep"),
     "steps on the device": (device_step, "device_step"),
+    "launches on a GPU": (gpu_launches, "gpu_times"),
+    "queries on a GPU": (gpu_queries, "gpu_times"),
+    "stack of kernels": (cuda_code, "cuda_code"),
     "what gradients cost": (gradients, "gradients"),
     "measured": (measured, raw.RUNS),
     "methods": (methods, raw.RUNS),
