@@ -2,9 +2,9 @@
 
     python benchmarks/cuda_code.py [--arch 90] [--modules WORD ...] [--compare OLD.csv] [--output cuda_code.csv]
 
-It needs no GPU: modules are compiled to the machine code that runs there (those of gpu_pack.py are used, in the same
-folder), `cuobjdump` and `nvdisasm` read it (`pip install -e '.[benchmarks,cuda-tools]'`), and launches are counted on the emulated
-device. Stack is what the driver reserves for each thread that could be resident: docs/cuda.md says how much that is.
+It needs no GPU: modules are compiled to the code that runs there (that of gpu_pack.py is used), `cuobjdump` and
+`nvdisasm` read it (`pip install -e '.[benchmarks,cuda-tools]'`), and launches are counted on the emulated device. Stack
+is what the driver reserves for each thread that could be resident: docs/cuda.md says how much that is.
 """
 
 from __future__ import annotations

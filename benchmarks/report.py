@@ -315,15 +315,6 @@ def separation(folder: Path) -> list[str]:
     return table_of(pd.DataFrame(columns))
 
 
-def device_step(folder: Path) -> list[str]:
-    rows = raw.read(folder, "device_step")
-    columns = {"scene": rows.scene} | {name: counted(rows[name]) for name in ("vertices", "pairs", "contacts")}
-    names = {"mesh_ccd": "`mesh_ccd`", "launch": "`launch`", "replay": "in a graph"}
-    names["line search"] = "`launch_line_search`, by vertex"
-    columns |= {header: rows[f"seconds.{name}"].map(time_text) for name, header in names.items()}
-    return table_of(pd.DataFrame(columns))
-
-
 def gpu_launches(folder: Path) -> list[str]:
     """Launches of scenes on a GPU and on the CPU beside it, with the kernels that take longest."""
     rows, code = raw.read(folder, "gpu_times"), raw.read(folder, "cuda_code")
@@ -398,7 +389,6 @@ def measured(folder: Path) -> list[str]:
 TABLES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "speed": (speed, "sweep"),
     "by tolerance": (by_tolerance, "sweep"),
-    "steps on the device": (device_step, "device_step"),
     "launches on a GPU": (gpu_launches, "gpu_times"),
     "queries on a GPU": (gpu_queries, "gpu_times"),
     "stack of kernels": (cuda_code, "cuda_code"),
