@@ -1,9 +1,10 @@
 """Times of impact and line searches as differentiable functions of PyTorch, which is in the extra ``interop``.
 
 Tensors are float32 or float64, contiguous, on the device of the pipeline. They are read in the memory where they are,
-and gradients are handed over in that in which they were computed; only the shortened positions of a line search begin
-as a copy. On CUDA all launches are on the current stream of PyTorch. ``torch.compile`` does not look into these
-functions, but calls them between two parts of its graph.
+and on the CPU gradients are handed over in that in which they were computed; the shortened positions of a line search
+begin as a copy. On CUDA what is handed over is memory of PyTorch, and a call comes after all that its current stream
+has been given, and before what it is given next, also in ``torch.cuda.graph``. ``torch.compile`` does not look into
+these functions, but calls them between two parts of its graph.
 
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
@@ -19,6 +20,7 @@ from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
+from ccd_warp._runtime.streams import beside
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
 from ccd_warp._scene.input.interop import as_warp
 
@@ -167,12 +169,12 @@ def line_search_is_regular(
 @torch.compiler.disable
 def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: Any) -> Any:
     """The flags of a launch on a tape."""
-    with _stream(pipeline._topology.device):
+    with _in_order(pipeline._topology.device):
         arrays = _arrays(vertices)
         for array in arrays:
             array.requires_grad = True
         _, result = launched(launch, arrays)
-        return wp.to_torch(result.is_regular(per), requires_grad=False)
+        return _handed_over(result.is_regular(per))
 
 
 class _Toi(torch.autograd.Function):
@@ -181,21 +183,21 @@ class _Toi(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, pipeline: CollisionPipeline, per: str, *vertices: Any) -> Any:
         """Launch, on a tape where a gradient is asked for."""
-        with _stream(pipeline._topology.device):
+        with _in_order(pipeline._topology.device):
             ctx.arrays, needs = _arrays(vertices), ctx.needs_input_grad[2:]
             for array, needs_gradient in zip(ctx.arrays, needs, strict=True):
                 array.requires_grad = needs_gradient
             ctx.tape, result = launched(pipeline.launch, ctx.arrays)
             ctx.toi = getattr(result, TOIS[per])
-            found = wp.to_torch(ctx.toi, requires_grad=False)
-            return found if any(needs) else found.clone()  # which the next launch would overwrite
+            found = _handed_over(ctx.toi)
+            # without a tape the next launch overwrites the arrays of the result
+            return found.clone() if ctx.tape is None and ctx.toi.device.is_cpu else found
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, of_toi: Any) -> Any:
         """Play the tape backwards."""
-        with _stream(ctx.toi.device):
-            return None, None, *_played_back(ctx, ctx.toi, of_toi.contiguous())
+        return None, None, *_played_back(ctx, ctx.toi, of_toi.contiguous())
 
 
 class _LineSearch(torch.autograd.Function):
@@ -204,8 +206,8 @@ class _LineSearch(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, pipeline: CollisionPipeline, options: dict[str, Any], start: Any, end: Any) -> Any:
         """Launch, on a tape where a gradient is asked for."""
-        with _stream(pipeline._topology.device):
-            shortened = end.detach().clone()
+        shortened = end.detach().clone()
+        with _in_order(pipeline._topology.device):
             ctx.arrays, needs = _arrays((start, shortened)), ctx.needs_input_grad[2:]
             for array, needs_gradient in zip(ctx.arrays, (needs[0], any(needs)), strict=True):
                 array.requires_grad = needs_gradient
@@ -217,16 +219,13 @@ class _LineSearch(torch.autograd.Function):
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, of_shortened: Any) -> Any:
         """Play the tape backwards, which turns the gradient of the shortened positions into that of the wished ones."""
-        end = ctx.arrays[1]
-        with _stream(end.device):
-            return None, None, *_played_back(ctx, end, of_shortened.clone(memory_format=torch.contiguous_format))
+        own_gradient = of_shortened.clone(memory_format=torch.contiguous_format)
+        return None, None, *_played_back(ctx, ctx.arrays[1], own_gradient)
 
 
-def _stream(device: Any) -> AbstractContextManager[Any]:
-    """A block whose launches, on CUDA, are on the current stream of PyTorch."""
-    if not device.is_cuda:
-        return nullcontext()
-    return wp.ScopedStream(wp.stream_from_torch(torch.cuda.current_stream(device.ordinal)))
+def _in_order(device: Any) -> AbstractContextManager[Any]:
+    """A block whose launches, on CUDA, are in the order of PyTorch's current stream; no tensor is computed in it."""
+    return beside(device, torch.cuda.current_stream(device.ordinal).cuda_stream) if device.is_cuda else nullcontext()
 
 
 def _arrays(vertices: Sequence[Any]) -> list[Any]:
@@ -237,9 +236,25 @@ def _arrays(vertices: Sequence[Any]) -> list[Any]:
     return [as_warp(tensor.detach(), f"vertices_t{k}") for k, tensor in enumerate(vertices)]
 
 
+def _handed_over(array: Any) -> Any:
+    """An array as a tensor: in its own memory on the CPU, and in memory of PyTorch on CUDA.
+
+    Warp would free its own before a stream of PyTorch, which does not block, has read it; and what it allocates while a
+    graph is captured is no memory that PyTorch can ask CUDA about.
+    """
+    if array.device.is_cpu:
+        return wp.to_torch(array, requires_grad=False)
+    dtype, device = wp.dtype_to_torch(array.dtype), wp.device_to_torch(array.device)
+    tensor = torch.empty(array.shape, dtype=dtype, device=device)
+    copy: Any = wp.from_torch(tensor)
+    wp.copy(copy, array)
+    return tensor
+
+
 def _played_back(ctx: Any, result: wp.array, gradient: Any) -> list[Any]:
     """The gradients of the arrays of a launch from that of its result, in tensors that no later call writes to."""
-    of_result: Any = wp.from_torch(gradient, dtype=result.dtype)
-    play_back(ctx.tape, ctx.arrays, result, of_result)
-    needs = ctx.needs_input_grad[2:]
-    return [wp.to_torch(x.grad) if is_needed else None for x, is_needed in zip(ctx.arrays, needs, strict=True)]
+    with _in_order(result.device):
+        of_result: Any = wp.from_torch(gradient, dtype=result.dtype)
+        play_back(ctx.tape, ctx.arrays, result, of_result)
+        needs = ctx.needs_input_grad[2:]
+        return [_handed_over(x.grad) if is_needed else None for x, is_needed in zip(ctx.arrays, needs, strict=True)]

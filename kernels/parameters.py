@@ -16,4 +16,4 @@ dimension = 3  # of the positions that are read or written
 end = "list"  # stage at which a search ends (`search_types`)
 with_lists = False  # whether there are lists of excluded pairs
 is_thick = False  # whether vertices have radii
-in_half_warps = False  # whether half a warp takes a query of a search, as on CUDA
+in_warps = False  # whether a warp takes queries of a search, as on CUDA

@@ -425,8 +425,8 @@ def line_search(
     need no additional round.
 
     Kinematic bodies move as they are told. What one of them hits is shortened as others are, and stopped where the body
-    would hit it even at rest, which another round finds out. Then the body passes through it, and the pairs are
-    returned as ``struck``.
+    would hit it even if it were stationary, which another round finds out. Then the body passes through it, and the
+    pairs are returned as ``struck``.
 
     Args:
         mesh: The bodies.

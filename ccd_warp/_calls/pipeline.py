@@ -71,6 +71,7 @@ _LARGE_SCENE = 1 << 15
 
 _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
+_DeviceStepT = TypeVar("_DeviceStepT", bound=Any)
 
 
 class CollisionPipeline:
@@ -359,7 +360,7 @@ class CollisionPipeline:
         layout = self._layout if layout is None else layout
         try:
             arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._line.progress
-            step = DeviceLineSearch(*arguments)
+            step = _made(DeviceLineSearch, *arguments)
         except RuntimeError as error:  # of Warp; what it has allocated so far is freed
             if "allocate" not in str(error):
                 raise
@@ -538,7 +539,7 @@ class CollisionPipeline:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
             layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
             of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
-            step = DeviceArcStep(*of_step, self._line.progress)
+            step = _made(DeviceArcStep, *of_step, self._line.progress)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
         if not self._is_distance_checked:
             self._check_first_distance(step, prepared)
@@ -674,7 +675,7 @@ class CollisionPipeline:
                 if self._topology.device.is_capturing:
                     raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
                 of_step = self._topology, self._options, self._capacities, self._layout, self.radius
-                step = kind(*of_step, self._line.progress)
+                step = _made(kind, *of_step, self._line.progress)
             prepared = step.prepare_positions(positions)
             self._at_one_time.pop(kind, None)
             step.launch_within(prepared, step.values(length))
@@ -1024,6 +1025,13 @@ class CollisionPipeline:
             return False  # what is within its distance may come closer, or there is none
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
         return DistanceInEdges.of(self._topology, start, separation) is not None
+
+
+def _made(kind: Callable[..., _DeviceStepT], *arguments: Any) -> _DeviceStepT:
+    """A step on the device whose arrays are filled already: the stream that reads them first may be another one."""
+    step = kind(*arguments)
+    wp.synchronize_device(step.topology.device)
+    return step
 
 
 def check_options_on_arcs(options: Options) -> None:

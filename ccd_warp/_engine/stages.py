@@ -8,7 +8,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.boxes.box_sets import BoxSet
-from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, search_range
+from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, range_of_warps, search_range
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._runtime.lanes import queued_pairs_in, search_on
@@ -17,6 +17,7 @@ from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
+from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.search.search_types import CULL, LIST
@@ -29,10 +30,10 @@ Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_SEARCH = 64
-# Largest number of CUDA threads that share the candidates of a kind; and of half warps that search for the candidates
+# Largest number of CUDA threads that share the candidates of a kind; and of warps that search for the candidates
 # of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
 _MOST_CULLS = 1 << 17
-_MOST_REST = 1 << 12
+_MOST_REST = 1 << 11
 # Pairs for which a recording on CUDA has threads, where their number is not known then: as many as there ever are.
 _MANY_PAIRS = 1 << 20
 # On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
@@ -298,9 +299,8 @@ class Stages:
         if launcher.is_cuda:
             for k in range(0, len(items), MOST_QUERIES):
                 queries = items[k : k + MOST_QUERIES]
-                part = search_range(0, int(tree_pair.kind), queries)
-                candidates = self.candidates[tree_pair.kind]
-                self._search_in_half_warps(launcher, tree_pair, part, len(queries), LIST, candidates)
+                part = range_of_warps(int(tree_pair.kind), queries)
+                self._search_in_warps(launcher, tree_pair, part, LIST, self.candidates[tree_pair.kind])
             return
         count = len(items)
         num_tests = count * WIDTH**level * target.primitives.count
@@ -339,13 +339,11 @@ class Stages:
             collision_filter,
         ]
 
-    def _search_in_half_warps(
-        self, launcher: Launcher, tree_pair: TreePair, part: Any, num_queries: int, end: str, keys: Any
-    ) -> None:
-        """Search a tree pair on CUDA, with sixteen threads for each query."""
+    def _search_in_warps(self, launcher: Launcher, tree_pair: TreePair, part: Any, end: str, keys: Any) -> None:
+        """Search a tree pair on CUDA, a warp for some queries each."""
         launcher.launch(
             self.search_kernel(tree_pair, end, is_cuda=True),
-            num_queries * WIDTH,
+            part.num_warps * WARP,
             inputs=[part, *self.searched(tree_pair)],
             outputs=[self.step, keys],
         )
@@ -379,11 +377,10 @@ class Stages:
 
     def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair) -> None:
         """If there were more candidates than the list could take, search again, and cull each where it is found."""
-        kind, count = tree_pair.kind, tree_pair.query.primitives.count
-        num_groups = min(count, _MOST_REST)
-        items = range(0, count, num_groups)
-        part = search_range(0, int(kind), items, len(self.candidates[kind]), marks_overflow=True)
-        self._search_in_half_warps(launcher, tree_pair, part, num_groups, CULL, self.keys[kind])
+        kind, queries = tree_pair.kind, range(tree_pair.query.primitives.count)
+        capacity = len(self.candidates[kind])
+        part = range_of_warps(int(kind), queries, capacity, marks_overflow=True, most_warps=_MOST_REST)
+        self._search_in_warps(launcher, tree_pair, part, CULL, self.keys[kind])
 
     def meet_planes(
         self,

@@ -1,6 +1,7 @@
 """Launches as functions that JAX calls by Warp's bridge: those of `ccd_warp.jax`, and of their backward passes."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary, ref
@@ -9,6 +10,7 @@ import warp as wp
 
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
+from ccd_warp._runtime.streams import in_order_with
 
 _VECTORS = {
     ("float64", 3): wp.vec3d,
@@ -37,30 +39,39 @@ def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, 
 
 def write_toi(pipeline: Callable[[], Any], per: str) -> Any:
     def call(start, end, toi):  # type: ignore[no-untyped-def]
-        _, result = launched(pipeline().launch, (start, end))
-        wp.copy(toi, _tois_of(result, per, toi))
+        with _in_order(start):
+            _, result = launched(pipeline().launch, (start, end))
+            wp.copy(toi, _tois_of(result, per, toi))
 
     return call
 
 
 def write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
     def call(start, end, of_toi, of_start, of_end):  # type: ignore[no-untyped-def]
-        start.requires_grad = end.requires_grad = True
-        tape, result = launched(pipeline().launch, (start, end))
-        play_back(tape, (start, end), _tois_of(result, per, of_toi), of_toi)
-        wp.copy(of_start, start.grad)
-        wp.copy(of_end, end.grad)
+        with _in_order(start):
+            start.requires_grad = end.requires_grad = True
+            tape, result = launched(pipeline().launch, (start, end))
+            play_back(tape, (start, end), _tois_of(result, per, of_toi), of_toi)
+            wp.copy(of_start, start.grad)
+            wp.copy(of_end, end.grad)
 
     return call
 
 
 def write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
     def call(start, end, flags):  # type: ignore[no-untyped-def]
-        start.requires_grad = end.requires_grad = True
-        _, result = launched(pipeline().launch, (start, end))
-        wp.copy(flags, result.is_regular(_asked(per, flags)))
+        with _in_order(start):
+            start.requires_grad = end.requires_grad = True
+            _, result = launched(pipeline().launch, (start, end))
+            wp.copy(flags, result.is_regular(_asked(per, flags)))
 
     return call
+
+
+def _in_order(array: wp.array) -> AbstractContextManager[Any]:
+    """A block whose launches, on CUDA, are in the order of the stream of JAX, which is the current one in a call."""
+    device: Any = array.device
+    return nullcontext() if device.is_cpu or device.is_capturing else in_order_with(device.stream)
 
 
 def _tois_of(result: Any, per: str, like: wp.array) -> Any:
@@ -75,32 +86,35 @@ def _asked(per: str, like: wp.array) -> Any:
 
 def write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, shortened):  # type: ignore[no-untyped-def]
-        wp.copy(shortened, end)
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        launched(launch, (start, shortened))
+        with _in_order(start):
+            wp.copy(shortened, end)
+            launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+            launched(launch, (start, shortened))
 
     return call
 
 
 def write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, gradient, of_start, of_end):  # type: ignore[no-untyped-def]
-        shortened = wp.clone(end)
-        start.requires_grad = shortened.requires_grad = True
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        tape, _ = launched(launch, (start, shortened))
-        play_back(tape, (start, shortened), shortened, wp.clone(gradient))
-        wp.copy(of_start, start.grad)
-        wp.copy(of_end, shortened.grad)
+        with _in_order(start):
+            shortened = wp.clone(end)
+            start.requires_grad = shortened.requires_grad = True
+            launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+            tape, _ = launched(launch, (start, shortened))
+            play_back(tape, (start, shortened), shortened, wp.clone(gradient))
+            wp.copy(of_start, start.grad)
+            wp.copy(of_end, shortened.grad)
 
     return call
 
 
 def write_shortened_is_regular(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, flags):  # type: ignore[no-untyped-def]
-        shortened = wp.clone(end)
-        start.requires_grad = shortened.requires_grad = True
-        launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
-        _, result = launched(launch, (start, shortened))
-        wp.copy(flags, result.is_regular("vertex"))
+        with _in_order(start):
+            shortened = wp.clone(end)
+            start.requires_grad = shortened.requires_grad = True
+            launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
+            _, result = launched(launch, (start, shortened))
+            wp.copy(flags, result.is_regular("vertex"))
 
     return call

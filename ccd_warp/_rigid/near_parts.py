@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ccd_warp._runtime.launch import Execution
     from ccd_warp._scene.mesh import CollisionMesh
 
-# Tests of pairs of bodies in a launch, bodies in slices, and pairs of parts for which there is room at first.
-_MOST_ITEMS, _MOST_POSES, _ROOM = 1 << 22, 1 << 17, 1 << 16
+# Tests of pairs of bodies in a launch, bodies in slices, and the capacity for pairs of parts at first.
+_MOST_ITEMS, _MOST_POSES, _CAPACITY = 1 << 22, 1 << 17, 1 << 16
 _LONG = 1 << 14  # items from which an interrupt would have to wait
 _MANY = 1 << 12  # pairs of bodies from which boxes say first which meet at all
 _ERROR = 1024.0 * EPS  # of these boxes, relative to their coordinates
@@ -111,11 +111,11 @@ class NearParts:
         found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
         if len(self.pairs):
             each = max(1, min(_MOST_ITEMS // len(self.pairs), _MOST_POSES // motion.num_bodies))
-            room = _ROOM
+            capacity = _CAPACITY
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
                 swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
-                near, room = self._near(swept, reach, execution, room)
+                near, capacity = self._near(swept, reach, execution, capacity)
                 found.append((near[0] + first, *near[1:]))
         if len(self.mesh.planes):
             rigid = np.flatnonzero(self.mesh.rigid)
@@ -166,8 +166,10 @@ class NearParts:
                 found |= ~(least > _ERROR * size)  # also where a number is none
         return found
 
-    def _near(self, swept: BodySweeps, reach: float, execution: Execution, room: int) -> tuple[list[NDArray[Any]], int]:
-        """The pairs in some slices, and for how many there is room now."""
+    def _near(
+        self, swept: BodySweeps, reach: float, execution: Execution, capacity: int
+    ) -> tuple[list[NDArray[Any]], int]:
+        """The pairs in some slices, and the capacity for them from now on."""
         from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
@@ -192,8 +194,8 @@ class NearParts:
         while True:
             near = kernels.NearPairs()
             near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
-            near.window = wp.empty(room, dtype=wp.int64, device=execution.device)
-            near.a, near.b = (wp.empty(room, dtype=wp.int32, device=execution.device) for _ in range(2))
+            near.window = wp.empty(capacity, dtype=wp.int64, device=execution.device)
+            near.a, near.b = (wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(2))
             execution.launch(
                 kernels.find_near_parts,
                 num_items,
@@ -204,9 +206,9 @@ class NearParts:
                 is_long=lambda: num_items > _LONG,
             )
             found = int(near.count.numpy()[0, 0])
-            if found <= room:
-                return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], room
-            room = found + found // 8
+            if found <= capacity:
+                return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], capacity
+            capacity = found + found // 8
 
     def _meet(self, swept: BodySweeps, reach: float) -> NDArray[np.bool_]:
         """Which pairs of bodies meet by the boxes around them in all slices."""

@@ -58,12 +58,12 @@ def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bo
         walk: What is searched: ``"search_trees"`` or ``"search_hashes"``, the name of the kernel and of its file.
         end: The stage.
         with_lists: Whether there are lists of excluded pairs.
-        is_cuda: Whether half a warp takes a query, as on CUDA.
+        is_cuda: Whether warps take the queries, as on CUDA.
         is_thick: Whether pairs have distances of their own; a search that lists candidates is the same without.
     """
     parameters = {"end": end, "with_lists": with_lists, "is_thick": is_thick and end != LIST}
     if is_cuda:
-        parameters["in_half_warps"] = True
+        parameters["in_warps"] = True
     elif end != BOXES:
         parameters["width"] = lanes_of(device)
     return getattr(specialised(f"search.{walk}", **parameters), walk)

@@ -15,6 +15,7 @@ import warp as wp
 from ccd_warp._runtime.kernel_cache import load_or_repair, unwritable_cache
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.streams import is_captured_by_library
 from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
 from ccd_warp.kernels.once import building, uncollected
 
@@ -266,10 +267,13 @@ _Group = list[_Launch] | _Conditional
 def leaves_out_launches(device: Any) -> bool:
     """Whether the graph that is captured on a device can leave out launches by a flag.
 
-    On CUDA that takes a driver from 12.4 on and a capture that Warp has begun: it knows no other's graph, and would
-    wait for the flag.
+    On CUDA that takes a driver from 12.4 on and a capture that Warp has begun. It would wait for the flag in one that
+    it does not know, and end that of another library for each branch.
     """
-    return device.is_cpu or (device.stream in device.captures and wp.is_conditional_graph_supported())
+    if device.is_cpu:
+        return True
+    is_begun_here = device.stream in device.captures and not is_captured_by_library(device.stream)
+    return is_begun_here and wp.is_conditional_graph_supported()
 
 
 class Recording:

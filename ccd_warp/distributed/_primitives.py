@@ -13,7 +13,7 @@ from ccd_warp.distributed._homes import Homes
 
 @dataclass(frozen=True)
 class Primitives:
-    """Primitives for which this rank speaks: each of the whole mesh belongs to one rank.
+    """Primitives that this rank owns: each of the whole mesh belongs to one rank.
 
     Attributes:
         numbers: Their indices in the whole mesh, int64, shape [n].
@@ -33,7 +33,7 @@ def numbered_edges(
     faces: NDArray[np.int64],
     given: NDArray[np.int64],
 ) -> tuple[Primitives, int]:
-    """The edges for which this rank speaks, and the number of those of the whole mesh; collective.
+    """The edges that this rank owns, and the number of those of the whole mesh; collective.
 
     Args:
         homes: The homes of numbers of vertices.
@@ -58,16 +58,16 @@ def numbered_edges(
     flags[home.chosen] = is_codimensional
     number, count = _numbered(homes, home)
     found, flags = asked.answers(np.stack([number, flags], axis=1)).T
-    return _spoken_for(found, rows, flags == 1), count
+    return _owned(found, rows, flags == 1), count
 
 
 def numbered_faces(homes: Homes, numbers: NDArray[np.int64], faces: NDArray[np.int64]) -> tuple[Primitives, int]:
-    """The faces for which this rank speaks, and the number of those of the whole mesh; collective."""
+    """The faces that this rank owns, and the number of those of the whole mesh; collective."""
     copies = numbers[faces]
     asked = homes.ask(copies, copies.min(axis=1))
     number, count = _numbered(homes, numbering.faces_at_home(asked.rows))
     found = asked.answers(number[:, None])[:, 0]
-    return _spoken_for(found, faces, np.zeros(len(faces), dtype=bool)), count
+    return _owned(found, faces, np.zeros(len(faces), dtype=bool)), count
 
 
 def _numbered(homes: Homes, home: numbering.PrimitiveHome) -> tuple[NDArray[np.int64], int]:
@@ -76,7 +76,7 @@ def _numbered(homes: Homes, home: numbering.PrimitiveHome) -> tuple[NDArray[np.i
     return np.where(home.number >= 0, home.number + before, -1), int(homes.ranks.total(np.array(home.count)))
 
 
-def _spoken_for(found: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]) -> Primitives:
+def _owned(found: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]) -> Primitives:
     """The primitives for which a home has chosen this rank, given the rows of their vertices."""
     items = np.flatnonzero(found >= 0)
     items = items[np.argsort(found[items], kind="stable")]

@@ -112,7 +112,7 @@ class Ranks:
         with self._interrupts.held():
             self.comm.Allreduce(mine, least, op=self.mpi.MIN)
             if least[0] < self.size or least[1] != -least[2]:
-                self._interrupts.hold()  # until the end of the call, as no other rank hears of it any more
+                self._interrupts.hold()  # until the end of the call, as no other rank learns of it any more
             if least[0] < self.size:
                 self._raise(int(least[0]), error)
             if least[1] != -least[2]:

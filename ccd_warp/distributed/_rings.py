@@ -36,7 +36,7 @@ class Rings:
 
         Args:
             homes: The homes of numbers of vertices.
-            edges: Numbers of the vertices of the edges for which this rank speaks, shape [n, 2].
+            edges: Numbers of the vertices of the edges that this rank owns, shape [n, 2].
             numbers: Number of each of its vertices.
             num_rings: ``exclusion_rings``.
             excluded: Further pairs of numbers, the same on all ranks.

@@ -288,6 +288,32 @@ def find_buckets(
     grid.bucket_begin[b] = low
 
 
+@wp.func
+def place_box(
+    place: int,
+    order: wp.array[wp.int32],
+    cells: wp.array[wp.uint64],
+    ids: wp.array[wp.int32],
+    corners: wp.array[wp.vec3i],
+    boxes: BoxTree,
+    grid: HashGrid,
+) -> int:
+    """Fill a place of a block with the primitive that the order puts there, and its cell; returns its level's bit."""
+    level = int(0)
+    c = wp.vec3i(-1, -1, -1)
+    if place < boxes.num_boxes:
+        i = order[place]
+        c = corners[i]
+        boxes.primitive[place] = ids[i]
+        key = cells[i]
+        grid.cells[place] = key
+        if key != NO_CELL:
+            level = 1 << level_of_cell(key)
+    for k in range(3):
+        boxes.corners[place / WIDTH * BLOCK_CORNERS + place % WIDTH + k * WIDTH] = c[k]
+    return level
+
+
 @wp.kernel
 def fill_grid(
     begin: int,
@@ -310,20 +336,28 @@ def fill_grid(
         return
     levels = int(0)
     for lane in range(WIDTH):
-        place = b * WIDTH + lane
-        c = wp.vec3i(-1, -1, -1)
-        if place < boxes.num_boxes:
-            i = order[place]
-            c = corners[i]
-            boxes.primitive[place] = ids[i]
-            key = cells[i]
-            grid.cells[place] = key
-            if key != NO_CELL:
-                levels = levels | (1 << level_of_cell(key))
-        for k in range(3):
-            boxes.corners[b * BLOCK_CORNERS + lane + k * WIDTH] = c[k]
+        levels = levels | place_box(b * WIDTH + lane, order, cells, ids, corners, boxes, grid)
     set_bits(grid.levels, 0, levels)
     if vertex_group.shape[0] > 0:
         boxes.groups[b] = groups_of_block(boxes.corners, vertex_group, b)
     write_leaves(vertex_aabbs, boxes.num_aabbs, boxes.corners, num_corners, boxes.nodes, b, boxes.num_boxes - b * WIDTH)
     unite(boxes, 1, b, (boxes.num_boxes + WIDTH - 1) / WIDTH)
+
+
+@wp.kernel
+def fill_places(
+    begin: int,
+    # in
+    is_changed: wp.array[wp.int32],
+    order: wp.array[wp.int32],
+    cells: wp.array[wp.uint64],
+    ids: wp.array[wp.int32],
+    corners: wp.array[wp.vec3i],
+    # out
+    boxes: BoxTree,
+    grid: HashGrid,
+):
+    """Fill a place of a block with the primitive that the order puts there, and its cell, on CUDA."""
+    place = begin + wp.tid()
+    if is_outdated(is_changed):
+        set_bits(grid.levels, 0, place_box(place, order, cells, ids, corners, boxes, grid))

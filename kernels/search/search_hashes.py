@@ -29,15 +29,15 @@ from ..boxes.hash_grid import (
 )
 from ..boxes.lanes import lanes_between, lowest_bit
 from ..interrupts import is_stopped
-from ..parameters import in_half_warps
+from ..parameters import in_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .hash_lanes import in_cells
 from .search_filter import has_partners, with_partners
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
-if in_half_warps:
-    from . import search_half_warp as queries
+if in_warps:
+    from . import search_warp as queries
 else:
     from . import search_lanes as queries
     from .collected import num_collected
@@ -56,9 +56,10 @@ def search_run(
     last: int,  # place after the last one
     first_cell: wp.uint64,
     last_cell: wp.uint64,
+    before: int,
 ) -> int:
     """Search a run of places in a row of cells for partners of an item; returns the number of candidates."""
-    num_candidates = int(0)
+    num_candidates = wp.int32(before)
     num_blocks = search.target.block_begin[1]
     above = (num_blocks + WIDTH - 1) / WIDTH * WIDTH  # groups of the boxes around sixteen blocks come after those
     parent = int(first / (WIDTH * WIDTH))
@@ -76,15 +77,15 @@ def search_run(
             targets = lanes_between(queries.lanes_of(item), first, last, block)
             targets = in_cells(grid.cells, block, targets, first_cell, last_cell)
             if united(targets) != _NONE:
-                num_candidates += queries.search_leaf(search, item, block, targets)
+                num_candidates = queries.search_leaf(search, item, block, targets, num_candidates)
         parent += 1
     return num_candidates
 
 
 @wp.func
-def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int) -> int:
+def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int, before: int) -> int:
     """Search the cells of a level in which partners of an item may stand; returns the number of candidates."""
-    num_candidates = int(0)
+    num_candidates = wp.int32(before)
     extent = queries.extent_of(search, item)
     density = density_of(level, grid.cells_per_unit)
     low = cell_at(extent.lower, level, density)
@@ -108,21 +109,21 @@ def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int)
                 left -= count
                 bucket = 0
                 if first < last:
-                    num_candidates += search_run(search, grid, item, first, last, first_cell, last_cell)
+                    num_candidates = search_run(search, grid, item, first, last, first_cell, last_cell, num_candidates)
     return num_candidates
 
 
 @wp.func
-def search_levels(search: Search, grid: HashGrid, item: queries.Item, own_level: int) -> int:
+def search_levels(search: Search, grid: HashGrid, item: queries.Item, own_level: int, before: int) -> int:
     """Search the levels that are no finer than that of the queries; returns the number of candidates."""
-    num_candidates = int(0)
+    num_candidates = wp.int32(before)
     rise = search.tree_pair.rise
     levels = (wp.uint32(grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(rise)
     level = int(own_level + rise)
     while levels != _NONE:
         if (levels & wp.uint32(1)) != _NONE:
             item.own = wp.where(search.tree_pair.within != 0 and level == own_level, item.first, -1)
-            num_candidates += search_level(search, grid, item, level)
+            num_candidates = search_level(search, grid, item, level, num_candidates)
         levels = levels >> wp.uint32(1)
         level += 1
     return num_candidates
@@ -130,28 +131,22 @@ def search_levels(search: Search, grid: HashGrid, item: queries.Item, own_level:
 
 @wp.func
 def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, item: queries.Item) -> int:
-    """Look up the cells of an item; returns the number of candidates that are still to be counted."""
+    """Look up the cells of an item; returns the number of candidates that are still to be counted, or decided."""
     num_candidates = int(0)
-    if wp.static(in_half_warps):
-        own = query_grid.cells[item.first]
-        if own != NO_CELL:
-            search_levels(search, target_grid, item, level_of_cell(own))
-    else:
-        block = item.first / WIDTH
-        pending = wp.uint32(item.queries)
-        while pending != _NONE:
-            own = query_grid.cells[block * WIDTH + lowest_bit(pending)]
-            if own == NO_CELL:
-                break  # as are all that follow
-            if is_stopped(search.options.stop):
-                break
-            in_row = in_cells(query_grid.cells, block, pending, first_of_row(own), last_of_row(own))
-            own_level = level_of_cell(own)
-            if own_level < LAST_LEVEL and is_at_an_end(own):
-                in_row = in_row & (~in_row + wp.uint32(1))  # one alone: the box around several may cover any number
-            pending = pending & ~in_row
-            item.queries = in_row
-            num_candidates += search_levels(search, target_grid, item, own_level)
+    pending = wp.uint32(item.queries)
+    while pending != _NONE:
+        own = query_grid.cells[queries.place_of(item, lowest_bit(pending))]
+        if own == NO_CELL:
+            break  # as are all that follow
+        if is_stopped(search.options.stop):
+            break
+        in_row = queries.queries_in_cells(query_grid.cells, item, pending, first_of_row(own), last_of_row(own))
+        own_level = level_of_cell(own)
+        if own_level < LAST_LEVEL and is_at_an_end(own):
+            in_row = in_row & (~in_row + wp.uint32(1))  # one alone: the box around several may cover any number
+        pending = pending & ~in_row
+        of_row = queries.of_queries(search, item, in_row)
+        num_candidates = search_levels(search, target_grid, of_row, own_level, num_candidates)
     return num_candidates
 
 
@@ -178,8 +173,6 @@ def search_hashes(
     items = queries.items_of(search, thread)
     for number in range(items[0], items[1], items[2]):
         item = queries.item_at(search, number, thread)
-        if wp.static(in_half_warps):
-            search_hash(search, query_grid, target_grid, item)
-        else:
+        if wp.static(not in_warps):
             item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
-            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))
+        queries.finish(search, item, search_hash(search, query_grid, target_grid, item))

@@ -25,7 +25,7 @@ from ..pair.simd import fingerprint
 from ..parameters import end, is_thick, width, with_lists
 from ..step.minima import CANDIDATES, FOUND
 from .collected import collect, cull_rest
-from .hash_lanes import corners_of
+from .hash_lanes import corners_of, in_cells
 from .search_filter import groups_of, is_left_out
 from .search_types import BOXES, Search
 
@@ -106,6 +106,27 @@ def with_collected(item: Item, collected: wp.array[wp.int32]) -> Item:
 
 
 @wp.func
+def place_of(item: Item, number: int) -> int:
+    """Place of a query by its number, that of its lane."""
+    return item.first / WIDTH * WIDTH + number
+
+
+@wp.func
+def of_queries(search: Search, item: Item, queries: wp.uint32) -> Item:
+    """The item with some of its queries alone."""
+    item.queries = queries
+    return item
+
+
+@wp.func
+def queries_in_cells(
+    cells: wp.array[wp.uint64], item: Item, queries: wp.uint32, first: wp.uint64, last: wp.uint64
+) -> wp.uint32:
+    """Those of some queries that stand in the cells from the first to the last of a row."""
+    return in_cells(cells, item.first / WIDTH, queries, first, last)
+
+
+@wp.func
 def lanes_of(item: Item) -> wp.uint32:
     """The lanes of a block of targets that a thread tests: all."""
     return _EVERY
@@ -178,9 +199,9 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, tied: wp.uint3
 
 
 @wp.func
-def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32) -> int:
-    """Search some boxes of a block for partners of the queries; returns the number of candidates."""
-    num_candidates = int(0)
+def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, before: int) -> int:
+    """Search some boxes of a block for partners of the queries; returns the number of candidates with those before."""
+    num_candidates = wp.int32(before)
     num_aabbs = search.target.num_aabbs
     query_block = item.first / WIDTH
     left = wp.uint32(item.queries)

@@ -1,9 +1,9 @@
 """The search for pairs of overlapping boxes in two trees: each item of queries traverses the tree of the targets.
 
-An item is what a thread takes: the boxes of a block on the CPU (`search_lanes`), a single box of half a warp on CUDA
-(`search_half_warp`). The box around it is tested with sixteen boxes at a time from the top of the tree down, and its
-queries with the boxes of each block at the leaves that it reaches. Within one set a query is tested only with the boxes
-after its own, so that each pair is found once.
+An item is what a thread takes, or a warp on CUDA: the boxes of a block on the CPU (`search_lanes`), or up to as many
+neighbours on CUDA (`search_warp`). The box around it is tested with sixteen boxes at a time from the top of the tree
+down, and its queries with the boxes of each block at the leaves that it reaches. Within one set a query is tested only
+with the boxes after its own, so that each pair is found once.
 
 A pair whose boxes overlap, and which the collision filter does not exclude, is a **candidate**. In a search for
 contacts, boxes count as overlapping unless an axis separates the quantized endpoint AABBs in the same order at both
@@ -25,14 +25,14 @@ from ..boxes.box_tree import WIDTH, BoxTree
 from ..boxes.half_warp import united
 from ..boxes.lanes import lanes_after, lowest_bit
 from ..interrupts import is_stopped
-from ..parameters import in_half_warps
+from ..parameters import in_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .search_filter import with_partners
 from .search_types import Search, SearchOptions, SearchRange, TreePair
 
-if in_half_warps:
-    from . import search_half_warp as queries
+if in_warps:
+    from . import search_warp as queries
 else:
     from . import search_lanes as queries
     from .collected import num_collected
@@ -69,7 +69,7 @@ def without_preceding(lanes: wp.uint32, own: int, level: int, block: int) -> wp.
 
 @wp.func
 def search_tree(search: Search, item: queries.Item) -> int:
-    """Traverse the tree of the targets; returns the number of candidates that are still to be counted."""
+    """Traverse the tree of the targets; returns the number of candidates that are still to be counted, or decided."""
     num_candidates = int(0)
     top = search.target.num_levels - 1
     level_begin = int(0)  # the first block of the level
@@ -108,7 +108,7 @@ def search_tree(search: Search, item: queries.Item) -> int:
                         above = (above << _BITS) | (pending >> _REST)
                         pending = (pending << _BITS) | wp.uint64(lanes)
                 else:
-                    num_candidates += queries.search_leaf(search, item, child, _EVERY)
+                    num_candidates = queries.search_leaf(search, item, child, _EVERY, num_candidates)
     return num_candidates
 
 
@@ -127,15 +127,13 @@ def search_trees(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Find the pairs of the items of a thread."""
+    """Find the pairs of the items of a thread, or of a warp."""
     search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
     thread = begin + wp.tid()
     items = queries.items_of(search, thread)
     for number in range(items[0], items[1], items[2]):
         item = queries.item_at(search, number, thread)
         item.own = wp.where(tree_pair.within != 0, item.first, -1)
-        if wp.static(in_half_warps):
-            search_tree(search, item)
-        else:
+        if wp.static(not in_warps):
             item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
-            queries.finish(search, item, search_tree(search, item))
+        queries.finish(search, item, search_tree(search, item))

@@ -48,9 +48,11 @@ class SearchOptions:
 class SearchRange:
     """The items that a launch searches, and where it counts and writes the pairs."""
 
-    first: int  # item
-    stride: int
+    first: int  # item; on CUDA query
+    stride: int  # between two items; on CUDA the number of queries of one
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
+    end: int  # on CUDA: the query after the last
+    num_warps: int  # on CUDA: that share the items
     row: int  # of the counts
     first_key: int  # of a search without the cull, which writes to a part of the keys
     capacity: int  # of that part, in keys; or of the list of candidates

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import warp as wp
 from scenes import FACE, TRIANGLE
 
 import ccd_warp as ccd
@@ -16,19 +17,27 @@ PER = ("scene", "world", "body", "vertex")
 
 
 @pytest.fixture(scope="module")
-def torch():
-    return pytest.importorskip("torch")
-
-
-@pytest.fixture(scope="module")
-def jax():
-    module = pytest.importorskip("jax")
-    module.config.update("jax_enable_x64", True)
+def torch(device):
+    module = pytest.importorskip("torch")
+    if device != "cpu" and not module.cuda.is_available():
+        pytest.skip(f"this PyTorch has nothing on {device}")
     return module
 
 
+@pytest.fixture(scope="module")
+def jax(device):
+    module = pytest.importorskip("jax")
+    module.config.update("jax_enable_x64", True)
+    try:
+        place = module.devices("cpu" if device == "cpu" else "gpu")[0]
+    except RuntimeError:
+        pytest.skip(f"this JAX has nothing on {device}")
+    with module.default_device(place):
+        yield module
+
+
 @pytest.fixture(params=["torch", "jax"])
-def library(request):
+def library(request, device):
     """A library's functions, its arrays of NumPy's, and a check of gradients against differences of tois."""
     module = request.getfixturevalue(request.param)
     ours = importlib.import_module(f"ccd_warp.{request.param}")
@@ -37,8 +46,10 @@ def library(request):
         def check(function, *ends):  # differences of tois in float64 have some eight digits
             assert module.autograd.gradcheck(function, ends, eps=1e-7, atol=1e-6, rtol=1e-5)
 
-        make = lambda x: module.from_numpy(np.array(x)).requires_grad_(x.dtype.kind == "f")  # noqa: E731
-        return ours, make, lambda x: x.detach().numpy(), module.where, check
+        def make(x):
+            return module.tensor(np.array(x), device=device, requires_grad=x.dtype.kind == "f")
+
+        return ours, make, lambda x: x.detach().cpu().numpy(), module.where, check
     check_grads = importlib.import_module("jax.test_util").check_grads
 
     def check(function, *ends):
@@ -69,7 +80,8 @@ def worlds():
 def test_results_are_those_of_launches_and_pass_the_check_of_gradients(library):
     ours, make, numbers, where, check = library
     pipeline, *given = thrown()
-    ends, result = [make(x) for x in given], pipeline.launch(*given).to_host()
+    ends, on_device = [make(x) for x in given], [wp.array(x) for x in given]
+    result = pipeline.launch(*on_device).to_host()
     tois = {"scene": result.toi, "world": [result.toi], "body": result.body_toi, "vertex": result.vertex_toi}
     for per in PER:
         found = numbers(ours.toi(pipeline, *ends, per=per))
@@ -83,8 +95,8 @@ def test_results_are_those_of_launches_and_pass_the_check_of_gradients(library):
     shortened = numbers(ours.line_search(pipeline, *ends, per="body", safety=0.8))
     assert numbers(ours.line_search_is_regular(pipeline, *ends, per="body", safety=0.8)).all()
     assert all(np.array_equal(numbers(x), y) for x, y in zip(ends, given, strict=True))
-    pipeline.launch_line_search(*given, per="body", safety=0.8)
-    np.testing.assert_array_equal(shortened, given[1])
+    pipeline.launch_line_search(*on_device, per="body", safety=0.8)
+    np.testing.assert_array_equal(shortened, on_device[1].numpy())
     mesh = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE + [0, 0, 0.05], FACE)])
     pipeline = ccd.CollisionPipeline(mesh, minimum_distance=0.1)  # within it at the start
     ends = make(mesh.vertices), make(mesh.vertices - FALL)
@@ -124,13 +136,13 @@ def test_without_a_library_the_extra_is_named(name, monkeypatch):
         importlib.import_module(f"ccd_warp.{name}")
 
 
-def test_torch_shares_memory_keeps_what_it_needs_and_compiles(torch):
+def test_torch_shares_memory_keeps_what_it_needs_and_compiles(torch, device):
     ours, (pipeline, *given) = importlib.import_module("ccd_warp.torch"), thrown()
-    start, end = (torch.from_numpy(x).requires_grad_() for x in given)
+    start, end = (torch.tensor(x, device=device, requires_grad=True) for x in given)
     found = ours.toi(pipeline, start, end, per="vertex")
     function = found.grad_fn
     assert [x.ptr for x in function.arrays] == [start.data_ptr(), end.data_ptr()]
-    assert function.toi.ptr == found.data_ptr()
+    assert (function.toi.ptr == found.data_ptr()) == (device == "cpu")
     values, weights = found.detach().clone(), torch.isfinite(found).double()
     first, second = (torch.autograd.grad(found, start, weights * factor, retain_graph=True)[0] for factor in (1.0, 2.0))
     kept = first.clone()
@@ -147,8 +159,8 @@ def test_torch_shares_memory_keeps_what_it_needs_and_compiles(torch):
     both = [torch.autograd.grad(f(start, end), (start, end)) for f in functions]
     assert all(torch.equal(x, y) and x.any() for x, y in zip(*both, strict=True))
     for call, message in (
-        (lambda: ours.toi(pipeline, start, end.detach().numpy()), "vertices_t1 is a ndarray; expected a tensor"),
-        (lambda: ours.line_search_is_regular(pipeline, start, end.detach().numpy()), "vertices_t1 is a ndarray"),
+        (lambda: ours.toi(pipeline, start, given[1]), "vertices_t1 is a ndarray; expected a tensor"),
+        (lambda: ours.line_search_is_regular(pipeline, start, given[1]), "vertices_t1 is a ndarray"),
         (lambda: ours.toi(pipeline, start.detach().T.contiguous().T, end), "vertices_t0 has strides"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -185,3 +197,111 @@ def test_jax_maps_worlds(jax, monkeypatch, capfd):
     monkeypatch.setattr(jax.numpy, "zeros", lambda count: SimpleNamespace(dtype="float32"))
     with pytest.raises(ValueError, match="jax_enable_x64"):
         ours.toi(pipeline, start, start)
+
+
+# ---- Streams and graphs of CUDA --------------------------------------------------------------------------------------
+
+_BUSY = 40_000_000  # cycles, some 20 ms, in which what does not wait reads what is not there yet
+
+
+@pytest.fixture
+def on_gpu(torch, device):
+    """Our functions of PyTorch, a pipeline on the GPU, and both ends on the host."""
+    if device == "cpu":
+        pytest.skip("the CPU has no streams; with a GPU: pytest --device cuda:0")
+    return importlib.import_module("ccd_warp.torch"), *thrown()
+
+
+def every_answer(torch, ours, pipeline, start, end):
+    """Tois, a line search, and gradients of both by tensors that are dropped at once."""
+    x, y = start.detach().clone().requires_grad_(), end.detach().clone().requires_grad_()
+    tois, shortened = ours.toi(pipeline, x, y, per="vertex"), ours.line_search(pipeline, x, y, per="body")
+    total = torch.where(torch.isfinite(tois), tois, 0.0).sum() + (shortened * shortened).sum()
+    return [ours.toi(pipeline, start, end), tois.detach(), shortened.detach(), *torch.autograd.grad(total, (x, y))]
+
+
+def on_cpu(torch, ours, given):
+    """The same answers on the CPU, which are those of CUDA in every bit."""
+    with wp.ScopedDevice("cpu"):
+        pipeline, *_ = thrown()
+    return every_answer(torch, ours, pipeline, *map(torch.from_numpy, given))
+
+
+def check_equal(torch, found, expected):
+    for x, y in zip(found, expected, strict=True):
+        torch.testing.assert_close(x.cpu(), y, rtol=0.0, atol=0.0)
+
+
+@pytest.mark.parametrize("kind", ["default", "side", "of PyTorch and of Warp"])
+def test_torch_answers_are_in_the_order_of_its_stream(on_gpu, torch, device, kind):
+    ours, pipeline, *given = on_gpu
+    expected = on_cpu(torch, ours, given)
+    for _ in range(3):
+        stream = torch.cuda.default_stream() if kind == "default" else torch.cuda.Stream()
+        shared = wp.stream_from_torch(stream) if "Warp" in kind else None
+        with torch.cuda.stream(stream), wp.ScopedStream(shared):
+            torch.cuda._sleep(_BUSY)
+            start, end = (torch.tensor(x).pin_memory().to(device, non_blocking=True) for x in given)
+            found = every_answer(torch, ours, pipeline, start, end)
+            del start, end
+            for _ in range(4):  # which takes what was freed, of either library
+                torch.full(given[0].shape, 9e9, dtype=torch.float64, device=device)
+                wp.full(given[0].size, 9e9, dtype=wp.float64, device=device)
+            check_equal(torch, found, expected)
+
+
+@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
+def test_torch_graph_is_replayed_on_other_positions(on_gpu, torch, device, broad_phase, capfd):
+    ours, pipeline, *given = on_gpu
+    pipeline = ccd.CollisionPipeline(pipeline.mesh, tolerance=1e-12, minimum_distance=0.02, broad_phase=broad_phase)
+    start, end = (torch.tensor(x, device=device) for x in given)
+    every_answer(torch, ours, pipeline, start, end)  # a first call, outside of the capture
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        found = every_answer(torch, ours, pipeline, start, end)
+    for scale in (1.0, 0.0, 0.7):
+        end.copy_(start + scale * torch.tensor(given[1] - given[0], device=device))
+        graph.replay()
+        check_equal(torch, found, on_cpu(torch, ours, [given[0], end.cpu().numpy()]))
+        assert torch.isfinite(found[0]) or not scale
+    check_equal(torch, every_answer(torch, ours, pipeline, start, end), [x.cpu() for x in found])
+    assert "Warp" not in capfd.readouterr().err  # where it prints what CUDA refuses
+
+
+def test_torch_stream_of_the_user_stays_one_of_warp(on_gpu, torch, device):
+    ours, pipeline, *given = on_gpu
+    expected, side = on_cpu(torch, ours, given), torch.cuda.Stream()
+    start, end = (torch.tensor(x, device=device) for x in given)
+    mine = wp.stream_from_torch(side)
+    for _ in range(2):
+        with torch.cuda.stream(side):
+            check_equal(torch, every_answer(torch, ours, pipeline, start, end), expected)
+        with torch.cuda.graph(graph := torch.cuda.CUDAGraph(), stream=side):
+            tois = ours.toi(pipeline, start, end, per="vertex")
+        graph.replay()
+        check_equal(torch, [tois], expected[1:2])
+        gc.collect()
+        mine = mine or wp.stream_from_torch(side)
+        with wp.ScopedStream(mine):
+            with wp.ScopedCapture(device) as capture:  # of a stream that Warp must know
+                result = pipeline.launch(start, end)
+                with pytest.raises(RuntimeError, match="Warp captures a graph, of which the current stream"):
+                    ours.toi(pipeline, start, end)
+            wp.capture_launch(capture.graph)
+            np.testing.assert_array_equal(result.vertex_toi.numpy(), expected[1].numpy())
+        mine = None  # whose destructor tells Warp that the stream is gone
+        gc.collect()
+
+
+def test_jax_answers_come_after_what_warp_has_queued(jax, device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams; with a GPU: pytest --device cuda:0")
+    ours, (pipeline, *given) = importlib.import_module("ccd_warp.jax"), thrown()
+    with wp.ScopedDevice("cpu"):
+        expected = thrown()[0].launch(*map(wp.array, given)).to_host()
+    ends, heavy = [jax.numpy.array(x) for x in given], wp.empty(1 << 26, dtype=wp.float64, device=device)
+    for _ in range(3):
+        for _ in range(80):  # some 15 ms
+            heavy.fill_(1.0)
+        pipeline.reserve(vertices=given[0])
+        np.testing.assert_array_equal(np.array(ours.toi(pipeline, *ends, per="vertex")), expected.vertex_toi)

@@ -65,10 +65,10 @@ def test_worlds_are_searched_in_no_larger_parts_than_fit_and_all_of_them_count(m
 @pytest.mark.parametrize("kind", ["beside a ball", "beside a ball, as asked", "alone"])
 def test_vertex_of_no_face_flies_into_a_wall_where_it_is_a_particle(kind):
     """Alone it is in no part of its body, and meets faces all the same; beside a ball it has to be asked for."""
-    ball, loose = trimesh.creation.icosphere(4, 0.1), np.array([[0.0, 1, 0]])
+    ball, particle = trimesh.creation.icosphere(4, 0.1), np.array([[0.0, 1, 0]])
     wall = (np.array([[-1.0, 2, -1], [1, 2, -1], [0, 2, 1]]), np.array([[0, 1, 2]]))
     is_alone, is_point = kind == "alone", kind.endswith("asked")
-    body = (loose, NO_FACES) if is_alone else (np.vstack([ball.vertices, loose]), ball.faces)
+    body = (particle, NO_FACES) if is_alone else (np.vstack([ball.vertices, particle]), ball.faces)
     options = {"rigid": [0], "static": [1, 2], "self_collision": False, "codimensional_points": is_point}
     mesh = ccd.CollisionMesh.from_arrays([body, wall, (ball.vertices + 50.0, ball.faces)], **options)
     motion = ccd.RigidMotion(poses_of([[0, 0, 0]], 2), twist=np.tile([0, 1.5, 0, 0, 0, 0], (2, 1, 1)))

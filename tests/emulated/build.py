@@ -113,7 +113,7 @@ def build(name: str, write: Callable[[], str], is_sanitized: bool = False, is_wa
         name: Stands for all that the source depends on.
         write: Returns the source; called if there is no library of that name yet.
         is_sanitized: Whether it is compiled with AddressSanitizer.
-        is_watched: Whether the device hears of every access to memory.
+        is_watched: Whether the device is told of every access to memory.
 
     Raises:
         RuntimeError: If it does not compile.

@@ -91,9 +91,9 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene
     mesh, motion = scene
     parts = NearParts(mesh, mesh.vertices)
     assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
-    # slices in several launches, and more pairs than there is room for at first
+    # slices in several launches, and more pairs than the capacity at first
     monkeypatch.setattr(near_parts, "_MOST_ITEMS", 5 * len(parts.pairs))
-    monkeypatch.setattr(near_parts, "_ROOM", 16)
+    monkeypatch.setattr(near_parts, "_CAPACITY", 16)
     rng = np.random.default_rng(5)
     begin = rng.uniform(0, 0.7, SLICES)
     end = begin + rng.uniform(0.01, 0.3, SLICES)

@@ -74,6 +74,6 @@ def cuda_modules(with_distances: bool = False, reals: tuple[type, ...] = (wp.flo
         name = f"{end} {with_lists}{' thick' if is_thick else ''}"
         parameters = {"end": end, "with_lists": with_lists, "is_thick": is_thick}
         for walk in ("search_trees", "search_hashes"):
-            of_walk = specialised(f"search.{walk}", **parameters, in_half_warps=True)
+            of_walk = specialised(f"search.{walk}", **parameters, in_warps=True)
             modules[f"{walk} {name}"] = getattr(of_walk, walk).module
     return {name: module for name, module in modules.items() if module.kernels}

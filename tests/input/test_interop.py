@@ -4,6 +4,7 @@ A stand-in keeps the rules of ``__dlpack__`` as PyTorch, CuPy and JAX have them:
 waits for an event of the library's stream, and CUDA ends a capture on a stream that is told to wait for such an event.
 """
 
+from contextlib import contextmanager, nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,8 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
-from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime import streams
+from ccd_warp._runtime.launch import Execution, leaves_out_launches
 from ccd_warp._scene.input.interop import as_warp
 
 WALL = np.array([[1.0, -1, -1], [1, 1, -1], [1, 0, 1]])
@@ -28,14 +30,17 @@ def library(request):
     """NumPy, or a library beside it: how to make an array, to find where it is, and to read an array of Warp."""
     name = request.param
     module = np if name == "numpy" else pytest.importorskip(name)
+    on_cpu = nullcontext()
     if name == "jax":
         module.config.update("jax_enable_x64", True)
+        on_cpu = module.default_device(module.devices("cpu")[0])
     array, pointer, read = {
         "numpy": lambda: (np.array, lambda x: x.ctypes.data, np.from_dlpack),
         "torch": lambda: (lambda x: module.from_numpy(np.array(x)), lambda x: x.data_ptr(), module.from_dlpack),
         "jax": lambda: (module.numpy.array, lambda x: x.unsafe_buffer_pointer(), module.dlpack.from_dlpack),
     }[name]()
-    return SimpleNamespace(name=name, array=array, pointer=pointer, from_warp=read)
+    with on_cpu:
+        yield SimpleNamespace(name=name, array=array, pointer=pointer, from_warp=read)
 
 
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
@@ -90,6 +95,32 @@ def test_line_search_writes_where_it_is(library):
         )
         with pytest.raises(ValueError, match=f"vertices_t1 is {message}"):
             ON_CPU.launch_line_search(start, wished)
+
+
+@pytest.mark.parametrize("name", ["torch", "jax", "cupy"])
+def test_a_launch_on_cuda_waits_for_the_library_whose_arrays_it_reads(name, device):
+    if device == "cpu":
+        pytest.skip("the CPU has no streams; with a GPU: pytest --device cuda:0")
+    module, pipeline = pytest.importorskip(name), ccd.CollisionPipeline(MESH, length_scale=1.0, device=device)
+    places = {"torch": lambda: module.cuda.device_count(), "jax": lambda: module.default_backend() == "gpu"}
+    if not places.get(name, lambda: True)():
+        pytest.skip(f"this {name} has nothing on {device}")
+    stream = nullcontext()
+    if name == "torch":
+        stream = module.cuda.stream(module.cuda.Stream())
+        array, from_warp = lambda x: module.tensor(x).pin_memory().to(device, non_blocking=True), module.from_dlpack
+    elif name == "cupy":
+        stream, array, from_warp = module.cuda.Stream(non_blocking=True), module.asarray, module.from_dlpack
+    else:
+        module.config.update("jax_enable_x64", True)
+        array, from_warp = (lambda x: module.numpy.array(x) + 0.0), module.dlpack.from_dlpack
+    expected = ON_CPU.launch(START, END).vertex_toi.numpy()
+    for _ in range(3):
+        with stream:
+            if name == "torch":
+                module.cuda._sleep(40_000_000)  # cycles, some 20 ms
+            found = from_warp(pipeline.launch(array(START), array(END)).vertex_toi)
+            assert np.array_equal(found.tolist(), expected)
 
 
 # ---- What cannot be read ---------------------------------------------------------------------------------------------
@@ -206,3 +237,94 @@ def test_a_launch_and_pairs_take_arrays_of_a_library_in_a_capture(gpu):
     assert ON_CPU.launch(Array(START, gpu), Array(END, gpu)).toi.numpy()[0] == ON_CPU.mesh_ccd(START, END).toi
     pairs = ccd.vertex_face_ccd(*(Array(x, gpu) for x in PAIR), device="cpu")
     assert pairs.toi.numpy()[0] == ccd.vertex_face_ccd(*PAIR).toi[0]
+
+
+# ---- Beside the stream of another library ----------------------------------------------------------------------------
+
+
+class Stream:
+    """A stream as far as it is asked: its device notes what it waits for."""
+
+    def __init__(self, device, cuda_stream, *, is_blocking=False):
+        self.device, self.cuda_stream, self.is_blocking = device, cuda_stream, is_blocking
+        device.made.append(self)
+
+    @property
+    def is_capturing(self):
+        return self.cuda_stream in self.device.captured
+
+    def wait_stream(self, other):
+        assert not self.is_capturing, LOST
+        self.device.waits.add((self.cuda_stream, other.cuda_stream))
+
+
+@pytest.fixture
+def many_streams(monkeypatch):
+    """A CUDA device with a stream of Warp: its objects for streams, and which of them waits for which."""
+
+    class Device(SimpleNamespace):
+        is_capturing = property(lambda self: self.captures or self.stream.is_capturing)
+
+    device = Device(ordinal=0, is_cpu=False, made=[], waits=set(), captured=set(), captures={}, is_known=True)
+    device.null_stream, device.stream = Stream(device, None, is_blocking=True), Stream(device, 1, is_blocking=True)
+
+    @contextmanager
+    def scoped(stream, sync_enter=True):
+        assert not sync_enter
+        before, device.stream = device.stream, stream
+        yield
+        device.stream = before
+
+    def begin(stream, external):
+        if not device.is_known:
+            device.is_known = True
+            raise RuntimeError("Warp error: unknown stream")
+        device.captures[stream] = external
+
+    monkeypatch.setattr(wp, "Stream", Stream)
+    monkeypatch.setattr(wp, "ScopedStream", scoped)
+    monkeypatch.setattr(wp, "capture_begin", begin)
+    monkeypatch.setattr(wp, "capture_end", lambda stream: device.captures.pop(stream))
+    monkeypatch.setattr(wp, "is_conditional_graph_supported", lambda: True)
+    monkeypatch.setattr(streams, "_streams", {})
+    return device
+
+
+# Warp's current stream, that of the library, and the one on which launches are; those of Warp, 1 and None, block.
+@pytest.mark.parametrize(("current", "theirs", "own"), [(1, 7, 1), (1, 0, 1), (1, 1, 1), (7, 7, None), (8, 7, None)])
+def test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides(many_streams, current, theirs, own):
+    device, others = many_streams, {current, theirs or None} - {own}
+    if current != 1:
+        device.stream = Stream(device, current)
+    for _ in range(2):
+        with streams.beside(device, theirs):
+            assert device.stream.cuda_stream == own and device.waits == {(own, other) for other in others}
+            device.waits.clear()
+        assert device.stream.cuda_stream == current and device.waits == {(other, own) for other in others}
+        device.waits.clear()
+    assert len(device.made) - 2 == len({current, theirs} - {0, 1})  # one object a stream, which is kept
+
+
+@pytest.mark.parametrize("is_known", [True, False])
+def test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches(many_streams, is_known):
+    device = many_streams
+    device.is_known, device.captured = is_known, {7}
+    for _ in range(2):
+        with streams.beside(device, 7):
+            assert device.stream.cuda_stream == 7 and device.captures == {device.stream: True}
+            assert not leaves_out_launches(device)
+        assert not device.captures and device.stream.cuda_stream == 1
+    # where the user has dropped an object for the stream, Warp is told of it by another, which alone is used again
+    assert [stream.cuda_stream for stream in device.made[2:]] == ([7] if is_known else [None, 7])
+    assert not device.waits
+
+
+def test_a_capture_by_warp_is_not_left_for_the_stream_of_a_library(many_streams):
+    device = many_streams
+    device.captured, device.captures[device.stream] = {1}, False
+    with streams.beside(device, 1):
+        assert device.stream.cuda_stream == 1 and leaves_out_launches(device)
+    for handle in (0, 7):
+        with pytest.raises(RuntimeError, match="Warp captures a graph, of which the current stream of the library"):
+            streams.beside(device, handle)
+    assert not device.waits

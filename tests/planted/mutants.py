@@ -1,8 +1,8 @@
 """Mechanical mutants, for a night: `python tests/planted/mutants.py [COUNT [SEED]]` says which no test finds, by file.
 
-One operator, constant, bound or condition of the kernels, the engine or the calls is changed in a copy. A mutant that
-survives need not be a fault: a bound may be wider than it need be, and a search may take longer. Each has to be read:
-for a fault a law is widened, a feature is added to the drawn scenes, or a row to a table.
+One operator, constant, bound or condition of the kernels, the engine, the rings above it or the calls is changed in a
+copy. A mutant that survives need not be a fault: a bound may be wider than it need be, and a search may take longer.
+Each has to be read: for a fault a law is widened, a feature is added to the drawn scenes, or a row to a table.
 """
 
 import ast
@@ -15,7 +15,9 @@ sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 from planted.planting import ROOT, Copy  # noqa: E402
 
-SHARES = {"kernels/**/*.py": 0.4, "ccd_warp/_engine/**/*.py": 0.4, "ccd_warp/*.py": 0.2}
+SHARES = {"kernels/**/*.py": 0.4, "ccd_warp/_engine/**/*.py": 0.4}
+_RINGS = ("at_one_time", "calls", "gradients", "results", "rigid")
+SHARES |= {f"ccd_warp/_{folder}/**/*.py": 0.2 / len(_RINGS) for folder in _RINGS}
 _SWAPS = {ast.Lt: ast.LtE, ast.Gt: ast.GtE, ast.Eq: ast.NotEq, ast.Add: ast.Sub, ast.Mult: ast.Div, ast.And: ast.Or}
 _SWAPS |= {new: old for old, new in _SWAPS.items()}
 _NAMES = {"min": "max", "minimum": "maximum", "any": "all"}

@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
 from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp.kernels.boxes import box_groups, box_tree, hash_grid
+from ccd_warp.kernels.boxes import box_groups, box_tree, half_warp_tree, hash_grid
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
 _CELL_FACTOR, _QUANTILE = 1.4, 0.95
@@ -106,40 +106,8 @@ class Grid(BoxSet):
                     inputs=[only_if, primitives.corners, vertex_aabbs, grid.arrays.num_aabbs],
                     outputs=[structs_of(grid)[1], grid.unsorted_cells, grid.buckets, grid.order],
                 )
-        with launcher.at_once():
-            for grid in grids:
-                count = grid.primitives.count
-                if launcher.is_cuda:
-                    launcher.call(lambda g=grid, n=count: _radix_sort(g, n))  # type: ignore[misc]
-                else:
-                    ranges = max(1, min(launcher.num_threads, count // _WORTH_SORTING))
-                    inputs = [only_if, grid.buckets, count, ranges]
-                    launcher.launch(hash_grid.sort_range, ranges, inputs, [structs_of(grid)[1], grid.order], grain=1)
-        if launcher.is_cuda:
-            with launcher.at_once():
-                for grid in grids:
-                    num_buckets = len(grid.cells.bucket_begin)
-                    inputs = [only_if, grid.buckets, grid.primitives.count]
-                    launcher.launch(hash_grid.find_buckets, num_buckets, inputs, [structs_of(grid)[1]])
-        with launcher.at_once():
-            for grid in grids:
-                primitives = grid.primitives
-                launcher.launch(
-                    hash_grid.fill_grid,
-                    primitives.num_blocks,
-                    inputs=[
-                        only_if,
-                        grid.order,
-                        grid.unsorted_cells,
-                        primitives.ids,
-                        primitives.corners,
-                        primitives.num_corners,
-                        vertex_aabbs,
-                        grid.vertex_group,
-                    ],
-                    outputs=[*structs_of(grid)],
-                    grain=256,
-                )
+        sort_and_fill = _sort_and_fill_places if launcher.is_cuda else _sort_and_fill_blocks
+        sort_and_fill(grids, vertex_aabbs, launcher, structs_of, only_if)
         with launcher.at_once():
             for grid in grids:
                 if len(grid.vertex_group):
@@ -172,6 +140,46 @@ def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, 
     side = _CELL_FACTOR * large_half_side(topology, positions, _QUANTILE) * (2.0 * quantization.scale) * spare
     exponent = math.ceil(4.0 * math.log2(side)) / 4.0 if 0.0 < side < math.inf else 0.0
     return 2.0 ** min(max(exponent, _LEAST_CELL_EXPONENT), 0.0)
+
+
+_StructsOf = Callable[[Grid], tuple[Any, ...]]
+
+
+def _sort_and_fill_blocks(
+    grids: list[Grid], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+) -> None:
+    """Sort the boxes by bucket and fill their blocks on the CPU, an item for each block."""
+    with launcher.at_once():
+        for grid in grids:
+            count = grid.primitives.count
+            ranges = max(1, min(launcher.num_threads, count // _WORTH_SORTING))
+            inputs = [only_if, grid.buckets, count, ranges]
+            launcher.launch(hash_grid.sort_range, ranges, inputs, [structs_of(grid)[1], grid.order], grain=1)
+    with launcher.at_once():
+        for grid in grids:
+            primitives = grid.primitives
+            inputs = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
+            inputs += [primitives.num_corners, vertex_aabbs, grid.vertex_group]
+            launcher.launch(hash_grid.fill_grid, primitives.num_blocks, inputs, [*structs_of(grid)], grain=256)
+
+
+def _sort_and_fill_places(
+    grids: list[Grid], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+) -> None:
+    """Sort the boxes by bucket and fill their blocks on CUDA, a thread for each place and half a warp for its boxes."""
+    for grid in grids:
+        primitives, arrays, (boxes, cells) = grid.primitives, grid.arrays, structs_of(grid)
+        count, places = primitives.count, primitives.num_blocks * WIDTH
+        launcher.call(lambda g=grid, n=count: _radix_sort(g, n))  # type: ignore[misc]
+        num_buckets = len(grid.cells.bucket_begin)
+        launcher.launch(hash_grid.find_buckets, num_buckets, [only_if, grid.buckets, count], [cells])
+        inputs = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
+        launcher.launch(hash_grid.fill_places, places, inputs, [boxes, cells])
+        inputs = [only_if, vertex_aabbs, primitives.num_corners]
+        launcher.launch(half_warp_tree.fill_leaves, places * arrays.num_aabbs, inputs, [boxes])
+        if len(grid.vertex_group):
+            inputs = [arrays.corners, grid.vertex_group, -1, 0]
+            launcher.launch(box_groups.unite_groups, primitives.num_blocks, inputs, [arrays.groups])
 
 
 def _radix_sort(grid: Grid, count: int) -> None:

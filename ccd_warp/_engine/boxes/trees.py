@@ -37,6 +37,9 @@ _PAIRED: tuple[tuple[Role, Role], ...] = (
 )
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
+# On CUDA a warp takes up to `WIDTH` queries, and fewer where there are not enough for so many warps: about twice as
+# many as an H100 runs at once.
+_BUSY_WARPS = 1 << 12
 # Largest number of queries of a launch on CUDA, whose threads are numbered in 32 bits.
 MOST_QUERIES = 1 << 26
 
@@ -281,9 +284,27 @@ def search_range(
 ) -> Any:
     """The items that a launch searches and the keys that it may write, as the struct of the kernel."""
     packed = search_types.SearchRange()
-    packed.first, packed.stride, packed.level = items.start, items.step, level
+    packed.first, packed.stride, packed.level, packed.end = items.start, items.step, level, items.stop
     packed.row, packed.first_key, packed.capacity = row, first_key, capacity
     packed.marks_overflow = int(marks_overflow)
+    return packed
+
+
+def range_of_warps(
+    row: int,
+    queries: range,
+    capacity: int = 0,
+    first_key: int = 0,
+    marks_overflow: bool = False,
+    *,
+    most_warps: int = 0,
+) -> Any:
+    """Consecutive queries that a launch on CUDA searches, with ``num_warps`` warps, ``most_warps`` of them if given."""
+    packed = search_range(0, row, queries, capacity, first_key, marks_overflow)
+    # a power of two: they are below one inner box, where others might be on both sides of a large gap
+    packed.stride = min(WIDTH, 1 << (max(len(queries) // _BUSY_WARPS, 1).bit_length() - 1))
+    num_items = -(-len(queries) // packed.stride)
+    packed.num_warps = min(num_items, most_warps or num_items)
     return packed
 
 

@@ -176,7 +176,8 @@ class DeviceLineSearch(DeviceStep):
             self._record_next_reset(recording)
             hold.record_holds(recording, stages, lambda of_start, near: self._record_search(recording, of_start, near))
             self._record_next_reset(recording)
-            self._record_checked(recording, form, is_first=False, gaps_moved=gaps_moved)
+            # CUDA outside a graph makes this pass where nothing is near, too, so it asks as the first one did
+            self._record_checked(recording, form, is_first=False)
 
     def _record_checked(self, recording: Recording, form: Form, **options: Any) -> Stages:
         """Record a pass over the bodies that the one before has touched; returns its stages."""

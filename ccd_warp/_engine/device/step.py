@@ -44,7 +44,7 @@ MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
 _LEAST_CAPACITY = 1 << 12
 _PLAY = "step"
-# By how much the cells of spatial hashes are larger than those for boxes at rest, as the motions are not known yet.
+# By how much the cells of spatial hashes are larger than those for stationary boxes, as the motions are not known yet.
 _SPARE = 4.0
 # Recordings that are kept, enough for the different kinds of calls in a loop.
 _MOST_RECORDINGS = 16

@@ -10,14 +10,14 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, Part, TreePair, search_range
+from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, Part, TreePair, range_of_warps, search_range
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.candidates import Found
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
-from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Execution, block_dim_of, load
 from ccd_warp._runtime.status import PairKind
+from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.search.search_types import BOXES, SearchRange
 from ccd_warp.kernels.step.minima import FOUND, NUM_COUNTS
 from ccd_warp.kernels.step.step import Step
@@ -128,8 +128,13 @@ class PairSearch:
             self._counts.zero_()
         else:
             self._counts_view[slot] = 0
-        command.set_param_at_index(1, search_range(part.level, slot, part.items, capacity, begin))
-        command.set_dim(len(part.items) * WIDTH if self.execution.is_cuda else len(part.items))
+        if self.execution.is_cuda:
+            searched = range_of_warps(slot, part.items, capacity, begin)
+            command.set_dim(searched.num_warps * WARP)
+        else:
+            searched = search_range(part.level, slot, part.items, capacity, begin)
+            command.set_dim(len(part.items))
+        command.set_param_at_index(1, searched)
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
