@@ -352,15 +352,17 @@ def gpu_queries(folder: Path) -> list[str]:
 
 
 def cuda_code(folder: Path) -> list[str]:
-    """What kernels keep on the stack, and what the driver reserves for it on 132 multiprocessors of 2,048 threads."""
+    """What solvers keep on the stack, and what the driver reserves for it on 132 multiprocessors of 2,048 threads."""
     rows = raw.read(folder, "cuda_code")
-    rows = rows[rows.stack > 0]
-    columns = {"kernel": rows.module, **{name: counted(rows[name]) for name in ("registers", "instructions")}}
-    columns |= {
-        "stack, bytes": counted(rows["stack"]),
-        "local memory": counted(rows["stack"] * 132 * 2048 / 1e6) + " MB",
-    }
-    return table_of(pd.DataFrame(columns))
+    rows = rows.join(rows.module.str.extract(r"queued_pairs (?P<solver>\w+ \w+ \w+) ?(?P<norm>\w*)"))
+    table = rows.fillna({"norm": ""}).pivot_table(index="solver", columns="norm", values="stack", sort=False)
+    most = counted(table.max(axis=1) * 132 * 2048 / 1e6) + " MB"
+    table = (
+        table[sorted(table, key=len)]
+        .map(lambda stack: "–" if pd.isna(stack) else f"{stack:,.0f}")
+        .assign(reserved=most)
+    )
+    return table_of(table.rename(columns={"": "maximum"}).reset_index())
 
 
 def gradients(folder: Path) -> list[str]:
