@@ -351,6 +351,13 @@ def gpu_queries(folder: Path) -> list[str]:
     return table_of(table.add_suffix(" [G/s]").reset_index().rename(columns={"ends": "queries that"}))
 
 
+def gpu_first(folder: Path) -> list[str]:
+    rows = raw.read(folder, "gpu_times")
+    rows = rows[rows.worlds.notna()]
+    calls = {name: rows[name].map(time_text) for name in ("reserve", "first launch", "launch", "first line search")}
+    return table_of(pd.DataFrame({"worlds of 400 faces": counted(rows.worlds), **calls}))
+
+
 def cuda_code(folder: Path) -> list[str]:
     """What solvers keep on the stack, and what the driver reserves for it on 132 multiprocessors of 2,048 threads."""
     rows = raw.read(folder, "cuda_code")
@@ -393,6 +400,7 @@ TABLES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "by tolerance": (by_tolerance, "sweep"),
     "launches on a GPU": (gpu_launches, "gpu_times"),
     "queries on a GPU": (gpu_queries, "gpu_times"),
+    "first calls on a GPU": (gpu_first, "gpu_times"),
     "stack of kernels": (cuda_code, "cuda_code"),
     "what gradients cost": (gradients, "gradients"),
     "measured": (measured, raw.RUNS),
