@@ -173,6 +173,8 @@ def main() -> None:
     compress(out / "caches.xz", of_caches(compiled, given.kept))
     data, parts = site.read_bytes() + (out / "caches.xz").read_bytes(), {}
     size = math.ceil(len(data) / math.ceil(len(data) / (given.limit * 2**20)))
+    for old in out.glob("part.*"):
+        old.unlink()
     for begin in range(0, len(data), size):
         name, part = f"part.{len(parts)}", data[begin : begin + size]
         (out / name).write_bytes(part)
