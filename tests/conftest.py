@@ -12,6 +12,8 @@ import pytest
 import warp as wp
 from programs import programs
 
+from ccd_warp._engine.boxes import trees
+
 wp.config.log_level = wp.LOG_WARNING
 # calls make many objects, few of them in circles: at the default the collector takes a sixth of the time
 gc.set_threshold(20_000, 10, 10)
@@ -47,6 +49,11 @@ def pytest_sessionstart(session):
     if name not in (names := [device.alias for device in wp.get_devices()]):
         raise pytest.UsageError(f"--device is {name!r}; expected emulated or one of {', '.join(names)}")
     wp.set_device(name)
+    trees._BUSY_WARPS = 8  # so that the small scenes of the tests are searched as large ones are, by warps of 1 to 16
+    if wp.get_device().is_cuda:
+        from uploads import upload_to_launches
+
+        upload_to_launches()
 
 
 def pytest_sessionfinish():
