@@ -19,7 +19,7 @@ from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, slices_of
 from ccd_warp._runtime.launch import Recording
-from ccd_warp.kernels.step import shorten_paths as kernels
+from ccd_warp.kernels.rigid import shorten_paths as kernels
 
 if TYPE_CHECKING:
     from ccd_warp._rigid.mesh_paths import MeshPaths

@@ -11,7 +11,7 @@ from ccd_warp._engine.slices import Slice
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
-from ccd_warp.kernels.step import place_bodies as kernels
+from ccd_warp.kernels.rigid import place_bodies as kernels
 
 if TYPE_CHECKING:
     from ccd_warp._rigid.mesh_paths import MeshPaths

@@ -28,7 +28,7 @@ from ccd_warp._rigid.rotations import normalized, norms, products, quaternions_o
 from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._scene.input.arguments import check_choice, check_instance, shown
 
-# Radians in a step: what is proved of sine and cosine holds below (`kernels.step.place_bodies`), and a slice takes 0.2.
+# Radians in a step: what is proved of sine and cosine holds below (`rigid.place_bodies`), and a slice takes 0.2.
 _LARGEST_TURN = 1e6
 
 
