@@ -190,6 +190,15 @@ def test_result_keeps_what_a_graph_uses():
 # --- what is read when ---
 
 
+@pytest.mark.skipif("not wp.get_device().is_cuda", reason="the CPU takes them; with a GPU: pytest --device cuda:0")
+def test_on_a_gpu_arrays_of_the_host_are_refused():
+    mesh, start, end = falling()
+    pipeline, launch = ccd.CollisionPipeline(mesh), ccd.CollisionPipeline.launch.__wrapped__  # without `uploads.py`
+    for x, y in ((start, end), (wp.array(start, device="cpu"), wp.array(end, device="cpu"))):
+        with pytest.raises(ValueError, match=r"^vertices_t0 is on cpu; expected cuda:\d, where the pipeline is$"):
+            launch(pipeline, x, y)
+
+
 def test_nothing_is_allocated_copied_or_waited_for(monkeypatch):
     mesh, start, end = named_cloth_and_ball()
     pipeline, arrays = ccd.CollisionPipeline(mesh), [on_device(start), on_device(end), on_device(end)]
