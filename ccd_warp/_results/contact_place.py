@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,6 @@ from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.distinct import distinct, first_of
 from ccd_warp._results.pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_own_frames
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
@@ -30,6 +28,40 @@ Radii = tuple[NDArray[np.float64], NDArray[np.float64]]
 _PLACED = ("points", "relative_velocity", "world")
 
 
+class Paths(Protocol):
+    """The paths of all bodies of a mesh, of which some turn; their rows are numbers of bodies, or of those of worlds.
+
+    Attributes:
+        is_of_worlds: Whether they are those of a mesh of one world in many: body b in world w has the number w B + b.
+    """
+
+    is_of_worlds: ClassVar[bool]
+
+    def __len__(self) -> int: ...
+
+    @property
+    def omega(self) -> NDArray[np.float64]:
+        """The turn of each body, a rotation vector, shape [N, 3]."""
+
+    @property
+    def excess(self) -> NDArray[np.float64]:
+        """How far points of each body may be from its path, a length, shape [N]."""
+
+    @property
+    def largest_turn(self) -> float:
+        """The largest angle by which a body turns in the step, radians."""
+
+    def places(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
+
+    def velocities(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """How they move at a time, as displacements in the whole step, shape [n, 3]."""
+
+
 @dataclass(frozen=True)
 class MovingVertices:
     """How vertices move in a step.
@@ -45,24 +77,8 @@ class MovingVertices:
     mesh: CollisionMesh
     start: NDArray[np.float64]
     end: NDArray[np.float64]
-    paths: MeshPaths | None = None
+    paths: Paths | None = None
     rows: NDArray[np.integer] | None = None
-
-    @classmethod
-    def of(
-        cls, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], motion: BodyPaths | None
-    ) -> "MovingVertices":
-        """Of positions in space; where no body of the mesh is rigid, a motion is one of all, as of ``rigid_ccd``.
-
-        Raises:
-            ValueError: If the motion does not match the mesh.
-        """
-        if motion is None:
-            return cls(mesh, start, end)
-        bodies = mesh if mesh.rigid.any() else mesh._all_rigid
-        paths = MeshPaths.of(bodies, motion)
-        check_own_frames(bodies, start, end)
-        return cls(mesh, start, end, paths)
 
     @property
     def times(self) -> NDArray[np.float64]:
@@ -82,7 +98,7 @@ class MovingVertices:
 
     def worlds_of(self, contacts: Contacts) -> NDArray[np.int32] | None:
         """The world of each contact, where the paths are those of many worlds of the mesh."""
-        return contacts.world if isinstance(self.paths, WorldPaths) else None
+        return contacts.world if self.paths is not None and self.paths.is_of_worlds else None
 
     def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None) -> NDArray[np.float64]:
         """Positions of vertices at a time of each, shape [n, 1], in a world of each where there are many."""
@@ -94,7 +110,7 @@ class MovingVertices:
     def all_at(self, t: float) -> NDArray[np.float64]:
         """Positions of all vertices at a time, shape [V, 3] or [V, 2]."""
         if self.paths is not None:
-            return self.paths.at(self.mesh, self.start, self.end, t)
+            return self.paths.places(self.mesh.vertex_body, self.start, self.end, t)
         return (1.0 - t) * self.start + t * self.end
 
     def velocities(
@@ -114,6 +130,14 @@ class MovingVertices:
     def _ends_of(self, vertices: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         rows = vertices if self.rows is None else np.searchsorted(self.rows, vertices)
         return self.start.take(rows, axis=0), self.end.take(rows, axis=0)
+
+
+@runtime_checkable
+class BodyMotion(Protocol):
+    """A motion that turns bodies (:class:`ccd_warp.RigidMotion`), as pictures know it."""
+
+    def _moving(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> MovingVertices:
+        """How all vertices move between positions in space, of the rigid bodies in their own frames."""
 
 
 class Touching(Protocol):
@@ -204,7 +228,7 @@ def located(
     mesh: CollisionMesh,
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
-    paths: MeshPaths | None = None,
+    paths: Paths | None = None,
     touch: Touching | None = None,
     radii: Radii | None = None,
 ) -> Contacts:
@@ -246,7 +270,7 @@ def points_at_toi(
     start: NDArray[np.float64],
     end: NDArray[np.float64],
     contacts: Contacts,
-    paths: MeshPaths | None = None,
+    paths: Paths | None = None,
 ) -> NDArray[np.float64]:
     """Where the surfaces of each contact touch, with the radii of the mesh, shape [m, 3] or [m, 2].
 

@@ -1,7 +1,8 @@
 """What counts as touching in a step: the distance of a pair and its norm, and the gradients of tois by them."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,8 @@ class Touch:
     start_gap_share: float
     is_by_size: bool = False
     radius: NDArray[np.float64] | None = None
+    # of a query, contacts, how their vertices move and their distances: set where the calls are put together
+    gradients: ClassVar[Callable[..., ToiGradient]]
 
     @classmethod
     def of(
@@ -73,11 +76,9 @@ class Touch:
         Raises:
             ValueError: If the distance of a pair follows from its start.
         """
-        from ccd_warp._gradients.toi_slopes import of_contacts  # loaded by those who ask for gradients
-
         mesh = frames.mesh
         distances = self.distances(mesh, contacts.kind, contacts.vertices)
-        return of_contacts(self.query(is_planar=mesh.dimension == 2), contacts, frames, distances)
+        return Touch.gradients(self.query(is_planar=mesh.dimension == 2), contacts, frames, distances)
 
     def distances(
         self, mesh: CollisionMesh, kind: NDArray[np.int32], vertices: NDArray[np.int32]

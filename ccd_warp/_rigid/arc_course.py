@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.line_search import Course
-from ccd_warp._rigid.mesh_paths import MeshPaths, moved
+from ccd_warp._engine.motion import moved
+from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._scene.mesh import CollisionMesh
 
 

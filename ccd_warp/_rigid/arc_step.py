@@ -12,12 +12,12 @@ from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch
 from ccd_warp._engine.device.step import Capacities
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_results import LaunchResult
-from ccd_warp._rigid.arcs import Arcs, slices_of
+from ccd_warp._rigid.arcs import Arcs
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.step import shorten_paths as kernels
 
@@ -67,7 +67,7 @@ class DeviceArcStep(DeviceLineSearch):
         """Check the arguments of a launch along paths."""
         if self.topology.device.is_capturing:
             raise RuntimeError("a graph is being captured; a launch with a motion reads it on the host, and cannot be")
-        num_slices = len(slices_of(paths, self._options.t_max))
+        num_slices = len(paths.slices(self._options.t_max))
         return self.prepare(vertices_t0, vertices_t1, num_slices=num_slices, **options)
 
     def launch_on_paths(self, prepared: PreparedLaunch, motion: "RigidMotion", paths: "MeshPaths") -> None:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.arcs import TURN_OF_A_SLICE
-from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.mesh_paths import TURN_OF_A_SLICE, MeshPaths
 from ccd_warp._rigid.near_parts import NearParts, spans
 from ccd_warp._rigid.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._rigid.part_trees import distinct, ranges

@@ -30,8 +30,9 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import Contacts, MeshResult
-from ccd_warp._rigid.mesh_paths import MeshPaths, moved
+from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by

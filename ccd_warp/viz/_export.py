@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, points_at_toi
 from ccd_warp._results.pairs import pair_bodies
 from ccd_warp._results.results import HostLaunchResult, MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.input.arguments import check_instance, check_real
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import moving_vertices
@@ -25,7 +24,7 @@ def to_pyvista(
     result: MeshResult | HostLaunchResult | None = None,
     *,
     t: float = 0.0,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> Any:
     """A step as a ``pyvista.MultiBlock``: a block for each body, called by its name, and one for the contacts.
 

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, points_at_toi
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._results.results import Contacts, HostLaunchResult, MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import listed, shortened
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
@@ -172,7 +171,7 @@ def make_scene(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     result: MeshResult | HostLaunchResult,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> StepScene:
     """Transform a step into the coordinates of the picture.
 

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.one_process import OneProcess
+from ccd_warp._engine.motion import moved
 from ccd_warp._results.contact_place import joined
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
 from ccd_warp._results.pairs import pair_bodies, pair_vertices
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.mesh_paths import moved
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_real
 from ccd_warp._scene.mesh import CollisionMesh
@@ -59,8 +58,8 @@ class LineSearchResult:
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
-        motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
-            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
+        motion: The :class:`ccd_warp.RigidMotion` up to the end of the step, where one was given: its ``poses_t1`` are
+            the poses of the rigid bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -71,7 +70,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: RigidMotion | None = None
+    motion: Any = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
