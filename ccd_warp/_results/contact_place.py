@@ -47,10 +47,6 @@ class Paths(Protocol):
     def excess(self) -> NDArray[np.float64]:
         """How far points of each body may be from its path, a length, shape [N]."""
 
-    @property
-    def largest_turn(self) -> float:
-        """The largest angle by which a body turns in the step, radians."""
-
     def places(
         self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
     ) -> NDArray[np.float64]:
@@ -83,7 +79,7 @@ class MovingVertices:
     @property
     def times(self) -> NDArray[np.float64]:
         """Times between which every vertex moves nearly straight, from 0 to 1."""
-        turn = 0.0 if self.paths is None else self.paths.largest_turn
+        turn = 0.0 if self.paths is None else float(np.linalg.norm(self.paths.omega, axis=1).max(initial=0.0))
         return np.linspace(0.0, 1.0, 2 + min(int(turn / TURN), _MOST_TIMES))
 
     def copied(self, contacts: Contacts) -> "MovingVertices":
