@@ -2,8 +2,8 @@
 
 from typing import Any
 
+from ccd_warp._results.contact_place import ContactPlace
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._results.touch import Touch
 
 
 def _of_contacts(*asked: Any) -> ToiGradient:
@@ -12,4 +12,4 @@ def _of_contacts(*asked: Any) -> ToiGradient:
     return of_contacts(*asked)
 
 
-Touch.gradients = _of_contacts
+ContactPlace.gradients_of = _of_contacts

@@ -983,7 +983,6 @@ class CollisionPipeline:
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
         course = Course(*self.mesh.frames(vertices_t0, vertices_t1))
         if motion is not None:
             from ccd_warp._rigid.arc_course import ArcCourse  # few programs need it
@@ -996,9 +995,9 @@ class CollisionPipeline:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
         worlds_near = self._worlds_near if self._holds_pairs else None
-        solver = Solver.of(on_step, worlds_near, self._holds, holds=self._options.holds)
-        arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
-        found = search_step(self.mesh, course, solver, **arguments)
+        solver = Solver(on_step, worlds_near, self._holds, holds=self._options.holds)
+        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
+        found = search_step(self.mesh, course, solver, **how, begins_at_rest=self._reaches_neighbours(course.start))
         return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:

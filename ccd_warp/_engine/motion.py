@@ -1,17 +1,14 @@
 """How vertices move in a step: all that the stages know of a motion, and straight motion, which is one slice."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._results.contact_place import Paths
 from ccd_warp._runtime.launch import Execution
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.workspace import Workspace
 
 
 class Slice(NamedTuple):
@@ -45,10 +42,6 @@ class Motion:
     """
 
     on_arcs = False
-    slices: list[Slice]
-    t_end: float
-    radius: wp.array
-    box_radius: wp.array
     active: NDArray[np.bool_] | None = None
 
     def __init__(self, topology: Topology, positions: Positions, t_max: float) -> None:
@@ -70,7 +63,7 @@ class Motion:
 class StepPaths(Paths, Protocol):
     """Paths of bodies along which a step can be made."""
 
-    def begin(self, workspace: "Workspace", positions: Positions, t_max: float) -> Motion:
+    def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
         """Begin a step between positions, of these bodies in their own frames; a workspace keeps its arrays."""
 
 

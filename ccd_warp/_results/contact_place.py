@@ -1,6 +1,6 @@
 """Where contacts are and how they move: their vertices, their positions and velocities at the time of impact."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -11,6 +11,7 @@ from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.distinct import distinct, first_of
 from ccd_warp._results.pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._results.toi_gradient import ToiGradient
+from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
@@ -96,8 +97,8 @@ class MovingVertices:
         """The world of each contact, where the paths are those of many worlds of the mesh."""
         return contacts.world if self.paths is not None and self.paths.is_of_worlds else None
 
-    def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None) -> NDArray[np.float64]:
-        """Positions of vertices at a time of each, shape [n, 1], in a world of each where there are many."""
+    def at(self, vertices: NDArray[np.integer], t: Any, world: Any = None) -> NDArray[np.float64]:
+        """Positions of vertices at a time of all, or of each, shape [n, 1], in a world of each where there are many."""
         start, end = self._ends_of(vertices)
         if self.paths is not None:
             return self.paths.places(self._bodies_of(vertices, world), start, end, t)
@@ -105,9 +106,7 @@ class MovingVertices:
 
     def all_at(self, t: float) -> NDArray[np.float64]:
         """Positions of all vertices at a time, shape [V, 3] or [V, 2]."""
-        if self.paths is not None:
-            return self.paths.places(self.mesh.vertex_body, self.start, self.end, t)
-        return (1.0 - t) * self.start + t * self.end
+        return self.at(np.arange(len(self.start)), t)
 
     def velocities(
         self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None
@@ -136,13 +135,6 @@ class BodyMotion(Protocol):
         """How all vertices move between positions in space, of the rigid bodies in their own frames."""
 
 
-class Touching(Protocol):
-    """What counts as touching in a step: a ``Touch`` of `touch`, which knows the kernels and this module."""
-
-    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
-        """How the tois of contacts change with the positions of vertices that move so."""
-
-
 @dataclass
 class ContactPlace:
     """The mesh of some contacts, and what has been computed from it or can be.
@@ -158,13 +150,16 @@ class ContactPlace:
         radii: Radii of the vertices of the step; None where there are none.
     """
 
+    # of a query, contacts, how their vertices move and their distances; set where the calls are put together
+    gradients_of: ClassVar[Callable[..., ToiGradient]]
+
     mesh: CollisionMesh
     frames: MovingVertices | None = None
     points: NDArray[np.float64] | None = None
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
-    touch: Touching | None = None
+    touch: Touch | None = None
     radii: Radii | None = None
 
     @property
@@ -216,7 +211,9 @@ class ContactPlace:
                 "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "
                 "or of a launch by to_host()"
             )
-        return self.touch.toi_gradient(contacts, self.frames)
+        query = self.touch.query(is_planar=self.mesh.dimension == 2)
+        distances = self.touch.distances(self.mesh, contacts.kind, contacts.vertices)
+        return ContactPlace.gradients_of(query, contacts, self.frames, distances)
 
 
 def located(
@@ -225,7 +222,7 @@ def located(
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
     paths: Paths | None = None,
-    touch: Touching | None = None,
+    touch: Touch | None = None,
     radii: Radii | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
@@ -261,22 +258,13 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     return contacts._of(ContactPlace(places[0].mesh, **placed))
 
 
-def points_at_toi(
-    mesh: CollisionMesh,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    contacts: Contacts,
-    paths: Paths | None = None,
-) -> NDArray[np.float64]:
-    """Where the surfaces of each contact touch, with the radii of the mesh, shape [m, 3] or [m, 2].
-
-    The positions are those of all vertices at both ends of the step, shape [V, 3] or [V, 2]; of bodies on ``paths`` in
-    their own frames.
+def points_at_toi(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
+    """Where the surfaces of each contact touch, given how all vertices move, with the radii of the mesh.
 
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
-    return _points(MovingVertices(mesh, start, end, paths), contacts, radii_of(mesh))
+    return _points(frames, contacts, radii_of(frames.mesh))
 
 
 def radii_of(mesh: CollisionMesh) -> Radii | None:

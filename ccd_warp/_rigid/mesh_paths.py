@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arcs, rotated
 from ccd_warp._runtime.display import counted
 from ccd_warp._scene.input.names import body_label
-
-if TYPE_CHECKING:
-    from ccd_warp._engine.host.workspace import Workspace
-    from ccd_warp._engine.mesh.topology import Positions
-    from ccd_warp._scene.mesh import CollisionMesh
+from ccd_warp._scene.mesh import CollisionMesh
 
 # Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
 TURN_OF_A_SLICE = 0.2

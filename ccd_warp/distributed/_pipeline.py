@@ -33,7 +33,7 @@ from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import Contacts, MeshResult
-from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.mesh_paths import MeshPaths, in_space
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
@@ -44,7 +44,7 @@ from ccd_warp.distributed._across_ranks import work_by_vertex
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._partition import imbalance
-from ccd_warp.distributed._plan import in_space, is_within
+from ccd_warp.distributed._plan import is_within
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,
     WORK_OF_PAIR,
@@ -394,10 +394,10 @@ class DistributedPipeline:
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
             everywhere, course = plan.everywhere, Course(*plan.part.mesh.frames(*self._ends))
-            if self._paths is not None:
-                from ccd_warp.distributed._motion import PartCourse
+            if self._local is not None:
+                from ccd_warp._rigid.arc_course import ArcCourse  # few programs need it
 
-                course = PartCourse(everywhere, plan.part.mesh, *self._ends, self._paths, motion)
+                course = ArcCourse(plan.part.mesh, *self._ends, self._local.paths, self._local.motion, everywhere)
 
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return self._run(ContactStep, ends.start, ends.end, work, ends.paths)
@@ -406,7 +406,7 @@ class DistributedPipeline:
             found = search_step(
                 plan.part.mesh,
                 course,
-                Solver.of(on_step, worlds_near, self._holds, holds=self._options.holds),
+                Solver(on_step, worlds_near, self._holds, holds=self._options.holds),
                 per=per,
                 safety=safety,
                 max_rounds=max_rounds,

@@ -5,7 +5,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import BodyMotion, points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, MovingVertices, points_at_toi
 from ccd_warp._results.results import Contacts
 from ccd_warp._scene.input.arguments import check_instance
 from ccd_warp._scene.mesh import CollisionMesh
@@ -37,7 +37,6 @@ def contact_points(
     """
     check_instance("mesh", mesh, CollisionMesh)
     check_instance("contacts", contacts, Contacts)
-    if motion is not None:
-        moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
-        return points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths)
-    return points_at_toi(mesh, *mesh.frames(vertices_t0, vertices_t1), contacts)
+    if motion is None:
+        return points_at_toi(MovingVertices(mesh, *mesh.frames(vertices_t0, vertices_t1)), contacts)
+    return points_at_toi(moving_vertices(mesh, vertices_t0, vertices_t1, motion), contacts)

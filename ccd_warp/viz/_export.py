@@ -86,7 +86,7 @@ def to_pyvista(
         contacts = result.contacts
         shape = pyvista.PolyData()
         if len(contacts):
-            shape = pyvista.PolyData(points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths))
+            shape = pyvista.PolyData(points_at_toi(moving, contacts))
             shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
             for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()

@@ -185,7 +185,7 @@ def make_scene(
     if np.shape(result.vertex_toi) != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
     contacts = result.contacts
-    points = points_at_toi(mesh, start, end, contacts, moving.paths)
+    points = points_at_toi(moving, contacts)
     between = np.zeros((0, 3))
     if moving.paths is not None:
         start, end = moving.all_at(0.0), moving.all_at(1.0)

@@ -114,44 +114,34 @@ class Ends(NamedTuple):
     paths: Any = None
 
 
-@dataclass(frozen=True)
 class Solver:
     """The steps that a line search takes.
 
     Attributes:
-        strict: All contacts of a step.
-        holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
-            as long as these are not known to matter.
         worlds_near: Which worlds have a contact that starts within its distance or passes by, given the start in the
-            world, the step and all of its contacts; None where pairs keep no distance.
+            world, the step and all of its contacts; None where that does not matter, or pairs keep no distance.
         find_holds: The hold of each vertex at the start (`HoldStep`).
     """
 
-    strict: Callable[[Ends], MeshResult]
-    holding: Callable[[Ends, NDArray[np.float64] | None], MeshResult]
-    worlds_near: Callable[[NDArray[np.float64], Ends, Contacts], NDArray[np.bool_]] | None
-    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         on_step: Callable[[Ends, Callable[[Any], MeshResult]], MeshResult],
         worlds_near: Callable[[NDArray[np.float64], Ends, Contacts], NDArray[np.bool_]] | None,
         find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]],
         *,
         holds: bool,
-    ) -> "Solver":
+    ) -> None:
         """Of what does some work on a step, and of whether what starts close may part."""
+        self._on_step, self._holds = on_step, holds
+        self.worlds_near, self.find_holds = worlds_near if holds else None, find_holds
 
-        def strict(ends: Ends) -> MeshResult:
-            return on_step(ends, lambda step: step.contacts())
+    def strict(self, ends: Ends) -> MeshResult:
+        """All contacts of a step."""
+        return self._on_step(ends, lambda step: step.contacts())
 
-        def holding(ends: Ends, of_vertices: NDArray[np.float64] | None) -> MeshResult:
-            return on_step(ends, lambda step: step.holding(of_vertices).contacts())
-
-        if not holds:
-            return cls(strict, lambda ends, _: strict(ends), None, find_holds)
-        return cls(strict, holding, worlds_near, find_holds)
+    def holding(self, ends: Ends, holds: NDArray[np.float64] | None) -> MeshResult:
+        """The same, where what starts within its distance may part and slide, by holds, None until these matter."""
+        return self._on_step(ends, lambda step: (step.holding(holds) if self._holds else step).contacts())
 
 
 class Course:
@@ -165,13 +155,9 @@ class Course:
     def __init__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         self.start, self.end = start, end
 
-    def at(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of all vertices at a fraction of each."""
-        return moved(self.start, self.end, fraction)
-
-    def corners_at(self, corners: NDArray[np.int32], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of the vertices of contacts, shape [m, 4], at a fraction of each."""
-        return moved(self.start[corners], self.end[corners], fraction)
+    def at(self, fraction: NDArray[np.float64], vertices: Any = slice(None)) -> NDArray[np.float64]:
+        """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
+        return moved(self.start[vertices], self.end[vertices], fraction)
 
     def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Ends:
         """The step to positions that are those at a fraction of each."""
@@ -289,7 +275,7 @@ def search_step(
             is_common |= touched
         fraction[~moves] = 1.0
         vertices = course.at(fraction)
-        stops = (course.corners_at(corners, own) == start[corners]).all(axis=(1, 2))
+        stops = (course.at(own, corners) == start[corners]).all(axis=(1, 2))
         stopping.append(_chosen(contacts, stops))
     else:
         if driven.is_any:  # what the last round has stopped may be struck
