@@ -13,12 +13,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._at_one_time.proximities import PROXIMITY_DTYPES, largest_bound, new_proximity_list, reach_of
+from ccd_warp._at_one_time.proximities import PROXIMITY_DTYPES, largest_bound, new_proximity_list
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.step import Capacities, DeviceStep
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages

@@ -17,13 +17,6 @@ PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
 
 
-def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
-    """What is near, as the struct of the kernels, for radii of the vertices."""
-    reach = kernels.Reach()
-    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, radius, stop
-    return reach
-
-
 new_proximity_list = partial(struct_of, kernels.ProximityList)
 
 

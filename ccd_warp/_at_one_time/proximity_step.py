@@ -7,13 +7,13 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound, reach_of
+from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import corners_by_kind
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._results.proximities import Proximities

@@ -22,6 +22,8 @@ from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
+    Course,
+    Ends,
     LineSearchResult,
     Solver,
     check_step_is_whole,
@@ -932,14 +934,14 @@ class CollisionPipeline:
         distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
 
-    def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
+    def _worlds_near(self, start: NDArray[np.float64], ends: Ends, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact that starts within its distance, or passes by at it."""
         from ccd_warp._at_one_time.proximity_step import HoldStep
 
         distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
         of_search = self.counts, self.timings
-        is_straight = isinstance(end, np.ndarray)
-        frames = start, end if is_straight else start
+        is_straight = ends.paths is None
+        frames = start, ends.end if is_straight else start
         near = self._run(
             HoldStep, lambda: frames, lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)
         )
@@ -981,42 +983,22 @@ class CollisionPipeline:
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
         vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        arguments: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-        if motion is None:
-            arguments["begins_at_rest"] = self._reaches_neighbours(vertices_t0)
-            solver = self._solver(partial(self._on_step, ContactStep))
-            found = search_step(self.mesh, vertices_t0, vertices_t1, solver, **arguments)
-        else:
-            found = self._search_on_arcs(vertices_t0, vertices_t1, motion, arguments)
-        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+        course = Course(*self.mesh.frames(vertices_t0, vertices_t1))
+        if motion is not None:
+            from ccd_warp._rigid.arc_course import ArcCourse  # few programs need it
 
-    def _search_on_arcs(
-        self,
-        vertices_t0: ArrayLike,
-        vertices_t1: ArrayLike,
-        motion: RigidMotion,
-        arguments: dict[str, Any],
-    ) -> LineSearchResult:
-        """A line search in which bodies turn."""
-        from ccd_warp._rigid.arc_course import ArcCourse, ArcEnd  # few programs need it
+            paths = self._paths_of(motion)
+            check_own_frames(self.mesh, course.start, course.end)
+            course = ArcCourse(self.mesh, course.start, course.end, paths, motion)
 
-        start, end = self.mesh.frames(vertices_t0, vertices_t1)
-        paths = self._paths_of(motion)
-        check_own_frames(self.mesh, start, end)
-        course = ArcCourse(self.mesh, start, end, paths)
+        def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
+            return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
-        def step_to(_: Any, end: ArcEnd, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
-            return self._on_step(ContactStep, start, end.vertices, work, end.paths)
-
-        arguments["begins_at_rest"] = self._reaches_neighbours(course.start)
-        found = search_step(self.mesh, start, end, self._solver(step_to), course=course, **arguments)
-        of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
-        return replace(found, motion=motion.shortened(of_bodies.reshape(motion.turns.shape)))
-
-    def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
-        """The steps of a line search, of what does some work on one."""
         worlds_near = self._worlds_near if self._holds_pairs else None
-        return Solver.of(step_to, worlds_near, self._holds, holds=self._options.holds)
+        solver = Solver(on_step, worlds_near, self._holds, holds=self._options.holds)
+        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
+        found = search_step(self.mesh, course, solver, **how, begins_at_rest=self._reaches_neighbours(course.start))
+        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from ccd_warp import CollisionPipeline
+from ccd_warp._calls.pose_sequence import PoseSequence
 from ccd_warp._files.frames import Body
 from ccd_warp._files.mesh_frames import mesh_of, static_bodies
-from ccd_warp._files.pose_sequence import PoseSequence
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import CCDStatus

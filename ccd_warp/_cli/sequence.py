@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._calls.pose_sequence import PoseSequence
 from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.pictures import check_picture, draw_animation, draw_step
 from ccd_warp._cli.process import (
@@ -38,7 +39,6 @@ from ccd_warp._cli.report import (
 from ccd_warp._cli.scene import StartContacts, how_to_read, make_mesh, obstacles, pose_sequence
 from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, moving_vertices, solve
 from ccd_warp._cli.table import COLUMNS, StepRow, csv_text, draw_plot
-from ccd_warp._files.pose_sequence import PoseSequence
 from ccd_warp._files.sequence import FrameSequence
 from ccd_warp._files.series import find_series
 from ccd_warp._results.contact_place import MovingVertices

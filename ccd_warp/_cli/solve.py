@@ -86,7 +86,7 @@ def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[n
 def moving_vertices(mesh: CollisionMesh, bodies: Sequence[Body], motion: RigidMotion | None) -> MovingVertices:
     """How the vertices of all bodies move; those that take no part as others of their bodies do."""
     places = mesh._both_placed(*positions_of(bodies))
-    return MovingVertices.of(mesh, *places, None if motion is None else motion._body_paths)
+    return MovingVertices(mesh, *places) if motion is None else motion._moving(mesh, *places)
 
 
 def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:

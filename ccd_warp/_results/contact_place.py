@@ -1,8 +1,8 @@
 """Where contacts are and how they move: their vertices, their positions and velocities at the time of impact."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,7 @@ from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.distinct import distinct, first_of
 from ccd_warp._results.pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_own_frames
+from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
@@ -30,6 +29,36 @@ Radii = tuple[NDArray[np.float64], NDArray[np.float64]]
 _PLACED = ("points", "relative_velocity", "world")
 
 
+class Paths(Protocol):
+    """The paths of all bodies of a mesh, of which some turn; their rows are numbers of bodies, or of those of worlds.
+
+    Attributes:
+        is_of_worlds: Whether they are those of a mesh of one world in many: body b in world w has the number w B + b.
+    """
+
+    is_of_worlds: ClassVar[bool]
+
+    def __len__(self) -> int: ...
+
+    @property
+    def omega(self) -> NDArray[np.float64]:
+        """The turn of each body, a rotation vector, shape [N, 3]."""
+
+    @property
+    def excess(self) -> NDArray[np.float64]:
+        """How far points of each body may be from its path, a length, shape [N]."""
+
+    def places(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
+
+    def velocities(
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+    ) -> NDArray[np.float64]:
+        """How they move at a time, as displacements in the whole step, shape [n, 3]."""
+
+
 @dataclass(frozen=True)
 class MovingVertices:
     """How vertices move in a step.
@@ -45,29 +74,13 @@ class MovingVertices:
     mesh: CollisionMesh
     start: NDArray[np.float64]
     end: NDArray[np.float64]
-    paths: MeshPaths | None = None
+    paths: Paths | None = None
     rows: NDArray[np.integer] | None = None
-
-    @classmethod
-    def of(
-        cls, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], motion: BodyPaths | None
-    ) -> "MovingVertices":
-        """Of positions in space; where no body of the mesh is rigid, a motion is one of all, as of ``rigid_ccd``.
-
-        Raises:
-            ValueError: If the motion does not match the mesh.
-        """
-        if motion is None:
-            return cls(mesh, start, end)
-        bodies = mesh if mesh.rigid.any() else mesh._all_rigid
-        paths = MeshPaths.of(bodies, motion)
-        check_own_frames(bodies, start, end)
-        return cls(mesh, start, end, paths)
 
     @property
     def times(self) -> NDArray[np.float64]:
         """Times between which every vertex moves nearly straight, from 0 to 1."""
-        turn = 0.0 if self.paths is None else self.paths.largest_turn
+        turn = 0.0 if self.paths is None else float(np.linalg.norm(self.paths.omega, axis=1).max(initial=0.0))
         return np.linspace(0.0, 1.0, 2 + min(int(turn / TURN), _MOST_TIMES))
 
     def copied(self, contacts: Contacts) -> "MovingVertices":
@@ -82,10 +95,10 @@ class MovingVertices:
 
     def worlds_of(self, contacts: Contacts) -> NDArray[np.int32] | None:
         """The world of each contact, where the paths are those of many worlds of the mesh."""
-        return contacts.world if isinstance(self.paths, WorldPaths) else None
+        return contacts.world if self.paths is not None and self.paths.is_of_worlds else None
 
-    def at(self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None) -> NDArray[np.float64]:
-        """Positions of vertices at a time of each, shape [n, 1], in a world of each where there are many."""
+    def at(self, vertices: NDArray[np.integer], t: Any, world: Any = None) -> NDArray[np.float64]:
+        """Positions of vertices at a time of all, or of each, shape [n, 1], in a world of each where there are many."""
         start, end = self._ends_of(vertices)
         if self.paths is not None:
             return self.paths.places(self._bodies_of(vertices, world), start, end, t)
@@ -93,9 +106,7 @@ class MovingVertices:
 
     def all_at(self, t: float) -> NDArray[np.float64]:
         """Positions of all vertices at a time, shape [V, 3] or [V, 2]."""
-        if self.paths is not None:
-            return self.paths.at(self.mesh, self.start, self.end, t)
-        return (1.0 - t) * self.start + t * self.end
+        return self.at(np.arange(len(self.start)), t)
 
     def velocities(
         self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None
@@ -116,11 +127,12 @@ class MovingVertices:
         return self.start.take(rows, axis=0), self.end.take(rows, axis=0)
 
 
-class Touching(Protocol):
-    """What counts as touching in a step: a ``Touch`` of `touch`, which knows the kernels and this module."""
+@runtime_checkable
+class BodyMotion(Protocol):
+    """A motion that turns bodies (:class:`ccd_warp.RigidMotion`), as pictures know it."""
 
-    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
-        """How the tois of contacts change with the positions of vertices that move so."""
+    def _moving(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> MovingVertices:
+        """How all vertices move between positions in space, of the rigid bodies in their own frames."""
 
 
 @dataclass
@@ -138,13 +150,16 @@ class ContactPlace:
         radii: Radii of the vertices of the step; None where there are none.
     """
 
+    # of a query, contacts, how their vertices move and their distances; set where the calls are put together
+    gradients_of: ClassVar[Callable[..., ToiGradient]]
+
     mesh: CollisionMesh
     frames: MovingVertices | None = None
     points: NDArray[np.float64] | None = None
     relative_velocity: NDArray[np.float64] | None = None
     vertices: NDArray[np.int32] | None = None
     world: NDArray[np.int32] | None = None
-    touch: Touching | None = None
+    touch: Touch | None = None
     radii: Radii | None = None
 
     @property
@@ -196,7 +211,9 @@ class ContactPlace:
                 "contacts do not know the positions and the distance of their step; expected those of mesh_ccd, "
                 "or of a launch by to_host()"
             )
-        return self.touch.toi_gradient(contacts, self.frames)
+        query = self.touch.query(is_planar=self.mesh.dimension == 2)
+        distances = self.touch.distances(self.mesh, contacts.kind, contacts.vertices)
+        return ContactPlace.gradients_of(query, contacts, self.frames, distances)
 
 
 def located(
@@ -204,8 +221,8 @@ def located(
     mesh: CollisionMesh,
     start: NDArray[np.float64] | None = None,
     end: NDArray[np.float64] | None = None,
-    paths: MeshPaths | None = None,
-    touch: Touching | None = None,
+    paths: Paths | None = None,
+    touch: Touch | None = None,
     radii: Radii | None = None,
 ) -> Contacts:
     """Contacts that know their mesh and where they are in a step between these positions of all vertices.
@@ -241,22 +258,13 @@ def joined(parts: Sequence[Contacts]) -> Contacts:
     return contacts._of(ContactPlace(places[0].mesh, **placed))
 
 
-def points_at_toi(
-    mesh: CollisionMesh,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    contacts: Contacts,
-    paths: MeshPaths | None = None,
-) -> NDArray[np.float64]:
-    """Where the surfaces of each contact touch, with the radii of the mesh, shape [m, 3] or [m, 2].
-
-    The positions are those of all vertices at both ends of the step, shape [V, 3] or [V, 2]; of bodies on ``paths`` in
-    their own frames.
+def points_at_toi(frames: MovingVertices, contacts: Contacts) -> NDArray[np.float64]:
+    """Where the surfaces of each contact touch, given how all vertices move, with the radii of the mesh.
 
     Raises:
         ValueError: If the contacts refer to primitives that the mesh does not have.
     """
-    return _points(MovingVertices(mesh, start, end, paths), contacts, radii_of(mesh))
+    return _points(frames, contacts, radii_of(frames.mesh))
 
 
 def radii_of(mesh: CollisionMesh) -> Radii | None:

@@ -12,7 +12,6 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._results.device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import HostLaunchResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import LaunchFlag, PairKind
 from ccd_warp._runtime.texts import text_completed_by
@@ -62,7 +61,7 @@ class LaunchResult(OnDevice):
         self.contacts._of(self._step)
 
     @property
-    def motion(self) -> RigidMotion | None:
+    def motion(self) -> Any:
         """The motion of the last launch up to the end of the step; None without one. Reading it waits for the device.
 
         Its ``poses_t1`` are the poses of the rigid bodies there, as those of a :class:`ccd_warp.LineSearchResult`.

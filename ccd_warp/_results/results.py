@@ -2,13 +2,13 @@
 
 from collections import Counter
 from dataclasses import dataclass, field, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contact, Contacts, Outcome, first_contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import CCDStatus, LaunchFlag, PairKind
@@ -154,7 +154,8 @@ class HostLaunchResult(Outcome):
         num_contacts: Number of contacts found, including those beyond the capacity; of a line search the most of any
             pass, while ``contacts`` are those of the last. What ``max_contacts`` has to hold.
         body_fraction: Fraction of its path by which each rigid body goes, float64, shape [B]; None without a motion.
-        motion: The motion up to the end of the step, where one was given; its ``poses_t1`` are the poses there.
+        motion: The :class:`ccd_warp.RigidMotion` up to the end of the step, where one was given; its ``poses_t1`` are
+            the poses there.
     """
 
     toi: float
@@ -167,7 +168,7 @@ class HostLaunchResult(Outcome):
     num_pairs: dict[PairKind, int]
     num_contacts: int
     body_fraction: NDArray[np.float64] | None = None
-    motion: RigidMotion | None = None
+    motion: Any = None
 
     @lazy_property
     def vertex_contact(self) -> NDArray[np.int32]:

@@ -1,4 +1,4 @@
-"""What counts as touching in a step: the distance of a pair and its norm, and the gradients of tois by them."""
+"""What counts as touching in a step: the distance of a pair and its norm."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,10 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._results.contact_place import MovingVertices
-from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.pairs import radii_of_pairs
-from ccd_warp._results.toi_gradient import ToiGradient
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
@@ -67,18 +64,6 @@ class Touch:
         query.separation, query.by_size = self.separation, int(self.is_by_size)
         query.is_planar, query.t_max = int(is_planar), self.t_max
         return query
-
-    def toi_gradient(self, contacts: Contacts, frames: MovingVertices) -> ToiGradient:
-        """How the tois of contacts change whose vertices move so, on straight lines.
-
-        Raises:
-            ValueError: If the distance of a pair follows from its start.
-        """
-        from ccd_warp._gradients.toi_slopes import of_contacts  # loaded by those who ask for gradients
-
-        mesh = frames.mesh
-        distances = self.distances(mesh, contacts.kind, contacts.vertices)
-        return of_contacts(self.query(is_planar=mesh.dimension == 2), contacts, frames, distances)
 
     def distances(
         self, mesh: CollisionMesh, kind: NDArray[np.int32], vertices: NDArray[np.int32]

@@ -1,73 +1,72 @@
 """The course of a line search in which bodies turn: a body goes on its path, and stays rigid."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.line_search import Course
-from ccd_warp._rigid.mesh_paths import MeshPaths, moved
+from ccd_warp._engine.host.line_search import Course, Ends
+from ccd_warp._engine.host.one_process import OneProcess
+from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.mesh import CollisionMesh
-
-
-class ArcEnd(NamedTuple):
-    """The end of a step on arcs.
-
-    Attributes:
-        vertices: Its positions; of rigid bodies in their own frames.
-        paths: The paths up to there.
-    """
-
-    vertices: NDArray[np.float64]
-    paths: MeshPaths
 
 
 class ArcCourse(Course):
     """Where vertices are at fractions of their motion, which are the same for all vertices of a rigid body."""
 
     def __init__(
-        self, mesh: CollisionMesh, given_t0: NDArray[np.float64], given_t1: NDArray[np.float64], paths: MeshPaths
+        self,
+        mesh: CollisionMesh,
+        given_t0: NDArray[np.float64],
+        given_t1: NDArray[np.float64],
+        paths: MeshPaths,
+        motion: RigidMotion,
+        everywhere: OneProcess | None = None,
     ) -> None:
-        """A course between given positions, of rigid bodies in their own frames."""
-        self._mesh, self._given, self._paths = mesh, (given_t0, given_t1), paths
+        """A course between given positions, of rigid bodies in their own frames, which have a motion on paths.
+
+        Bodies may have further vertices ``everywhere``.
+        """
+        self._everywhere = everywhere or OneProcess()
+        self._mesh, self._given, self._paths, self._motion = mesh, (given_t0, given_t1), paths, motion
         super().__init__(paths.at(mesh, given_t0, given_t1, 0.0), paths.at(mesh, given_t0, given_t1, 1.0))
         self._is_rigid = paths.is_rigid[mesh.vertex_body]
 
-    def at(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of all vertices at a fraction of each."""
-        straight = moved(self.start, self.end, fraction)
-        turned = self._paths.at(self._mesh, *self._given, fraction)
-        stays = (fraction == 0.0)[:, None]
-        return np.where(self._is_rigid[:, None] & ~stays, turned, straight)
+    def at(self, fraction: NDArray[np.float64], vertices: Any = None) -> NDArray[np.float64]:
+        """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
+        vertices = np.arange(len(self.start)) if vertices is None else vertices
+        straight = super().at(fraction, vertices)
+        turned = self._paths.at(self._mesh, *self._given, fraction.ravel(), vertices.ravel()).reshape(straight.shape)
+        turns = self._is_rigid[vertices] & (fraction != 0.0)
+        return np.where(turns[..., None], turned, straight)
 
-    def corners_at(self, corners: NDArray[np.int32], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of the vertices of contacts, shape [m, 4], at a fraction of each."""
-        straight = moved(self.start[corners], self.end[corners], fraction)
-        turned = self._paths.at(self._mesh, *self._given, fraction.ravel(), corners.ravel()).reshape(straight.shape)
-        stays = (fraction == 0.0)[..., None]
-        return np.where(self._is_rigid[corners][..., None] & ~stays, turned, straight)
-
-    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Any:
-        """What a solver takes as the end of the step to positions that are those at a fraction of each."""
+    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Ends:
+        """The step to positions that are those at a fraction of each."""
         own_frames = np.where(self._is_rigid[:, None], self._given[0], vertices)
-        return ArcEnd(own_frames, self._paths.shortened(self.of_bodies(fraction)))
+        return Ends(self._given[0], own_frames, self._paths.shortened(self._of_bodies(fraction)))
+
+    def motion_to(self, fraction: NDArray[np.float64]) -> RigidMotion:
+        """The motion of the call up to a fraction of each vertex."""
+        of_rigid = self._of_bodies(fraction)[self._mesh.rigid]
+        return self._motion.shortened(of_rigid.reshape(self._motion.turns.shape))
 
     def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which vertices have not moved; on an arc one may come back to where it was."""
         of_rigid: NDArray[np.bool_] = (fraction == 0.0) | ~self._paths.moves[self._mesh.vertex_body]
         return np.where(self._is_rigid, of_rigid, super().are_at_start(vertices, fraction))
 
-    def of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least fraction of the vertices of each body, 1 of those without any."""
-        return self.least_of_bodies(fraction, 1.0)
+        return self._least_of_bodies(fraction, 1.0)
 
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which the vertices of a rigid body share."""
-        of_body = self.least_of_bodies(least, np.inf)
+        of_body = self._least_of_bodies(least, np.inf)
         return np.where(self._is_rigid, of_body[self._mesh.vertex_body], least)
 
-    def least_of_bodies(self, values: NDArray[np.float64], start: float) -> NDArray[np.float64]:
-        """The least value of the vertices of each body, and no more than ``start``."""
+    def _least_of_bodies(self, values: NDArray[np.float64], start: float) -> NDArray[np.float64]:
+        """The least value of the vertices of each body everywhere, and no more than ``start``."""
         least = np.full(self._mesh.num_bodies, start)
         np.minimum.at(least, self._mesh.vertex_body, values)
-        return least
+        return self._everywhere.least(least)

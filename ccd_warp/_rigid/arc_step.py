@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -12,18 +12,16 @@ from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch
 from ccd_warp._engine.device.step import Capacities
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_results import LaunchResult
-from ccd_warp._rigid.arcs import Arcs, slices_of
+from ccd_warp._rigid.arcs import Arcs
+from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.rigid import shorten_paths as kernels
-
-if TYPE_CHECKING:
-    from ccd_warp._rigid.mesh_paths import MeshPaths
-    from ccd_warp._rigid.motion import RigidMotion
 
 _ALL_FLAGS = -1
 
@@ -36,7 +34,7 @@ class DeviceArcStep(DeviceLineSearch):
     """
 
     on_arcs = True
-    _motion: "RigidMotion | None" = None  # of the last launch
+    _motion: RigidMotion | None = None  # of the last launch
 
     def _arrays(self, capacities: Capacities, quantization: Any) -> dict[str, Any]:
         """The arrays and values of the stages."""
@@ -61,23 +59,21 @@ class DeviceArcStep(DeviceLineSearch):
         self.fraction = self._full(self._mesh.num_bodies, 1.0, wp.float64)
         return replace(super()._new_result(max_contacts), body_fraction=self.fraction)
 
-    def prepare_on_paths(
-        self, vertices_t0: Any, vertices_t1: Any, paths: "MeshPaths", **options: Any
-    ) -> PreparedLaunch:
+    def prepare_on_paths(self, vertices_t0: Any, vertices_t1: Any, paths: MeshPaths, **options: Any) -> PreparedLaunch:
         """Check the arguments of a launch along paths."""
         if self.topology.device.is_capturing:
             raise RuntimeError("a graph is being captured; a launch with a motion reads it on the host, and cannot be")
-        num_slices = len(slices_of(paths, self._options.t_max))
+        num_slices = len(paths.slices(self._options.t_max))
         return self.prepare(vertices_t0, vertices_t1, num_slices=num_slices, **options)
 
-    def launch_on_paths(self, prepared: PreparedLaunch, motion: "RigidMotion", paths: "MeshPaths") -> None:
+    def launch_on_paths(self, prepared: PreparedLaunch, motion: RigidMotion, paths: MeshPaths) -> None:
         """Launch a step along the paths of a motion."""
         self._arcs.begin(paths)
         self.fraction.fill_(1.0)
         self._motion, self._paths = motion, paths
         self.launch(prepared)
 
-    def ended_motion(self) -> "RigidMotion | None":
+    def ended_motion(self) -> RigidMotion | None:
         """The motion of the last launch, up to the fractions that a line search has left; this waits for the device."""
         if self._motion is None:
             return None

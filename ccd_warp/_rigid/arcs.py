@@ -1,49 +1,34 @@
 """Slices of a step in which bodies turn: where they are at both ends of each, and what kernels know of their arcs."""
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.topology import Positions, Topology
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Motion, Slice
+from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
-if TYPE_CHECKING:
-    from ccd_warp._rigid.mesh_paths import MeshPaths
-
-# Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
-TURN_OF_A_SLICE = 0.2
-_ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
 _COLUMNS = dtypes_of(kernels.BodyPaths)
 
 
-def slices_of(paths: "MeshPaths", t_max: float) -> list[Slice]:
-    """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
-    turn = paths.largest_turn if paths.turn is None else paths.turn
-    count = np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING)
-    return Slice.all(max(1, int(count)), t_max)
-
-
-class Arcs:
+class Arcs(Motion):
     """The arrays of a mesh whose bodies turn; those of a slice are overwritten by the next.
 
+    A vertex is enlarged in a slice by its radius, its sagitta and its rounding.
+
     Attributes:
-        radius: By how much each vertex is enlarged in a slice: its radius, its sagitta and its rounding.
-        box_radius: The same for its boxes.
         start: Positions at the begin of a slice.
         end: Positions at its end.
         paths: The paths of the bodies, as the struct of the kernels.
-        slices: The slices of a step on the host.
-        active: Bodies that are searched in it, bool, shape [B]; None for all.
     """
 
-    slices: list[Slice]
-    active: NDArray[np.bool_] | None
+    on_arcs, t_end = True, 1.0
 
     def __init__(self, topology: Topology, radius: wp.array | None = None, box_radius: wp.array | None = None) -> None:
         """Allocate the arrays; ``radius`` and ``box_radius`` are others than those of the mesh."""
@@ -69,7 +54,7 @@ class Arcs:
         """Another table of paths, of these columns alone."""
         return struct_of(kernels.BodyPaths, self._columns(*names))
 
-    def begin(self, paths: "MeshPaths") -> None:
+    def begin(self, paths: BodyPaths) -> None:
         """Begin a step along these paths."""
         for name, array in self._arrays.items():
             array.assign(getattr(paths, "pivot_t0" if name == "start" else name))
@@ -81,10 +66,12 @@ class Arcs:
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def begin_on_host(self, paths: "MeshPaths", positions: Positions, t_max: float) -> "Arcs":
+    def begin_on_host(
+        self, paths: BodyPaths, slices: list[Slice], active: NDArray[np.bool_], positions: Positions
+    ) -> Motion:
         """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
         self.begin(paths)
-        self.slices, self.active = slices_of(paths, t_max), None if paths.active.all() else paths.active
+        self.slices, self.active = slices, None if active.all() else active
         device = self._topology.device
         self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
         return self

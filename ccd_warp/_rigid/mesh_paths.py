@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arcs, rotated
 from ccd_warp._runtime.display import counted
 from ccd_warp._scene.input.names import body_label
+from ccd_warp._scene.mesh import CollisionMesh
 
-if TYPE_CHECKING:
-    from ccd_warp._scene.mesh import CollisionMesh
+# Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
+TURN_OF_A_SLICE = 0.2
+_ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,6 +35,7 @@ class MeshPaths(BodyPaths):
     is_rigid: NDArray[np.bool_]
     active: NDArray[np.bool_]
     turn: float | None = None
+    is_of_worlds: ClassVar[bool] = False
 
     @classmethod
     def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
@@ -58,6 +64,20 @@ class MeshPaths(BodyPaths):
         rows["turning"][bodies[(given.excess > 0.0) & ~given.moves], 0] = UNSEEN
         rows |= {"is_rigid": mesh.rigid.copy(), "active": np.ones(mesh.num_bodies, dtype=bool)}
         return cls(**rows | further)
+
+    def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
+        """Begin a step on the host along these paths."""
+        from ccd_warp._rigid.arcs import Arcs  # not before a scene needs it
+
+        if Arcs not in workspace.motions:
+            workspace.motions[Arcs] = Arcs(workspace.topology)
+        arcs: Arcs = workspace.motions[Arcs]
+        return arcs.begin_on_host(self, self.slices(t_max), self.active, positions)
+
+    def slices(self, t_max: float) -> list[Slice]:
+        """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
+        turn = self.largest_turn if self.turn is None else self.turn
+        return Slice.all(max(1, int(np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING))), t_max)
 
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
@@ -103,6 +123,8 @@ class WorldPaths(MeshPaths):
     There are rows of rigid bodies alone, so that what stands in all worlds costs nothing.
     """
 
+    is_of_worlds = True
+
     @classmethod
     def of_worlds(cls, mesh: CollisionMesh, given: BodyPaths) -> WorldPaths:
         """Of a motion that has a row for each rigid body, of one world after another."""
@@ -113,15 +135,6 @@ class WorldPaths(MeshPaths):
         rigid = np.flatnonzero(self.is_rigid[own])
         number = np.cumsum(self.is_rigid)
         return rigid, world[rigid] * number[-1] + number[own[rigid]] - 1
-
-
-def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
-    f = fraction[..., None]
-    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
-    # rounding. Vertices that take no part may be at no number.
-    with np.errstate(invalid="ignore"):
-        return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
 
 
 def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

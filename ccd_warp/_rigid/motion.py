@@ -8,9 +8,11 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.toi_gradient import ToiGradient
 from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.body_paths import BodyPaths
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
 from ccd_warp._rigid.poses import (
     check_ends,
     check_leading,
@@ -27,6 +29,7 @@ from ccd_warp._rigid.poses import (
 from ccd_warp._rigid.rotations import normalized, norms, products, quaternions_of, rotated
 from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._scene.input.arguments import check_choice, check_instance, shown
+from ccd_warp._scene.mesh import CollisionMesh
 
 # Radians in a step: what is proved of sine and cosine holds below (`rigid.place_bodies`), and a slice takes 0.2.
 _LARGEST_TURN = 1e6
@@ -303,6 +306,17 @@ class RigidMotion(ReadOnly):
             of_worlds = "" if self.num_worlds == 1 else f", {self.num_bodies} in each of {self.num_worlds} worlds"
             raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {count}{of_worlds}")
         return points
+
+    def _moving(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> MovingVertices:
+        """How all vertices move between positions in space; where no body of the mesh is rigid, all count as such.
+
+        Raises:
+            ValueError: If the motion does not match the mesh.
+        """
+        bodies = mesh if mesh.rigid.any() else mesh._all_rigid
+        paths = MeshPaths.of(bodies, self._body_paths)
+        check_own_frames(bodies, start, end)
+        return MovingVertices(mesh, start, end, paths)
 
     def _of_worlds(self, worlds: NDArray[np.integer]) -> BodyPaths:
         """The paths of the bodies of some worlds, one world's after another's."""

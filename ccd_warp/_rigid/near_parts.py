@@ -7,21 +7,19 @@ Trees of the parts of two bodies are tested from the top (`kernels.rigid.near_pa
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._rigid.body_sweeps import BodySweeps
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.part_trees import PartTrees, distinct, ranges
 from ccd_warp._rigid.rotations import EPS, rotated
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
-
-if TYPE_CHECKING:
-    from ccd_warp._rigid.motion import RigidMotion
-    from ccd_warp._runtime.launch import Execution
-    from ccd_warp._scene.mesh import CollisionMesh
+from ccd_warp._scene.mesh import CollisionMesh
 
 # Tests of pairs of bodies in a launch, bodies in slices, and the capacity for pairs of parts at first.
 _MOST_ITEMS, _MOST_POSES, _CAPACITY = 1 << 22, 1 << 17, 1 << 16

@@ -6,20 +6,17 @@ whole bodies, in every bit.
 """
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.arcs import TURN_OF_A_SLICE
-from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.mesh_paths import TURN_OF_A_SLICE, MeshPaths
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.near_parts import NearParts, spans
 from ccd_warp._rigid.part_mesh import MOST_BODIES, PartMesh, rows_within
 from ccd_warp._rigid.part_trees import distinct, ranges
 from ccd_warp._runtime.launch import Execution
-
-if TYPE_CHECKING:
-    from ccd_warp._rigid.motion import RigidMotion
 
 _T = TypeVar("_T")
 _MOST_ROWS = 1 << 19  # primitives of a mesh of parts
@@ -36,7 +33,7 @@ class NearWorlds:
     def __init__(
         self,
         parts: NearParts,
-        motion: "RigidMotion",
+        motion: RigidMotion,
         t_max: float,
         reach: float,
         execution: Execution,

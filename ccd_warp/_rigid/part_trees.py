@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._rigid.rotations import EPS
-
-if TYPE_CHECKING:
-    from ccd_warp._scene.mesh import CollisionMesh
+from ccd_warp._scene.mesh import CollisionMesh
 
 # Primitives of a part at most.
 PART = 12

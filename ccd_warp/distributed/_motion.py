@@ -8,27 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.line_search import OneProcess
-from ccd_warp._rigid.arc_course import ArcCourse
 from ccd_warp._rigid.mesh_paths import MeshPaths, check_motion, check_worlds_of, in_space
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.rotations import norms
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.distributed._mesh import DistributedMesh
-
-
-class PartCourse(ArcCourse):
-    """The course of a line search on the vertices of a part, whose bodies may have others on other ranks."""
-
-    def __init__(self, everywhere: OneProcess, mesh: CollisionMesh, *arguments: Any) -> None:
-        """A course of the vertices of a part; the other arguments are those of one in one process."""
-        self._everywhere = everywhere
-        super().__init__(mesh, *arguments)
-
-    def least_of_bodies(self, values: NDArray[np.float64], start: float) -> NDArray[np.float64]:
-        """The least value of the vertices of each body, on all ranks, and no more than ``start``."""
-        return self._everywhere.least(super().least_of_bodies(values, start))
 
 
 class LocalPaths:

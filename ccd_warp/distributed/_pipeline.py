@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, Unpack
 
 import numpy as np
@@ -19,6 +18,8 @@ from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
+    Course,
+    Ends,
     Per,
     Solver,
     check_step_is_whole,
@@ -30,8 +31,9 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.lengths import half_up, sum_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import Contacts, MeshResult
-from ccd_warp._rigid.mesh_paths import MeshPaths, moved
+from ccd_warp._rigid.mesh_paths import MeshPaths, in_space
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
@@ -42,7 +44,7 @@ from ccd_warp.distributed._across_ranks import work_by_vertex
 from ccd_warp.distributed._intersections import DistributedIntersections
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._partition import imbalance
-from ccd_warp.distributed._plan import in_space, is_within
+from ccd_warp.distributed._plan import is_within
 from ccd_warp.distributed._planning import (
     WORK_OF_CANDIDATE,
     WORK_OF_PAIR,
@@ -391,43 +393,40 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedLineSearch:
             plan = self._planned
-            everywhere, step_to = self._planned.everywhere, partial(self._run, ContactStep)
-            course, solver = None, self._solver(step_to)
-            if self._paths is not None:
-                from ccd_warp.distributed._motion import PartCourse
+            everywhere, course = plan.everywhere, Course(*plan.part.mesh.frames(*self._ends))
+            if self._local is not None:
+                from ccd_warp._rigid.arc_course import ArcCourse  # few programs need it
 
-                course = PartCourse(everywhere, plan.part.mesh, *self._ends, self._paths)
-                solver = self._solver(lambda _, end, work: step_to(self._ends[0], end.vertices, work, end.paths))
+                course = ArcCourse(plan.part.mesh, *self._ends, self._local.paths, self._local.motion, everywhere)
+
+            def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
+                return self._run(ContactStep, ends.start, ends.end, work, ends.paths)
+
+            worlds_near = self._worlds_near if self._holds_pairs else None
             found = search_step(
                 plan.part.mesh,
-                *self._ends,
-                solver,
+                course,
+                Solver(on_step, worlds_near, self._holds, holds=self._options.holds),
                 per=per,
                 safety=safety,
                 max_rounds=max_rounds,
                 everywhere=everywhere,
-                course=course,
             )
             fraction = np.full(len(start), np.inf)
             plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
-            self._follow(fraction, per, is_limited=found.is_limited, turns=course is not None)
+            self._follow(fraction, per, is_limited=found.is_limited, turns=motion is not None)
             vertices, own = np.empty_like(start), self.mesh.owned_rows
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
             vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
             if self._local is not None and found.num_rounds > 1:
                 self._local.turn(vertices, fraction)
-            shortened = None
-            if course is not None and motion is not None:
-                of_bodies = course.of_bodies(found.vertex_fraction)[self.mesh.rigid]
-                shortened = motion.shortened(of_bodies.reshape(motion.turns.shape))
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
             touching, struck = (
                 of_part(DistributedContacts, plan.part, c, self._ranks) for c in (found.touching, found.struck)
             )
             self._finished()
-            return DistributedLineSearch(
-                vertices, fraction, found.fraction, touching, found.num_rounds, found.is_limited, struck, shortened
-            )
+            of_rounds = found.num_rounds, found.is_limited
+            return DistributedLineSearch(vertices, fraction, found.fraction, touching, *of_rounds, struck, found.motion)
 
         with self._together_on("line_search", motion):
             with naming("line_search"):
@@ -460,11 +459,6 @@ class DistributedPipeline:
             own = np.where(turns & mesh.rigid[mesh.bodies], of_body, own)
         fraction[mesh.is_unused] = np.where(is_free, own, 1.0)[mesh.is_unused]
 
-    def _solver(self, step_to: Callable[..., MeshResult]) -> Solver:
-        """The steps of a line search, of what does some work on one."""
-        worlds_near = self._worlds_near if self._holds_pairs else None
-        return Solver.of(step_to, worlds_near, self._holds, holds=self._options.holds)
-
     @property
     def _holds_pairs(self) -> bool:
         """Whether pairs keep a distance within which they may start."""
@@ -476,16 +470,13 @@ class DistributedPipeline:
 
         return self._run(HoldStep, start, start, lambda step: step.find_holds(self._hold_distance))
 
-    def _worlds_near(self, start: NDArray[np.float64], end: Any, contacts: Contacts) -> NDArray[np.bool_]:
+    def _worlds_near(self, start: NDArray[np.float64], ends: Ends, contacts: Contacts) -> NDArray[np.bool_]:
         """Which worlds have a contact, of those of this part, that starts within its distance, or passes by at it."""
         from ccd_warp._at_one_time.proximity_step import HoldStep
 
-        is_straight = isinstance(end, np.ndarray)
-
-        def work(step: Any) -> Any:
-            return step.worlds_near(contacts, self._hold_distance, is_straight=is_straight)
-
-        return self._run(HoldStep, start, end if is_straight else start, work)
+        is_straight, distance = ends.paths is None, self._hold_distance
+        work = lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)  # noqa: E731
+        return self._run(HoldStep, start, ends.end if is_straight else start, work)
 
     @property
     def _hold_distance(self) -> float:

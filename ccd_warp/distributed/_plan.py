@@ -116,11 +116,6 @@ def is_within(positions: NDArray[np.float64], limits: tuple[NDArray[np.float64],
     return not ((positions < lower).any() or (positions > upper).any())
 
 
-def in_space(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions as boxes are made of them: those in the plane have z = 0."""
-    return positions if positions.shape[1] == 3 else np.pad(positions, ((0, 0), (0, 1)))
-
-
 def scene_box(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A box around all positions of a step and of those after it that a plan expects, shapes [3]."""
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._rigid.mesh_paths import in_space
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._part import Part, PartTopology, part_mesh
-from ccd_warp.distributed._plan import Bounds, axes_below, destinations, in_space, scene_box, united, used_rows
+from ccd_warp.distributed._plan import Bounds, axes_below, destinations, scene_box, united, used_rows
 
 # Samples of all ranks from which the regions are made, and for each rank.
 LEAST_SAMPLES = 1 << 14

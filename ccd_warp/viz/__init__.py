@@ -24,8 +24,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ccd_warp._results.contact_place import BodyMotion
 from ccd_warp._results.results import HostLaunchResult, MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._camera import make_camera, validated_direction
@@ -69,7 +69,7 @@ def draw_step(
     camera: ArrayLike | None = None,
     colour: Colour = "vertex_toi",
     t_max: float = 1.0,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> Picture:
     """Draw a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
@@ -84,7 +84,7 @@ def draw_step(
         colour: Colours of the bodies at t = 1: by the toi of the vertices, with a colour bar, or by body as at the
             other times.
         t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
-        motion: How rigid bodies turn, as ``mesh_ccd`` takes it; their vertices stand in their own frames in both
+        motion: How rigid bodies turn, a :class:`ccd_warp.RigidMotion`; their vertices stand in their own frames in both
             positions. Of a mesh without rigid bodies all are, as in ``rigid_ccd``.
 
     Returns:
@@ -125,7 +125,7 @@ def render_step(
     camera: ArrayLike | None = None,
     colour: Colour = "vertex_toi",
     t_max: float = 1.0,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> Picture:
     """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
@@ -200,7 +200,7 @@ def show_step(
     *,
     camera: ArrayLike | None = None,
     colour: Colour = "body",
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> None:
     """Open a window with a step and a slider over t in [0, 1] that starts at the toi; return when it is closed.
 

@@ -5,9 +5,8 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, MovingVertices, points_at_toi
 from ccd_warp._results.results import Contacts
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.input.arguments import check_instance
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import moving_vertices
@@ -19,7 +18,7 @@ def contact_points(
     vertices_t1: ArrayLike,
     contacts: Contacts,
     *,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> NDArray[np.float64]:
     """Position of each contact at its toi, as ``contacts.points`` has it: where the surfaces touch, with radii.
 
@@ -28,7 +27,7 @@ def contact_points(
         vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
         vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
         contacts: ``MeshResult.contacts`` of the step.
-        motion: How rigid bodies turn, as ``mesh_ccd`` takes it.
+        motion: How rigid bodies turn, a :class:`ccd_warp.RigidMotion`.
 
     Returns:
         Positions, float64, same length unit as the mesh, shape [m, 3].
@@ -38,7 +37,6 @@ def contact_points(
     """
     check_instance("mesh", mesh, CollisionMesh)
     check_instance("contacts", contacts, Contacts)
-    if motion is not None:
-        moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
-        return points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths)
-    return points_at_toi(mesh, *mesh.frames(vertices_t0, vertices_t1), contacts)
+    if motion is None:
+        return points_at_toi(MovingVertices(mesh, *mesh.frames(vertices_t0, vertices_t1)), contacts)
+    return points_at_toi(moving_vertices(mesh, vertices_t0, vertices_t1, motion), contacts)

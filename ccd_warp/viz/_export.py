@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, points_at_toi
 from ccd_warp._results.pairs import pair_bodies
 from ccd_warp._results.results import HostLaunchResult, MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.input.arguments import check_instance, check_real
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._moving import moving_vertices
@@ -25,7 +24,7 @@ def to_pyvista(
     result: MeshResult | HostLaunchResult | None = None,
     *,
     t: float = 0.0,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> Any:
     """A step as a ``pyvista.MultiBlock``: a block for each body, called by its name, and one for the contacts.
 
@@ -87,7 +86,7 @@ def to_pyvista(
         contacts = result.contacts
         shape = pyvista.PolyData()
         if len(contacts):
-            shape = pyvista.PolyData(points_at_toi(mesh, moving.start, moving.end, contacts, moving.paths))
+            shape = pyvista.PolyData(points_at_toi(moving, contacts))
             shape.point_data["normal"] = mesh._in_space(contacts.normal.copy())
             for field in ("toi", "gap", "kind", "status"):
                 shape.point_data[field] = getattr(contacts, field).copy()

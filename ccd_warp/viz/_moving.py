@@ -5,16 +5,15 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import TURN, MovingVertices
-from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._scene.input.arguments import check_instance
+from ccd_warp._results.contact_place import TURN, BodyMotion, MovingVertices
+from ccd_warp._scene.input.arguments import shown
 from ccd_warp._scene.mesh import CollisionMesh
 
 _DIRECTIONS = np.array([d for d in np.ndindex(3, 3, 3) if d != (1, 1, 1)]) - 1.0
 
 
 def moving_vertices(
-    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None
+    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: BodyMotion | None
 ) -> MovingVertices:
     """How all vertices move in space; where no body of the mesh is rigid, a motion is one of all, as of ``rigid_ccd``.
 
@@ -22,9 +21,11 @@ def moving_vertices(
         ValueError: If the positions or the motion do not match the mesh.
     """
     start, end = map(mesh._in_space, mesh.frames(vertices_t0, vertices_t1))
-    if motion is not None:
-        check_instance("motion", motion, RigidMotion)
-    return MovingVertices.of(mesh, start, end, None if motion is None else motion._body_paths)
+    if motion is None:
+        return MovingVertices(mesh, start, end)
+    if not isinstance(motion, BodyMotion):
+        raise ValueError(f"motion is {shown(motion)}; expected a RigidMotion")
+    return motion._moving(mesh, start, end)
 
 
 def outermost(positions: NDArray[np.float64]) -> NDArray[np.float64]:

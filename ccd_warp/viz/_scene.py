@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._results.contact_place import points_at_toi
+from ccd_warp._results.contact_place import BodyMotion, points_at_toi
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._results.results import Contacts, HostLaunchResult, MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import listed, shortened
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
@@ -172,7 +171,7 @@ def make_scene(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     result: MeshResult | HostLaunchResult,
-    motion: RigidMotion | None = None,
+    motion: BodyMotion | None = None,
 ) -> StepScene:
     """Transform a step into the coordinates of the picture.
 
@@ -186,7 +185,7 @@ def make_scene(
     if np.shape(result.vertex_toi) != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {np.shape(result.vertex_toi)}; expected {(len(start),)}")
     contacts = result.contacts
-    points = points_at_toi(mesh, start, end, contacts, moving.paths)
+    points = points_at_toi(moving, contacts)
     between = np.zeros((0, 3))
     if moving.paths is not None:
         start, end = moving.all_at(0.0), moving.all_at(1.0)

@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from ccd_warp._at_one_time.proximities import reach_of
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.mesh.hold_distance import corners_by_kind, hold_distance
 from ccd_warp._engine.mesh.lengths import next_above
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._runtime.lanes import narrow_phase_on

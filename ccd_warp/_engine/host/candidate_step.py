@@ -6,7 +6,7 @@ from ccd_warp._engine.host.candidates import Candidates, Collector, union
 from ccd_warp._engine.host.pair_memory import KEY_BYTES
 from ccd_warp._engine.host.search import PairSearch
 from ccd_warp._engine.host.step import Step
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
 
@@ -17,7 +17,7 @@ class CandidateStep(Step):
 
     def candidates(self, inflation: float) -> Candidates:
         """All pairs whose boxes, enlarged by ``inflation``, overlap, in a slice where the step has several."""
-        of_slices = [self._find(part, inflation) for part in self.slices]
+        of_slices = [self._find(part, inflation) for part in self.motion.slices]
         candidates = of_slices[0] if len(of_slices) == 1 else union(of_slices)
         if self.planes is not None:
             self.plan.num_searches[PairKind.VERTEX_PLANE] = 1
@@ -48,7 +48,6 @@ class CandidateStep(Step):
             candidates = collector.candidates()
         if self.planes is not None:
             with self.timed("planes"):
-                radius = (self.topology if self.arcs is None else self.arcs).box_radius
-                near = self.planes.candidates(self.positions, inflation, radius)
+                near = self.planes.candidates(self.positions, inflation, self.motion.box_radius)
             candidates = replace(candidates, vertex_plane=near)
         return candidates

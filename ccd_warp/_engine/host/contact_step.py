@@ -9,7 +9,7 @@ from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, Contac
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.oddities import hidden_sentence
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.results import MeshResult
 from ccd_warp._results.touch import Touch
@@ -31,7 +31,7 @@ class ContactStep(ImpactStep):
         Where contacts need no order, the result has no first ones, and they do not know where they are.
         """
         store = self.workspace.contacts
-        for part in self.slices:
+        for part in self.motion.slices:
             self._find(part, store)
         if not store.is_complete:
             least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
@@ -40,7 +40,7 @@ class ContactStep(ImpactStep):
                 f"contacts of this step, or collision_free_step, which keeps none"
             )
         with self.timed("gather"):
-            if len(self.slices) > 1:
+            if len(self.motion.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
             place = self._place() if is_ordered else ()
@@ -64,7 +64,7 @@ class ContactStep(ImpactStep):
         """Add the contacts of a slice, or of the whole step."""
         plan = self.begin_slice(part)
         with self.timed("pairs"):
-            if part is self.slices[0]:
+            if part is self.motion.slices[0]:
                 limit = self.options.memory_limit
                 largest = MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
                 store.begin(self.execution, largest)
@@ -72,7 +72,7 @@ class ContactStep(ImpactStep):
             if self.is_idle():
                 return
             self.bind_options(part)
-            plan.set_search(self.options.t_max if self.arcs is None else 1.0, self.inflation, self.separation)
+            plan.set_search(self.motion.t_end, self.inflation, self.separation)
             batches = plan.batches(self.capacity())
         if self.planes is not None:
             with self.timed("planes"):

@@ -1,7 +1,7 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
 from dataclasses import replace
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 import warp as wp
@@ -12,7 +12,7 @@ from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.lengths import half_up
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 
 
 class ImpactStep(Step):
@@ -41,7 +41,7 @@ class ImpactStep(Step):
 
     def begin_slice(self, part: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""
-        return self.begin(self.options.t_max, self._inflation, part)
+        return self.begin(self.motion.t_end, self._inflation, part)
 
     def _inflation(self) -> float:
         self.length_scale = length_scale_of(self.mesh, self.options)
@@ -62,12 +62,10 @@ class ImpactStep(Step):
 
     def bind_options(self, part: Slice) -> None:
         """Let the kernels have the options, how bodies turn in a slice, and what half-spaces are asked for."""
-        plan, workspace, turns = self.plan, self.workspace, dict[str, Any]()
-        if self.arcs is not None:
-            turns["turns"] = self.arcs.turns(part)
-        packed = workspace.packed(self.options, self.length_scale, is_held=self.is_held, **turns)
-        plan.bind(options=packed, **turns)
+        plan, workspace, turns = self.plan, self.workspace, self.motion.turns(part)
+        packed = workspace.packed(self.options, self.length_scale, is_held=self.is_held, turns=turns)
+        plan.bind(options=packed, turns=turns)
         if self.planes is not None:
             query = workspace.plane_query(self.options, self.length_scale, holds=self.holds)
-            active = None if self.arcs is None else self.arcs.active
+            active = self.motion.active
             plan.bind(plane_query=query, searched=None if active is None else self.topology.array(active, wp.int32))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.plan import Batch, HostPlan
-from ccd_warp._engine.slices import Slice
+from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
 # Remaining share of the step below which recomputing the boxes for it pays.
@@ -38,7 +38,7 @@ class LeastToiStep(ImpactStep):
         """
         self._any_suffices = any_suffices
         best = np.inf
-        for part in self.slices:
+        for part in self.motion.slices:
             best = self._least_of(part, best)
             if best <= part.t_end:
                 break
@@ -72,13 +72,13 @@ class LeastToiStep(ImpactStep):
                 best = self.ranks.least_number(plan.least())  # whether anything is searched is the same everywhere
             if self._suffices(best):
                 return best
-        t_end, is_straight = self.options.t_max, self.arcs is None
+        t_end, is_straight = self.motion.t_end, not self.motion.on_arcs
         for of_sample in (True, False) if self.topology.samples_queries and is_straight else (False,):
             if is_straight and best <= _WORTH_SHORTENING * t_end:
                 t_end = best
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
-            plan.set_search(min(best, t_end) if is_straight else 1.0, self.inflation, self.separation)
+            plan.set_search(min(best, t_end) if is_straight else t_end, self.inflation, self.separation)
             plan.set_least(best)
             plan.begin_candidates()
             open_pairs: _OpenPairs = {}

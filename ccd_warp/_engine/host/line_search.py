@@ -2,19 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ccd_warp._engine.host.one_process import OneProcess
+from ccd_warp._engine.motion import moved
 from ccd_warp._results.contact_place import joined
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
 from ccd_warp._results.pairs import pair_bodies, pair_vertices
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.mesh_paths import moved
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_real
 from ccd_warp._scene.mesh import CollisionMesh
@@ -59,8 +58,8 @@ class LineSearchResult:
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
             fraction, or not at all.
         start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
-        motion: The motion up to the end of the step, where one was given: its ``poses_t1`` are the poses of the rigid
-            bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
+        motion: The :class:`ccd_warp.RigidMotion` up to the end of the step, where one was given: its ``poses_t1`` are
+            the poses of the rigid bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
     """
 
     vertices: NDArray[np.float64]
@@ -71,7 +70,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: RigidMotion | None = None
+    motion: Any = None
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
@@ -101,48 +100,52 @@ def validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
     )
 
 
-@dataclass(frozen=True)
+class Ends(NamedTuple):
+    """A step as a solver takes it.
+
+    Attributes:
+        start: Positions at its start; of bodies on ``paths`` in their own frames.
+        end: Those at its end.
+        paths: The paths of bodies that turn, up to there; None where there are none.
+    """
+
+    start: NDArray[np.float64]
+    end: NDArray[np.float64]
+    paths: Any = None
+
+
 class Solver:
     """The steps that a line search takes.
 
     Attributes:
-        strict: All contacts between two positions.
-        holding: The same, where what starts within its distance may part and slide, by the holds of the vertices; None
-            as long as these are not known to matter.
-        worlds_near: Which worlds have a contact that starts within its distance or passes by, given the start, the end
-            as the other steps take it, and all contacts; None where pairs keep no distance.
+        worlds_near: Which worlds have a contact that starts within its distance or passes by, given the start in the
+            world, the step and all of its contacts; None where that does not matter, or pairs keep no distance.
         find_holds: The hold of each vertex at the start (`HoldStep`).
     """
 
-    strict: Callable[[NDArray[np.float64], Any], MeshResult]
-    holding: Callable[[NDArray[np.float64], Any, NDArray[np.float64] | None], MeshResult]
-    worlds_near: Callable[[NDArray[np.float64], Any, Contacts], NDArray[np.bool_]] | None
-    find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]]
-
-    @classmethod
-    def of(
-        cls,
-        step_to: Callable[[NDArray[np.float64], Any, Callable[[Any], MeshResult]], MeshResult],
-        worlds_near: Callable[[NDArray[np.float64], Any, Contacts], NDArray[np.bool_]] | None,
+    def __init__(
+        self,
+        on_step: Callable[[Ends, Callable[[Any], MeshResult]], MeshResult],
+        worlds_near: Callable[[NDArray[np.float64], Ends, Contacts], NDArray[np.bool_]] | None,
         find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]],
         *,
         holds: bool,
-    ) -> "Solver":
-        """Of what does some work on a step from a start to an end, and of whether what starts close may part."""
+    ) -> None:
+        """Of what does some work on a step, and of whether what starts close may part."""
+        self._on_step, self._holds = on_step, holds
+        self.worlds_near, self.find_holds = worlds_near if holds else None, find_holds
 
-        def strict(start: NDArray[np.float64], end: Any) -> MeshResult:
-            return step_to(start, end, lambda step: step.contacts())
+    def strict(self, ends: Ends) -> MeshResult:
+        """All contacts of a step."""
+        return self._on_step(ends, lambda step: step.contacts())
 
-        def holding(start: NDArray[np.float64], end: Any, of_vertices: NDArray[np.float64] | None) -> MeshResult:
-            return step_to(start, end, lambda step: step.holding(of_vertices).contacts())
-
-        if not holds:
-            return cls(strict, lambda start, end, _: strict(start, end), None, find_holds)
-        return cls(strict, holding, worlds_near, find_holds)
+    def holding(self, ends: Ends, holds: NDArray[np.float64] | None) -> MeshResult:
+        """The same, where what starts within its distance may part and slide, by holds, None until these matter."""
+        return self._on_step(ends, lambda step: (step.holding(holds) if self._holds else step).contacts())
 
 
 class Course:
-    """Where vertices are at fractions of their displacements, on straight lines; what a solver takes for it.
+    """Where vertices are at fractions of their displacements, on straight lines, and the steps there.
 
     Attributes:
         start: Positions at the start, in the world.
@@ -152,17 +155,17 @@ class Course:
     def __init__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         self.start, self.end = start, end
 
-    def at(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of all vertices at a fraction of each."""
-        return moved(self.start, self.end, fraction)
+    def at(self, fraction: NDArray[np.float64], vertices: Any = slice(None)) -> NDArray[np.float64]:
+        """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
+        return moved(self.start[vertices], self.end[vertices], fraction)
 
-    def corners_at(self, corners: NDArray[np.int32], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The positions of the vertices of contacts, shape [m, 4], at a fraction of each."""
-        return moved(self.start[corners], self.end[corners], fraction)
+    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Ends:
+        """The step to positions that are those at a fraction of each."""
+        return Ends(self.start, vertices)
 
-    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Any:
-        """What a solver takes as the end of the step to positions that are those at a fraction of each."""
-        return vertices
+    def motion_to(self, fraction: NDArray[np.float64]) -> Any:
+        """The motion of the call up to a fraction of each vertex; None where there is none."""
+        return None
 
     def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which vertices have not moved on the way to positions that are those at a fraction of each, shape [V]."""
@@ -176,8 +179,7 @@ class Course:
 
 def search_step(
     mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
+    course: Course,
     solver: Solver,
     *,
     per: str,
@@ -185,18 +187,13 @@ def search_step(
     max_rounds: int,
     everywhere: OneProcess | None = None,
     begins_at_rest: bool = False,
-    course: Course | None = None,
 ) -> LineSearchResult:
     """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``.
-
-    Vertices move straight, or on a ``course``; the positions are then those of the course.
 
     With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
     everything may be in contact already, and one that holds looks for the holds before its first round.
     """
     everywhere = everywhere or OneProcess()
-    if course is None:
-        course = Course(*mesh.frames(vertices_t0, vertices_t1))
     start, end = course.start, course.end
     moves = mesh._is_free[mesh.vertex_body]
     holds: NDArray[np.float64] | None = None
@@ -204,11 +201,13 @@ def search_step(
         found = solver.find_holds(start)
         holds = found if np.isfinite(found).any() else None
     elif begins_at_rest and not mesh.kinematic.any():
-        contacts = solver.strict(start, course.step_to(start, np.zeros(len(start)))).contacts
+        contacts = solver.strict(course.step_to(start, np.zeros(len(start)))).contacts
         stopped = course.shared(_least(contacts.toi, pair_vertices(mesh, contacts), mesh, per, everywhere)) == 0
         if everywhere.all(bool(stopped[moves].all())):
-            return LineSearchResult(start.copy(), np.where(moves, 0.0, 1.0), 0.0, contacts, 1, False, contacts[:0])
-    driven = _Driven(mesh, course, lambda x, y: solver.holding(x, y, holds), everywhere)
+            fraction = np.where(moves, 0.0, 1.0)
+            motion = course.motion_to(fraction)
+            return LineSearchResult(start.copy(), fraction, 0.0, contacts, 1, False, contacts[:0], motion=motion)
+    driven = _Driven(mesh, course, lambda ends: solver.holding(ends, holds), everywhere)
     fraction = np.ones(mesh.num_vertices)
     vertices = end.copy()  # the caller's own array may be what `frames` returns
     common = np.empty(0)  # the fraction of each vertex's world by the first round
@@ -218,7 +217,7 @@ def search_step(
     is_limited = False
     num_rounds = 0
     while num_rounds < max_rounds:
-        result = solver.holding(start, course.step_to(vertices, fraction), holds)
+        result = solver.holding(course.step_to(vertices, fraction), holds)
         worlds_near = solver.worlds_near if num_rounds == 0 and holds is None else None
         if worlds_near is not None and not everywhere.all(not len(result.contacts)):
             # what starts within its distance has a contact, whichever way it moves
@@ -227,7 +226,7 @@ def search_step(
             if is_near.any():
                 holds = everywhere.least_of_vertices(solver.find_holds(start))
                 holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
-                result = solver.holding(start, course.step_to(vertices, fraction), holds)
+                result = solver.holding(course.step_to(vertices, fraction), holds)
         contacts = result.contacts
         num_rounds += 1
         corners = _vertices_of(mesh, contacts)
@@ -242,7 +241,7 @@ def search_step(
         if not everywhere.all(bool(toi.all())):
             has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
             if at_start is None and has_time:
-                at_start = np.sort(_keys(solver.strict(start, course.step_to(start, 0.0 * fraction)).contacts))
+                at_start = np.sort(_keys(solver.strict(course.step_to(start, 0.0 * fraction)).contacts))
                 num_rounds += 1
             is_all_common = everywhere.all(bool(is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
@@ -276,11 +275,11 @@ def search_step(
             is_common |= touched
         fraction[~moves] = 1.0
         vertices = course.at(fraction)
-        stops = (course.corners_at(corners, own) == start[corners]).all(axis=(1, 2))
+        stops = (course.at(own, corners) == start[corners]).all(axis=(1, 2))
         stopping.append(_chosen(contacts, stops))
     else:
         if driven.is_any:  # what the last round has stopped may be struck
-            contacts = solver.holding(start, course.step_to(vertices, fraction), holds).contacts
+            contacts = solver.holding(course.step_to(vertices, fraction), holds).contacts
             num_rounds += 1
     is_at_start = course.are_at_start(vertices, fraction)
     return LineSearchResult(
@@ -291,6 +290,7 @@ def search_step(
         num_rounds=num_rounds,
         is_limited=is_limited,
         struck=_chosen(contacts, driven.is_any & ~np.asarray(is_at_start[_vertices_of(mesh, contacts)].all(axis=1))),
+        motion=course.motion_to(fraction),
     )
 
 
@@ -301,7 +301,7 @@ class _Driven:
         self,
         mesh: CollisionMesh,
         course: Course,
-        solve: Callable[[NDArray[np.float64], Any], MeshResult],
+        solve: Callable[[Ends], MeshResult],
         everywhere: OneProcess,
     ) -> None:
         self.is_any = bool(mesh.kinematic.any())
@@ -317,7 +317,7 @@ class _Driven:
             return 0
         stays, course = mesh._is_free[mesh.vertex_body], self._course
         end = np.where(stays[:, None], course.start, course.end)
-        found = self._solve(course.start, course.step_to(end, np.where(stays, 0.0, 1.0)))
+        found = self._solve(course.step_to(end, np.where(stays, 0.0, 1.0)))
         self._keys = np.sort(_keys(found.contacts))
         return 1
 

@@ -13,6 +13,7 @@ from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
+from ccd_warp._engine.motion import Motion
 from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
@@ -23,7 +24,6 @@ from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
     from ccd_warp._engine.host.workspace import Workspace
-    from ccd_warp._rigid.arcs import Arcs
     from ccd_warp._scene.input.options import Options
 
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
@@ -68,27 +68,24 @@ class HostPlan(Plan):
 
     @staticmethod
     def of(
-        workspace: "Workspace", options: "Options", goal: Goal, *, is_held: bool = False, arcs: "Arcs | None" = None
+        workspace: "Workspace", options: "Options", goal: Goal, motion: Motion, *, is_held: bool = False
     ) -> "HostPlan":
-        """The plan of a workspace for calls with such options and a goal, where pairs are held, or bodies turn."""
+        """The plan of a workspace for calls with such options, a goal and a motion, where pairs are held or not."""
         of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
-        key = (goal, of_options, is_held, arcs is not None)
+        key = (goal, of_options, is_held, motion.on_arcs)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, arcs)
+            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, motion)
         return workspace.plans[key]
 
-    def __init__(
-        self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, arcs: "Arcs | None"
-    ) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=arcs is not None)
+        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=motion.on_arcs)
         if goal in ("proximities", "displacements"):
             norm = EUCLIDEAN_NORM
-        has_radii: Any = topology if arcs is None else arcs
-        self._radii = has_radii.radius, has_radii.box_radius
+        self._radii = motion.radius, motion.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         has_queue = execution.is_cuda and self._has_narrow_phase
@@ -124,9 +121,9 @@ class HostPlan(Plan):
             self._narrow_phase,
             step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self._least_bits),
             box_radius=self._radii[1],
-            is_thick=topology.is_thick or arcs is not None,
+            is_thick=topology.is_thick or motion.on_arcs,
             boxes=boxes,
-            turns=None if arcs is None else Slot("turns"),
+            turns=Slot("turns") if motion.on_arcs else None,
             plane_radius=topology.box_radius,
             **of_pairs,
             **slots,

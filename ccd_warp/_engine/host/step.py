@@ -14,8 +14,8 @@ from ccd_warp._engine.host.plane_stage import PlaneStage
 from ccd_warp._engine.host.stage_timer import StageTimer
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._engine.motion import Motion, Slice, StepPaths
 from ccd_warp._engine.plan import Goal
-from ccd_warp._engine.slices import Slice
 from ccd_warp._results.results import Counts
 from ccd_warp._scene.input.options import Options
 
@@ -31,8 +31,7 @@ class Step:
     Attributes:
         goal: What it looks for.
         bytes_beside: Bytes that a pair takes beside what the search of it does.
-        slices: Its parts, which are searched one after another; straight motion has one.
-        arcs: How bodies turn in a slice; None where all vertices move straight.
+        motion: How vertices move, and in which slices the step is searched.
         plan: What is searched, from `begin` on.
         planes: The stage in which vertices meet half-spaces; None in scenes without.
         vertices_t0: Positions at the start, on the device.
@@ -54,7 +53,7 @@ class Step:
         workspace: Workspace,
         positions: Positions,
         options: Options,
-        paths: Any = None,
+        paths: StepPaths | None = None,
         ranks: OneProcess | None = None,
     ) -> None:
         """Begin a step.
@@ -63,7 +62,7 @@ class Step:
             workspace: What stays from step to step.
             positions: Positions at both ends; of bodies on paths in their own frames.
             options: The options.
-            paths: Paths of bodies that turn (`MeshPaths`), where there are any.
+            paths: Paths of bodies that turn, where there are any.
             ranks: The processes that share the step; by default this one alone.
         """
         self.workspace, self.options = workspace, options
@@ -77,8 +76,8 @@ class Step:
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
-        self.arcs = None if paths is None else workspace.arcs.begin_on_host(paths, positions, options.t_max)
-        self.slices = [Slice(0.0, options.t_max)] if self.arcs is None else self.arcs.slices
+        at = positions, options.t_max
+        self.motion = Motion(self.topology, *at) if paths is None else paths.begin(workspace, *at)
 
     def __enter__(self) -> Self:
         return self
@@ -94,13 +93,13 @@ class Step:
         """
         with self.timed("input"):
             arguments = self.workspace, self.options, self.goal
-            self.plan = plan = HostPlan.of(*arguments, is_held=self.is_held, arcs=self.arcs)
+            self.plan = plan = HostPlan.of(*arguments, self.motion, is_held=self.is_held)
             self.execution = plan.execution
             self.planes = PlaneStage(plan) if plan.has_planes else None
-            if part is None or part is self.slices[0]:
+            if part is None or part is self.motion.slices[0]:
                 plan.begin_counts()
-            if part is not None and self.arcs is not None:
-                t_end, self.positions = 1.0, self.arcs.placed(part, self.execution)
+            if part is not None:
+                self.positions = self.motion.placed(part, self.execution)
         self.ranks.share_positions(self.positions)
         with self.timed("input"):
             self.vertices_t0 = plan.set_positions(self.positions)[0]
@@ -118,10 +117,10 @@ class Step:
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
-        active = None if self.arcs is None else self.arcs.active
+        active = self.motion.active
         if not self.topology.may_have_inactive_bodies:
             return active
-        radius = None if self.arcs is None else self.arcs.radius.numpy()
+        radius = self.motion.radius.numpy() if self.motion.on_arcs else None
         near = self.ranks.bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
         if active is not None:
             near &= active
@@ -169,8 +168,7 @@ class Step:
         """
         plan, mesh, boxes = self.plan, self.mesh, self.workspace.boxes
         plan.release_positions()
-        if self.arcs is not None:
-            self.arcs.release()
+        self.motion.release()
         self.counts = Counts(
             num_bodies=mesh.num_bodies,
             num_vertices=known.pop("num_vertices", mesh.num_vertices),

@@ -1,7 +1,7 @@
 """What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -19,9 +19,6 @@ from ccd_warp._scene.input.messages import warn
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
-
-if TYPE_CHECKING:
-    from ccd_warp._rigid.arcs import Arcs
 
 _MOST_OPTIONS = 8
 
@@ -49,6 +46,7 @@ class Workspace:
         self.boxes = StepBoxes(self.topology, self.buffers)
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
+        self.motions: dict[type, Any] = {}  # of which steps keep the arrays, by their class
         self._packed: dict[Any, Any] = {}
         self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
         self._active: wp.array | None = None
@@ -116,13 +114,6 @@ class Workspace:
     def hold(self) -> wp.array:
         """How near each vertex is to anything at the start of a step, float64, shape [V]."""
         return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
-
-    @lazy_property
-    def arcs(self) -> "Arcs":
-        """What is known of bodies that turn."""
-        from ccd_warp._rigid.arcs import Arcs  # not before a scene needs it
-
-        return Arcs(self.topology)
 
     def packed(self, options: Options, length_scale: float, *, is_held: bool = False, turns: Any = None) -> Any:
         """The options as a struct of the kernels, packed once, since packing takes as long as a launch.

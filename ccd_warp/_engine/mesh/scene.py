@@ -97,3 +97,12 @@ def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, 
     query.t_max = options.t_max
     query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
     return query
+
+
+def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
+    """What is near at one time, as the struct of the kernels, for radii of the vertices."""
+    from ccd_warp.kernels.at_one_time.proximity import Reach  # not before a scene needs it
+
+    reach = Reach()
+    reach.distance, reach.kept, reach.radius, reach.stop = distance, kept, radius, stop
+    return reach

@@ -1,0 +1,76 @@
+"""How vertices move in a step: all that the stages know of a motion, and straight motion, which is one slice."""
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._results.contact_place import Paths
+from ccd_warp._runtime.launch import Execution
+
+
+class Slice(NamedTuple):
+    """A part of a step.
+
+    Attributes:
+        t_begin: Its begin, a time of the step.
+        t_end: Its end.
+    """
+
+    t_begin: float
+    t_end: float
+
+    @staticmethod
+    def all(count: int, t_max: float) -> "list[Slice]":
+        """So many slices of equal length, of [0, t_max]."""
+        ends = [t_max * k / count for k in range(count)] + [t_max]
+        return [Slice(*ends[k : k + 2]) for k in range(count)]
+
+
+class Motion:
+    """A motion on straight lines; where bodies turn, another class says what they do.
+
+    Attributes:
+        on_arcs: Whether bodies turn, for which the narrow phase has norms of their own.
+        slices: The parts of the step, which are searched one after another.
+        t_end: The end of a slice, as a fraction of the way between the positions at its ends.
+        radius: By how much each vertex is enlarged in a slice.
+        box_radius: The same for its boxes.
+        active: Bodies that are searched, bool, shape [B]; None for all.
+    """
+
+    on_arcs = False
+    active: NDArray[np.bool_] | None = None
+
+    def __init__(self, topology: Topology, positions: Positions, t_max: float) -> None:
+        self._positions, self.slices, self.t_end = positions, [Slice(0.0, t_max)], t_max
+        self.radius, self.box_radius = topology.radius, topology.box_radius
+
+    def placed(self, part: Slice, execution: Execution) -> Positions:
+        """The positions at both ends of a slice."""
+        return self._positions
+
+    def turns(self, part: Slice) -> Any:
+        """How the vertices turn in a slice, which only the kernels read; None where they move straight."""
+        return None
+
+    def release(self) -> None:
+        """Do not keep the caller's arrays alive."""
+
+
+class StepPaths(Paths, Protocol):
+    """Paths of bodies along which a step can be made."""
+
+    def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
+        """Begin a step between positions, of these bodies in their own frames; a workspace keeps its arrays."""
+
+
+def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Positions at the fractions of the displacements: exactly the start at 0 and the end at 1."""
+    f = fraction[..., None]
+    # No difference of two distant positions is formed, which could overflow. Stationary coordinates must not move by
+    # rounding. Vertices that take no part may be at no number.
+    with np.errstate(invalid="ignore"):
+        return np.where((f == 0) | (start == end), start, np.where(f == 1, end, (1 - f) * start + f * end))
