@@ -12,9 +12,9 @@ from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._runtime import progress_line
+from ccd_warp._cli import progress_line
+from ccd_warp._cli.terminal import closed_stderr, has_terminal, write_to_terminal
 from ccd_warp._runtime.launch import start_warp
-from ccd_warp._runtime.terminal import closed_stderr, has_terminal, write_to_terminal
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import resolve_device
 
