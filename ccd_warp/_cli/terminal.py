@@ -12,7 +12,7 @@ _closing = threading.Lock()  # while a line is written, and while stderr is clos
 
 @contextmanager
 def closed_stderr() -> Iterator[None]:
-    """Drop what native code writes to stderr: without a CUDA driver Warp complains there, whatever its log level."""
+    """Drop what native code writes to stderr, as OpenGL and VTK do."""
     try:
         saved = os.dup(2)
     except OSError:  # the process has no stderr
