@@ -793,7 +793,7 @@ class CollisionPipeline:
         kept = MeshCache.of(self.mesh).parts
         is_later = kept.get("is later", False)
         kept["is later"] = True
-        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or vars(self.mesh).get("_is_of_instances", False))
+        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or self.mesh._is_of_instances)
 
     def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
         """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
