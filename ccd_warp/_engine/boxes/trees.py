@@ -241,6 +241,11 @@ class Part:
         return (self.number, first, 0) if self.level else (self.number, *divmod(first, WIDTH))
 
     @property
+    def is_cut(self) -> bool:
+        """Whether a block of queries was split, so that keys are ordered query by query."""
+        return self.level == 0
+
+    @property
     def num_tests(self) -> int:
         """Number of pairs of boxes, most of which the tree rejects early."""
         return self.num_queries * self.tree_pair.target.primitives.count

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import TreePair
+from ccd_warp._engine.boxes.trees import Part, TreePair
 from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
@@ -72,25 +72,19 @@ def _pairs_of(candidates: Candidates) -> list[NDArray[np.int32]]:
 
 @dataclass(frozen=True)
 class Found:
-    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
+    """Keys of pairs that a part of a search has found: ``keys[begin:begin + count]``.
 
     Attributes:
-        kind: Kind of the pairs.
+        part: The part, of one kind.
         keys: The array that the search has filled.
         begin: The first key.
         count: Number of keys.
-        tree_pair: The trees that were searched.
-        place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
-        is_cut: Whether a block of queries was split, so that keys are ordered query by query.
     """
 
-    kind: PairKind
+    part: Part
     keys: wp.array
     begin: int
     count: int
-    tree_pair: TreePair
-    place: tuple[int, int, int]
-    is_cut: bool
 
     def host_keys(self) -> NDArray[np.int64]:
         """The keys; on the CPU a view, which the next batch overwrites."""
@@ -100,14 +94,6 @@ class Found:
         return self.keys.numpy()[self.begin : self.begin + self.count]
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """Pairs found by one part of a search, and the range of keys they come from."""
-
-    found: Found
-    pairs: NDArray[np.int32]
-
-
 class Collector:
     """Collects the pairs of a search batch by batch, and puts them in the order of the trees, or sorts them."""
 
@@ -115,19 +101,19 @@ class Collector:
         self._execution = execution
         self._is_sorted = is_sorted
         self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
-        self._pieces: dict[PairKind, list[_Piece]] = {kind: [] for kind in PairKind}
+        self._pieces: dict[PairKind, list[tuple[Part, NDArray[np.int32]]]] = {kind: [] for kind in PairKind}
 
     def take(self, ranges: list[Found]) -> None:
         """Copy the pairs of a batch to an array for each kind, which is the result if no other batch follows."""
         copies = []
         for kind in PairKind:
-            of_kind = sorted((found for found in ranges if found.kind == kind), key=_place)
+            of_kind = [found for found in ranges if found.part.tree_pair.kind == kind]
             pairs = np.empty((sum(found.count for found in of_kind), 2), dtype=np.int32)
             begin = 0
-            for found in of_kind:
-                piece = _Piece(found, pairs[begin : begin + found.count])
-                self._pieces[kind].append(piece)
-                copies.append((piece.pairs, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
+            for found in sorted(of_kind, key=lambda found: found.part.place):
+                piece = pairs[begin : begin + found.count]
+                self._pieces[kind].append((found.part, piece))
+                copies.append((piece, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
                 begin += found.count
             if begin:
                 self._batches[kind].append(pairs)
@@ -139,19 +125,19 @@ class Collector:
         return found.sorted() if self._is_sorted else found
 
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
-        batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: _place(piece.found))
+        batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: piece[0].place)
         pairs = batches[0] if batches else np.empty((0, 2), dtype=np.int32)
+        ends = list(itertools.accumulate(len(piece) for _, piece in pieces))
         if len(batches) > 1:
-            pairs = np.empty((sum(map(len, batches)), 2), dtype=np.int32)
-            ends = np.cumsum([len(piece.pairs) for piece in pieces])
-            targets = [pairs[end - len(piece.pairs) : end] for end, piece in zip(ends, pieces, strict=True)]
-            self._copy([(target, piece.pairs) for target, piece in zip(targets, pieces, strict=True)])
-        end = 0
-        for (is_cut, *_), group in itertools.groupby(pieces, key=lambda p: (p.found.is_cut, *_place(p.found)[:2])):
+            pairs = np.empty((ends[-1], 2), dtype=np.int32)
+            self._copy([(pairs[end - len(piece) : end], piece) for end, (_, piece) in zip(ends, pieces, strict=True)])
+        begin = 0
+        for (is_cut, *_), group in itertools.groupby(pieces, key=lambda piece: (piece[0].is_cut, *piece[0].place[:2])):
             blocks = list(group)
-            begin, end = end, end + sum(len(piece.pairs) for piece in blocks)
+            end = begin + sum(len(piece) for _, piece in blocks)
             if is_cut and not self._is_sorted:
-                pairs[begin:end] = _as_one_block(blocks[0].found.tree_pair, pairs[begin:end])
+                pairs[begin:end] = _as_one_block(blocks[0][0].tree_pair, pairs[begin:end])
+            begin = end
         return pairs
 
     def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
@@ -171,10 +157,6 @@ class Collector:
 def validated_inflation(value: float) -> float:
     """The inflation as a float, or a ValueError."""
     return check_real("inflation", value, "a finite length that is not negative", lambda x: x >= 0)
-
-
-def _place(found: Found) -> tuple[int, int, int]:
-    return found.place
 
 
 def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:

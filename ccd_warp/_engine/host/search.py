@@ -73,7 +73,7 @@ class PairSearch:
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
         So the parts of all batches, sorted by tree pair and then by place, give the keys in an order that depends only
         on the trees, wherever the parts were split, except for a block that was split into its queries
-        (`Found.is_cut`). On CUDA the threads of a part write in arbitrary order.
+        (`Part.is_cut`). On CUDA the threads of a part write in arbitrary order.
         """
         tree_pairs = self._tree_pairs
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
@@ -146,8 +146,7 @@ class PairSearch:
             return
         region.filled += count
         keys = self.buffers.get("keys", 0, wp.int64)
-        is_cut = part.level == 0
-        region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
+        region.found.append(Found(part, keys, begin, count))
 
     def _batch(self, pending: deque[Part], capacity: int, is_long: bool) -> list[_Region]:
         """Threads take parts until none is left or their capacity is exhausted; on CUDA this thread alone."""
