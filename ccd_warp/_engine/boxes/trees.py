@@ -235,15 +235,9 @@ class Part:
         return len(self.items) * WIDTH**self.level
 
     @property
-    def place(self) -> tuple[int, int, int]:
-        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
-        first = self.items[0]
-        return (self.number, first, 0) if self.level else (self.number, *divmod(first, WIDTH))
-
-    @property
-    def is_cut(self) -> bool:
-        """Whether a block of queries was split, so that keys are ordered query by query."""
-        return self.level == 0
+    def place(self) -> tuple[int, int]:
+        """Where the part begins: the numbers of the tree pair, and of its first item."""
+        return self.number, self.items[0]
 
     @property
     def num_tests(self) -> int:

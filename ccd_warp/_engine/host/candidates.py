@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import Part, TreePair
-from ccd_warp._engine.mesh.topology import WIDTH
+from ccd_warp._engine.boxes.trees import Part
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads, run
@@ -98,8 +97,7 @@ class Collector:
     """Collects the pairs of a search batch by batch, and puts them in the order of the trees, or sorts them."""
 
     def __init__(self, execution: Execution, *, is_sorted: bool) -> None:
-        self._execution = execution
-        self._is_sorted = is_sorted
+        self._execution, self._is_sorted = execution, is_sorted
         self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
         self._pieces: dict[PairKind, list[tuple[Part, NDArray[np.int32]]]] = {kind: [] for kind in PairKind}
 
@@ -127,17 +125,10 @@ class Collector:
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
         batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: piece[0].place)
         pairs = batches[0] if batches else np.empty((0, 2), dtype=np.int32)
-        ends = list(itertools.accumulate(len(piece) for _, piece in pieces))
         if len(batches) > 1:
+            ends = list(itertools.accumulate(len(piece) for _, piece in pieces))
             pairs = np.empty((ends[-1], 2), dtype=np.int32)
             self._copy([(pairs[end - len(piece) : end], piece) for end, (_, piece) in zip(ends, pieces, strict=True)])
-        begin = 0
-        for (is_cut, *_), group in itertools.groupby(pieces, key=lambda piece: (piece[0].is_cut, *piece[0].place[:2])):
-            blocks = list(group)
-            end = begin + sum(len(piece) for _, piece in blocks)
-            if is_cut and not self._is_sorted:
-                pairs[begin:end] = _as_one_block(blocks[0][0].tree_pair, pairs[begin:end])
-            begin = end
         return pairs
 
     def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
@@ -164,27 +155,6 @@ def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
     for k in range(0, len(target), _CHUNK):
         for column in range(2):
             target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
-
-
-def _as_one_block(tree_pair: TreePair, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Put pairs of a query block that were found query by query into the order in which the whole block finds them.
-
-    This order is by target block, then by query, then by target: a traversal visits the targets in the order of the
-    tree.
-    """
-    sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (tree_pair.query, tree_pair.target)]
-    places = [np.full(1 + max(map(np.max, sets)), -1, dtype=np.int32) for _ in sets]
-    for place, primitives in zip(places, sets, strict=True):
-        place[primitives] = np.arange(len(primitives))
-    query_place, target_place = places
-    query, target = pairs.T[::-1] if tree_pair.swapped else pairs.T
-    if tree_pair.is_symmetric:
-        # The lower index comes first, whichever of the two was the query; within a set the query is the one that comes
-        # first in the tree.
-        is_turned = query_place[query] > query_place[target] if tree_pair.within else query_place[query] < 0
-        query, target = np.where(is_turned, target, query), np.where(is_turned, query, target)
-    query_at, target_at = query_place[query], target_place[target]
-    return pairs[np.lexsort((target_at % WIDTH, query_at % WIDTH, target_at // WIDTH))]
 
 
 def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
