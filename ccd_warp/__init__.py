@@ -44,7 +44,6 @@ from ccd_warp._results.results import Contact, Contacts, Counts, HostLaunchResul
 from ccd_warp._results.toi_gradient import ToiGradient
 from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._runtime.quiet import keep_warp_quiet
 from ccd_warp._runtime.status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._runtime.version import __version__
 from ccd_warp._scene.half_space import HalfSpace, Planes
@@ -59,8 +58,6 @@ from ccd_warp._scene.input.option_types import (
     ProximityOptions,
 )
 from ccd_warp._scene.mesh import CollisionMesh
-
-keep_warp_quiet()
 
 __all__ = [
     "AffineMotion",

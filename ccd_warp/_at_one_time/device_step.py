@@ -25,7 +25,6 @@ from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.interop import without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.at_one_time import proximity as kernels
@@ -58,13 +57,12 @@ class DeviceAtOneTime(DeviceStep, ABC):
         capacities: Capacities,
         vertices: NDArray[np.float64],
         radius: wp.array | None,
-        progress: Progress,
     ) -> None:
         """Allocate everything, with trees for ``vertices``; every launch gives the positions of all bodies.
 
         The others are those of every step on the device.
         """
-        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices, radius, progress)
+        super().__init__(topology, options, replace(capacities, max_contacts=1), vertices, vertices, radius)
         self._radii = topology.radius if radius is None else radius
         self._of_static = self._full(1, float(self._stages.inflation), wp.float64)
         self._values: dict[tuple[float, float], _Values] = {}  # the last ones

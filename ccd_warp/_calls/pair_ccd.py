@@ -352,7 +352,7 @@ def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
     array = as_array(points, name, f"shape {_expected_shapes(kind)}")
     if array.ndim != 3 or array.shape[1] != count or array.shape[2] not in dimensions:
         raise ValueError(f"{name} has shape {array.shape}; expected {_expected_shapes(kind)}")
-    array = as_float64(array, name, points, row_name="pair")
+    array = as_float64(array, name, row_name="pair")
     check_finite(array, name, row_name="pair")
     return array
 

@@ -46,7 +46,6 @@ from ccd_warp._rigid.motion import Motion, RigidMotion
 from ccd_warp._runtime.display import listed
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.progress_line import CallLine
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
@@ -139,7 +138,6 @@ class CollisionPipeline:
         self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._radius: wp.array | None = None
         self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
-        self._line = CallLine()  # of launches
         self._is_distance_checked = False  # at the positions of a launch
         norm_of(self.mesh, options)
 
@@ -267,9 +265,8 @@ class CollisionPipeline:
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
-            line = CallLine()
-            with line, kind(workspace, (start, end), self._options, **further) as step:
-                step.workspace.progress.show = self._show_progress or line.show
+            with kind(workspace, (start, end), self._options, **further) as step:
+                step.workspace.progress.show = self._show_progress
                 step.timings["input"] = seconds
                 result = work(step)
             self.timings = step.timings
@@ -328,8 +325,7 @@ class CollisionPipeline:
             if vertices is not None:
                 layout = self.mesh._in_space(self.mesh._placed(self.mesh.frame(vertices, "vertices").copy()))
             self._check_distance(lambda: self._layout if layout is None else layout)
-            with self._line:
-                self._reserve(capacities, layout)
+            self._reserve(capacities, layout)
             assert self._device_step
             return self._device_step.result
 
@@ -361,7 +357,7 @@ class CollisionPipeline:
             placed = layout
         layout = self._layout if layout is None else layout
         try:
-            arguments = self._topology, self._options, capacities, layout, placed, self.radius, self._line.progress
+            arguments = self._topology, self._options, capacities, layout, placed, self.radius
             step = _made(DeviceLineSearch, *arguments)
         except RuntimeError as error:  # of Warp; what it has allocated so far is freed
             if "allocate" not in str(error):
@@ -541,7 +537,7 @@ class CollisionPipeline:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
             layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
             of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
-            step = _made(DeviceArcStep, *of_step, self._line.progress)
+            step = _made(DeviceArcStep, *of_step)
         prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
         if not self._is_distance_checked:
             self._check_first_distance(step, prepared)
@@ -572,7 +568,7 @@ class CollisionPipeline:
                 "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
                 "motion.gradient_by_poses() and gradient_by_twist() take"
             )
-        with self._lock, self._line:
+        with self._lock:
             name_t1 = arguments.get("name_t1", "vertices_t1")
             vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
             vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
@@ -671,13 +667,13 @@ class CollisionPipeline:
                     f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
                     "which alone have gradients; expected an array that requires none, or no tape"
                 )
-        with self._lock, self._line:
+        with self._lock:
             step = self._at_one_time.get(kind)
             if step is None:
                 if self._topology.device.is_capturing:
                     raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
                 of_step = self._topology, self._options, self._capacities, self._layout, self.radius
-                step = _made(kind, *of_step, self._line.progress)
+                step = _made(kind, *of_step)
             prepared = step.prepare_positions(positions)
             self._at_one_time.pop(kind, None)
             step.launch_within(prepared, step.values(length))
@@ -799,7 +795,7 @@ class CollisionPipeline:
         kept = MeshCache.of(self.mesh).parts
         is_later = kept.get("is later", False)
         kept["is later"] = True
-        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or vars(self.mesh).get("_is_of_instances", False))
+        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or self.mesh._is_of_instances)
 
     def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
         """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ccd_warp._cli.process import waiting
 from ccd_warp._cli.solve import SolvedStep, positions_of
 from ccd_warp._cli.table import StepRow
+from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._results.contact_place import MovingVertices
-from ccd_warp._runtime.terminal import closed_stderr
 from ccd_warp._scene.input.messages import InputError
 
 

@@ -12,9 +12,8 @@ from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._runtime import progress_line
-from ccd_warp._runtime.launch import start_warp
-from ccd_warp._runtime.terminal import closed_stderr, has_terminal, write_to_terminal
+from ccd_warp._cli import progress_line
+from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import resolve_device
 
@@ -88,11 +87,9 @@ def start_quietly(device: str | None) -> None:
         ValueError: If there is no such device.
     """
     wp.config.log_level = wp.LOG_ERROR
-    with closed_stderr():
-        import trimesh  # noqa: F401  # so that the time to read files is not that of this import
+    import trimesh  # noqa: F401  # so that the time to read files is not that of this import
 
-        start_warp()
-        resolve_device(device)
+    resolve_device(device)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())
     logger.propagate = False

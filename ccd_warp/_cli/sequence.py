@@ -26,6 +26,7 @@ from ccd_warp._cli.process import (
     warnings_on_stderr,
     write_out,
 )
+from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.report import (
     body_lines,
     crossing_sentence,
@@ -44,7 +45,6 @@ from ccd_warp._files.series import find_series
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._runtime.display import start_sentence
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.progress_line import ProgressLine
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import Options
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.process import waiting, warnings_on_stderr
+from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._files.frames import Body
@@ -23,7 +24,6 @@ from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import kind_name
 from ccd_warp._runtime.kernel_cache import announced_compilation
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.progress_line import ProgressLine
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.options import Options

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._rigid.poses import checked_rows, read_only, shown_bodies, shown_body
 from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._runtime.texts import text_completed_by
-from ccd_warp._scene.input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
+from ccd_warp._scene.input.arrays import as_array, as_positions, check_finite, validated_indices
 
 
 class AffineMotion(ReadOnly):
@@ -104,7 +104,7 @@ class AffineMotion(ReadOnly):
     def _positions(self, maps: NDArray[np.float64], points: Any, body: Any) -> NDArray[np.float64]:
         places = as_positions(points, "points", 3)
         check_finite(places, "points")
-        indices = as_array(on_host(body, "body"), "body", "shape (n,)")
+        indices = as_array(body, "body", "shape (n,)")
         if indices.shape != places.shape[:1]:
             raise ValueError(f"body has shape {indices.shape}; expected {places.shape[:1]}, as many as points")
         bodies = validated_indices(indices[:, None], 1, self.num_bodies, "body")[:, 0]

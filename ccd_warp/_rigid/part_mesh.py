@@ -72,7 +72,7 @@ def _mesh(
     world: Any, names: Any, radius: Any, planes: Planes,
 ) -> CollisionMesh:  # fmt: skip
     none = np.zeros(len(static), dtype=bool)
-    return CollisionMesh(
+    return CollisionMesh._of_parts(
         vertices=np.array(vertices, dtype=np.float64),
         faces=np.array(faces, dtype=np.int32).reshape(-1, 3),
         body_vertex_range=np.append(0, np.cumsum(sizes)).astype(np.int32),

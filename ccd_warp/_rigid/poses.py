@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._rigid.rotations import quaternions_of_matrices, scaled
 from ccd_warp._runtime.display import counted
 from ccd_warp._scene.input.arguments import check_real, shown
-from ccd_warp._scene.input.arrays import as_any_array, as_array, as_float64, is_device_array, on_host
+from ccd_warp._scene.input.arrays import as_any_array, as_array, as_float64, is_of_warp, is_on_gpu
 
 # How far columns of a matrix may be from orthonormal, and the end of a twist from the end pose, relative.
 TOLERANCE = 1e-6
@@ -47,7 +47,7 @@ def checked_rows(
     for tail in tails:
         leading = array.shape[: array.ndim - len(tail)]
         if len(leading) in (1, 2) and array.shape[len(leading) :] == tail:
-            rows = as_float64(array, name, values).reshape(-1, *tail).copy()
+            rows = as_float64(array, name).reshape(-1, *tail).copy()
             check_rows_finite(rows, name, leading)
             return rows, leading
     raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
@@ -100,8 +100,7 @@ def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
     array = as_array(read_values(values, "pivot"), "pivot", expected)
     if array.shape not in shapes:
         raise ValueError(f"pivot has shape {array.shape}; expected {expected}")
-    given = [values] if array.ndim == 1 and array is not values else values
-    array = as_float64(array[None] if array.ndim == 1 else array, "pivot", given)
+    array = as_float64(array[None] if array.ndim == 1 else array, "pivot")
     rows = np.broadcast_to(array, (*leading, 3)).reshape(-1, 3).copy()
     check_rows_finite(rows, "pivot", leading)
     return rows
@@ -141,7 +140,7 @@ def _checked_numbers(
         return np.full(math.prod(leading), check_real(name, values, expected, lambda x: 0.0 <= x <= most))
     if array.shape not in shapes:
         raise ValueError(f"{name} has shape {array.shape}; expected {expected}")
-    rows = np.broadcast_to(as_float64(array[None], name, [values])[0], leading).reshape(-1) + 0.0
+    rows = np.broadcast_to(as_float64(array[None], name)[0], leading).reshape(-1) + 0.0
     wrong = ~((rows >= 0.0) & (rows <= most))
     if wrong.any():
         row = int(wrong.argmax())
@@ -181,13 +180,10 @@ def check_ends(
 
 def read_values(values: Any, name: str) -> Any:
     """What NumPy can read, from any library and device."""
-    if is_device_array(values):
+    if is_of_warp(values) or is_on_gpu(values, name):
         from ccd_warp._scene.input.interop import as_warp
 
-        try:
-            return on_host(values, name)
-        except ValueError:  # it is on a GPU
-            return as_warp(values, name).numpy()
+        return as_warp(values, name).numpy()
     return values
 
 

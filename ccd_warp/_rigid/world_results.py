@@ -24,6 +24,10 @@ _NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, widt
 class WorldsResult(MeshResult):
     """A result whose arrays of vertices and bodies are made at their first use: of many worlds they are large."""
 
+    def __init__(self, **known: Any) -> None:
+        """Take all fields but these arrays, which `__getattr__` makes."""
+        vars(self).update(known)
+
     def __getattr__(self, name: str) -> NDArray[Any]:
         owner, _, kind = name.partition("_")
         if owner not in ("vertex", "body") or kind not in ("toi", "contact"):
@@ -78,8 +82,7 @@ def result_of(
         num_contacts_at_start=of_status[int(CCDStatus.INITIAL_CONTACT)],
         num_contacts_at_limit=sum(of_status[int(CCDStatus.ITERATION_LIMIT) :]),
     )
-    result = object.__new__(WorldsResult)
-    vars(result).update(
+    return WorldsResult(
         toi=float(world_toi.min()),
         contacts=contacts,
         counts=counts,
@@ -89,7 +92,6 @@ def result_of(
         start=None,
         hidden_gaps=hidden_gaps,
     )
-    return result
 
 
 def _in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp]:

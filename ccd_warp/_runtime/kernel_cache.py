@@ -11,7 +11,6 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._runtime.shared_header import one_header
-from ccd_warp._runtime.terminal import is_warp_silent
 
 _ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
 _is_said = False
@@ -54,7 +53,7 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
 def _say_once(device: Any) -> None:
     """Say on a terminal, once in a process, why a first call takes seconds; not where Warp is to be silent."""
     global _is_said
-    is_silent = is_warp_silent() and not _is_announced
+    is_silent = wp.config.log_level > wp.LOG_WARNING and not _is_announced
     if _is_said or is_silent or sys.stderr is None or not sys.stderr.isatty():
         return
     _is_said = True

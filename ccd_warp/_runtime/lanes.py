@@ -1,26 +1,23 @@
 """How many numbers of float64 a device works on at once: the width of the lanes for which kernels are built.
 
 The width decides which version of a kernel is compiled, and with it the speed; the answers have equal bits for every
-width. It is found without compiling anything: from what NumPy knows of the processor, or else from Linux.
+width. It is found without compiling anything, from what NumPy says of the processor.
 """
 
-import importlib
 import os
-import re
 from collections.abc import Collection
 from functools import cache
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from ccd_warp.kernels.search.search_types import BOXES, LIST
 from ccd_warp.kernels.template import specialised
 
-_CPU_INFO = Path("/proc/cpuinfo")
-# Names of the features in NumPy, which has renamed its groups, and flags of Linux.
-_WIDTHS = {8: ("AVX512F", "X86_V4", "avx512f"), 4: ("AVX2", "X86_V3", "avx2")}
+# Names of the features in NumPy, which has renamed its groups.
+_WIDTHS = {8: ("AVX512F", "X86_V4"), 4: ("AVX2", "X86_V3")}
 
 
 def lanes_of(device: Any) -> int:
@@ -83,20 +80,14 @@ def cpu_lanes() -> int:
 
 
 def lanes_with(features: Collection[str]) -> int:
-    """The lanes of a processor with the given features, in the names of NumPy or of Linux."""
+    """The lanes of a processor with the given features, in the names of NumPy."""
     return next((width for width, names in _WIDTHS.items() if any(name in features for name in names)), 1)
 
 
 def cpu_features() -> set[str]:
-    """The features of this processor, in the names of NumPy or of Linux; none where neither tells."""
-    for name in ("numpy._core._multiarray_umath", "numpy.core._multiarray_umath"):  # NumPy 2, and 1
-        try:
-            found = importlib.import_module(name).__cpu_features__
-        except (ImportError, AttributeError):
-            continue
-        return {feature for feature, is_there in found.items() if is_there}
+    """The features of this processor, in the names of NumPy; none where it does not tell."""
     try:
-        flags = re.search(r"^flags\s*:(.*)$", _CPU_INFO.read_text(errors="replace"), re.MULTILINE)
-    except OSError:
+        found = np.show_config(mode="dicts")["SIMD Extensions"]  # type: ignore[index]
+    except (KeyError, TypeError):  # NumPy 1 built by setuptools
         return set()
-    return set(flags[1].split()) if flags else set()
+    return {*found.get("baseline", ()), *found.get("found", ())}

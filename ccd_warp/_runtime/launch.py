@@ -12,9 +12,10 @@ from typing import Any, ClassVar
 
 import warp as wp
 
-from ccd_warp._runtime.kernel_cache import load_or_repair, unwritable_cache
+from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.quiet import quietly
 from ccd_warp._runtime.streams import is_captured_by_library
 from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
 from ccd_warp.kernels.once import building, uncollected
@@ -23,19 +24,6 @@ from ccd_warp.kernels.once import building, uncollected
 _MOST_ITEMS = 1 << 19
 
 _loaded: set[tuple[Any, str]] = set()
-_is_started = False
-
-
-def start_warp() -> None:
-    """Initialise Warp, one thread at a time."""
-    global _is_started
-    if not _is_started:
-        try:
-            with building:
-                wp.init()
-        except OSError as error:
-            raise OSError(unwritable_cache(error.filename or wp.config.kernel_cache_dir, error)) from error
-        _is_started = True
 
 
 def block_dim_of(kernel: Any, device: Any) -> int | None:
@@ -67,7 +55,7 @@ def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = No
         progress.done += 1
 
     def load_modules() -> None:
-        with building, uncollected():
+        with building, uncollected(), quietly():
             if device.is_capturing:
                 for kernel in missing.values():
                     load_module(kernel)

@@ -4,7 +4,7 @@ from __future__ import annotations  # ArrayLike, written out, would fill a scree
 
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import InitVar, dataclass, field, fields
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any, Unpack
 
@@ -46,7 +46,7 @@ _MOST_SLICES = 16
 MOST_WITH_PLANES = 1 << 30
 
 
-@dataclass(frozen=True, eq=False, repr=False)
+@dataclass(frozen=True, eq=False, repr=False, init=False)
 class CollisionMesh(ReadOnly):
     """The vertices, unique edges and faces of all bodies that may collide, concatenated body by body.
 
@@ -125,20 +125,20 @@ class CollisionMesh(ReadOnly):
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int32]
-    edges: NDArray[np.int32] = field(init=False)
-    codimensional_edges: NDArray[np.int32] = field(init=False)
-    codimensional_points: NDArray[np.int32] = field(init=False)
-    unused_vertices: NDArray[np.int32] = field(init=False)
-    inner_vertices: NDArray[np.int32] = field(init=False)
-    vertex_body: NDArray[np.int32] = field(init=False)
-    edge_body: NDArray[np.int32] = field(init=False)
-    face_body: NDArray[np.int32] = field(init=False)
+    edges: NDArray[np.int32]
+    codimensional_edges: NDArray[np.int32]
+    codimensional_points: NDArray[np.int32]
+    unused_vertices: NDArray[np.int32]
+    inner_vertices: NDArray[np.int32]
+    vertex_body: NDArray[np.int32]
+    edge_body: NDArray[np.int32]
+    face_body: NDArray[np.int32]
     body_vertex_range: NDArray[np.int32]
     static: NDArray[np.bool_]
     kinematic: NDArray[np.bool_]
     rigid: NDArray[np.bool_]
     self_collision: NDArray[np.bool_]
-    moving_vertices: NDArray[np.int32] = field(init=False)
+    moving_vertices: NDArray[np.int32]
     body_pairs: NDArray[np.bool_] | None
     exclusion_rings: int
     vertex_world: NDArray[np.int32]
@@ -146,33 +146,37 @@ class CollisionMesh(ReadOnly):
     exclude_pairs: Mapping[str, NDArray[np.int32]]
     radius: NDArray[np.float64] | None
     planes: Planes
-    # Arguments of the constructor that are not fields. The constructor validates nothing. dataclasses.replace, which
-    # would not either, raises an error because these arguments have no defaults.
-    given_edges: InitVar[NDArray[np.int32]]
-    with_codimensional_points: InitVar[NDArray[np.bool_]]
-    with_inner_vertices: InitVar[NDArray[np.bool_]]
+    _is_of_instances = False
 
-    def __new__(cls, *arguments: Any, **parts: Any) -> CollisionMesh:
-        """Refuse what looks like the constructor of another library; a copy or a pickle is made without arguments."""
-        if arguments or (parts and "given_edges" not in parts):
-            raise TypeError(
-                "CollisionMesh() does not take arrays; use CollisionMesh.from_arrays([(vertices, faces)]), with a "
-                "tuple for each body and its edges only where they belong to no face, or CollisionMesh.from_trimesh"
-            )
-        return object.__new__(cls)
+    def __init__(self, *_: Any, **__: Any) -> None:
+        """Refuse what looks like the constructor of another library, and ``dataclasses.replace``: neither validates."""
+        raise TypeError(
+            "CollisionMesh() does not take arrays; use CollisionMesh.from_arrays([(vertices, faces)]), with a "
+            "tuple for each body and its edges only where they belong to no face, or CollisionMesh.from_trimesh"
+        )
 
-    def __post_init__(
-        self,
+    @classmethod
+    def _of_fields(cls, given: Mapping[str, Any], **properties: Any) -> CollisionMesh:
+        """A mesh of all its fields, already validated, and of lazy properties that are known."""
+        mesh = object.__new__(cls)
+        mesh.__setstate__({**given, **properties})
+        return mesh
+
+    @classmethod
+    def _of_parts(
+        cls,
         given_edges: NDArray[np.int32],
         with_codimensional_points: NDArray[np.bool_],
         with_inner_vertices: NDArray[np.bool_],
-    ) -> None:
-        """Derive the remaining fields from the given ones, which are already validated."""
-        vertex_body = np.repeat(np.arange(self.num_bodies, dtype=np.int32), np.diff(self.body_vertex_range))
-        edges, codimensional_edges = unique_edges(self.faces, given_edges)
-        lone = vertices_without_primitive(self.num_vertices, self.faces, edges[codimensional_edges])
-        of_lone, is_of_points = vertex_body[lone], np.ones(self.num_bodies, dtype=bool)
-        is_of_points[vertex_body[self.faces[:, 0]]] = is_of_points[vertex_body[edges[codimensional_edges, 0]]] = False
+        **given: Any,
+    ) -> CollisionMesh:
+        """A mesh of validated fields and flags of bodies, from which the remaining fields are derived."""
+        faces, static = given["faces"], given["static"]
+        vertex_body = np.repeat(np.arange(len(static), dtype=np.int32), np.diff(given["body_vertex_range"]))
+        edges, codimensional_edges = unique_edges(faces, given_edges)
+        lone = vertices_without_primitive(len(given["vertices"]), faces, edges[codimensional_edges])
+        of_lone, is_of_points = vertex_body[lone], np.ones(len(static), dtype=bool)
+        is_of_points[vertex_body[faces[:, 0]]] = is_of_points[vertex_body[edges[codimensional_edges, 0]]] = False
         is_of_points |= with_codimensional_points
         derived = {
             "edges": edges,
@@ -182,10 +186,10 @@ class CollisionMesh(ReadOnly):
             "inner_vertices": lone[with_inner_vertices[of_lone]],
             "vertex_body": vertex_body,
             "edge_body": vertex_body[edges[:, 0]],
-            "face_body": vertex_body[self.faces[:, 0]],
-            "moving_vertices": np.flatnonzero(~self.static[vertex_body]).astype(np.int32),
+            "face_body": vertex_body[faces[:, 0]],
+            "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
         }
-        self.__setstate__(vars(self) | derived)
+        return cls._of_fields(given, **derived)
 
     def __getstate__(self) -> dict[str, Any]:
         """The state for a copy or a pickle: the fields, without the cache that calls attach to the mesh."""
@@ -312,7 +316,7 @@ class CollisionMesh(ReadOnly):
             raise ValueError(
                 f"bodies hold {offsets[-1]} vertices; expected at most {MOST_WITH_PLANES} with half-spaces"
             )
-        mesh = cls(
+        mesh = cls._of_parts(
             vertices=np.ascontiguousarray(joined.vertices),  # of points, joined by columns
             faces=joined.faces,
             body_vertex_range=np.array(offsets, dtype=np.int32),
@@ -468,10 +472,8 @@ class CollisionMesh(ReadOnly):
         self_collision = self.self_collision.copy()
         self_collision[bodies[is_self, 0]] = False
         given = ExcludedPairs({**given, "bodies": bodies[~is_self]})
-        mesh = object.__new__(type(self))
         changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, given)}
-        mesh.__setstate__(self.__getstate__() | changed)
-        return mesh
+        return self._of_fields(self.__getstate__() | changed)
 
     def _largest_around(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
         """For each vertex the largest radius of the primitives with it: of it and of those that share an edge."""
@@ -528,8 +530,7 @@ class CollisionMesh(ReadOnly):
             exclude_pairs=exclude_pairs,
             radius=radius,
         )
-        vars(mesh)["_is_of_instances"] = True
-        return mesh
+        return cls._of_fields(mesh.__getstate__(), _is_of_instances=True)
 
     def replicate(self, count: int) -> CollisionMesh:
         """Copies of all bodies in worlds of their own, for many simulations of one scene at once.
@@ -547,9 +548,7 @@ class CollisionMesh(ReadOnly):
         Raises:
             ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
         """
-        arguments = replicated(self, count)
-        arguments["exclude_pairs"] = ExcludedPairs(arguments["exclude_pairs"])
-        return type(self)(**arguments)
+        return self._of_parts(**replicated(self, count))
 
     def _copies(self, count: int) -> CollisionMesh:
         """This mesh in so many worlds; the last one made stays, with what calls attach to it."""
@@ -563,9 +562,8 @@ class CollisionMesh(ReadOnly):
     def _all_rigid(self) -> CollisionMesh:
         """This mesh with all bodies rigid that have vertices of their own."""
         rigid = ~np.isin(np.arange(self.num_bodies), self.planes.bodies)
-        mesh = object.__new__(type(self))
-        mesh.__setstate__(self.__getstate__() | {"rigid": rigid, "self_collision": self.self_collision & ~rigid})
-        return mesh
+        changed = {"rigid": rigid, "self_collision": self.self_collision & ~rigid}
+        return self._of_fields(self.__getstate__() | changed)
 
     @lazy_property
     def _surface_vertices(self) -> NDArray[np.int32]:

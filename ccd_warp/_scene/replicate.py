@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._scene.input.arguments import check_count
+from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
 from ccd_warp._scene.input.names import distinct_names
 
 _MOST_INDICES = np.iinfo(np.int32).max
@@ -15,7 +16,7 @@ _MOST_BODY_PAIRS = 1 << 30
 
 
 def replicated(mesh: Any, count: int) -> dict[str, Any]:
-    """The arguments of the constructor of :class:`ccd_warp.CollisionMesh` for ``count`` copies of a mesh.
+    """The arguments of `CollisionMesh._of_parts` for ``count`` copies of a mesh.
 
     Raises:
         ValueError: If ``count`` is not a positive integer, or the copies have more primitives than int32 can index.
@@ -62,7 +63,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         body_pairs=None if mesh.body_pairs is None else mesh.body_pairs[np.ix_(bodies, bodies)],
         exclusion_rings=mesh.exclusion_rings,
         vertex_world=(mesh.vertex_world + (copies * mesh.num_worlds)[:, None]).ravel().astype(np.int32),
-        exclude_pairs={key: _copied(key, pairs, mesh, copies) for key, pairs in mesh.exclude_pairs.items()},
+        exclude_pairs=ExcludedPairs({k: _copied(k, pairs, mesh, copies) for k, pairs in mesh.exclude_pairs.items()}),
         radius=None if mesh.radius is None else np.tile(mesh.radius, count),
         names=_names(mesh.names, copied.tolist(), planes.tolist(), count),
         planes=_copied_planes(mesh, copies, of_planes, len(copied)),

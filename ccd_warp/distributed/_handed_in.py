@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._scene.input.arrays import as_array, as_positions, on_host, validated_indices
+from ccd_warp._scene.input.arrays import as_array, as_positions, validated_indices
 from ccd_warp._scene.input.mesh_checks import validated_radius
 
 
@@ -126,7 +126,7 @@ def _flags(name: str, values: ArrayLike | None, count: int) -> NDArray[np.int64]
     """One flag for each vertex as 0 or 1, -1 where none were given, or a ValueError."""
     if values is None:
         return np.full(count, -1, dtype=np.int64)
-    flags: Any = as_array(on_host(values, name), name, f"bool and shape {(count,)}")
+    flags: Any = as_array(values, name, f"bool and shape {(count,)}")
     if (flags.dtype != bool and flags.size) or flags.shape != (count,):
         raise ValueError(f"{name} has dtype {flags.dtype} and shape {flags.shape}; expected bool and {(count,)}")
     as_numbers: NDArray[np.int64] = flags.astype(np.int64)
@@ -135,7 +135,7 @@ def _flags(name: str, values: ArrayLike | None, count: int) -> NDArray[np.int64]
 
 def _per_vertex(name: str, values: ArrayLike, count: int) -> NDArray[np.int64]:
     """One integer of at least 0 for each vertex, or a ValueError."""
-    array = as_array(on_host(values, name), name, f"integers and shape {(count,)}")
+    array = as_array(values, name, f"integers and shape {(count,)}")
     if array.shape == (0,) == (count,):
         return np.zeros(0, dtype=np.int64)
     if array.shape != (count,) or array.dtype.kind not in "iu":

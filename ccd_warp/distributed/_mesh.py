@@ -14,7 +14,7 @@ from ccd_warp._engine.mesh.topology import NUM_SAMPLES
 from ccd_warp._runtime.display import counted
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp._scene.input.arrays import as_any_array, as_array, as_positions, check_finite, on_host, validated_indices
+from ccd_warp._scene.input.arrays import as_any_array, as_array, as_positions, check_finite, validated_indices
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
 from ccd_warp._scene.input.half_spaces import half_spaces_by_body, planes_of
 from ccd_warp._scene.input.mesh_checks import (
@@ -165,7 +165,7 @@ class DistributedMesh:
 
     def _common_dimension(self, vertices: ArrayLike) -> int:
         """2 if the ranks have vertices in the plane, and 3 otherwise."""
-        shape = as_any_array(on_host(vertices, "vertices"), "vertices", "positions").shape
+        shape = as_any_array(vertices, "vertices", "positions").shape
         columns = self.ranks.every(np.array([shape[1] if len(shape) == 2 else 0]))
         planar, others = np.flatnonzero(columns == 2), np.flatnonzero((columns != 0) & (columns != 2))
         if len(planar) and len(others):
@@ -461,7 +461,7 @@ class DistributedMesh:
 def _pairs_of_ids(values: Any) -> NDArray[np.int64]:
     """Pairs of ids of vertices, shape [k, 2], or a ValueError."""
     name = "exclude_pairs['vertices']"
-    ids = as_array(on_host(values, name), name, "integers and shape (k, 2)")
+    ids = as_array(values, name, "integers and shape (k, 2)")
     if ids.size == 0 and ids.ndim <= 2 and ids.shape[-1:] in ((0,), (2,)):
         return np.zeros((0, 2), dtype=np.int64)
     if ids.ndim != 2 or ids.shape[1] != 2 or ids.dtype.kind not in "iu":

@@ -97,13 +97,15 @@ def part_mesh(
         planes=whole.planes,
     )
     assert state.keys() == {f.name for f in fields(CollisionMesh)}
-    mesh = object.__new__(CollisionMesh)
-    mesh.__setstate__(state)
-    # lazy properties of the whole mesh, which a part cannot tell
-    vars(mesh).update(num_worlds=whole.num_worlds, length_scale=whole.length_scale, is_thick=whole.is_thick)
-    vars(mesh).update(_moves_alone=whole.moves_alone, _is_free_alone=whole.moves_alone)
-    vars(mesh)["_excludes_by_vertices"] = whole.rings is not None
-    return mesh
+    return CollisionMesh._of_fields(
+        state,  # and properties of the whole mesh, which a part cannot tell
+        num_worlds=whole.num_worlds,
+        length_scale=whole.length_scale,
+        is_thick=whole.is_thick,
+        _moves_alone=whole.moves_alone,
+        _is_free_alone=whole.moves_alone,
+        _excludes_by_vertices=whole.rings is not None,
+    )
 
 
 class PartTopology(Topology):

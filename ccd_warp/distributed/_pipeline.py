@@ -35,6 +35,7 @@ from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import Contacts, MeshResult
 from ccd_warp._rigid.mesh_paths import MeshPaths, in_space
 from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.input.arguments import check_count, check_instance
@@ -666,6 +667,6 @@ class _Thickness(NamedTuple):
 
 def _device_of(local_rank: int) -> str | None:
     """The device of a rank by default: the CUDA devices of its machine in turns, or None for Warp's own choice."""
-    wp.init()
+    start_warp()
     count = wp.get_cuda_device_count()
     return f"cuda:{local_rank % count}" if count else None

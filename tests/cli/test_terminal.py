@@ -7,25 +7,23 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
-import warp as wp
 from mesh_files import ply
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
+from ccd_warp._cli.progress_line import line_of
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.progress_line import line_of
 
 PATIENCE = 600.0  # a guard against hanging, not a demand: the answer to Ctrl-C is due within half a second
 # The command, whose lines are shown at once; a shell may have had Ctrl-C ignored.
 PROGRAM = """
-import signal, ccd_warp._cli.command, ccd_warp._runtime.progress_line
+import signal, ccd_warp._cli.command, ccd_warp._cli.progress_line
 signal.signal(signal.SIGINT, signal.default_int_handler)
-ccd_warp._runtime.progress_line.PATIENCE = 0.0
+ccd_warp._cli.progress_line.PATIENCE = 0.0
 ccd_warp._cli.command.run_program()
 """
 
@@ -83,21 +81,14 @@ def test_ctrl_c_at_a_terminal_ends_a_long_run_and_leaves_the_terminal_as_it_was(
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """Stderr as a terminal, on which lines are shown at once; Ctrl-C is pressed after words that are put in `press`."""
+    """Stderr as a terminal, on which lines are shown at once."""
 
     class Terminal(io.StringIO):
-        press = None
-
         def isatty(self):
             return True
 
-        def flush(self):
-            if self.press is not None and self.press in self.getvalue():
-                self.press = None
-                raise KeyboardInterrupt
-
     shown = Terminal()
-    monkeypatch.setattr("ccd_warp._runtime.progress_line.PATIENCE", 0.0)
+    monkeypatch.setattr("ccd_warp._cli.progress_line.PATIENCE", 0.0)
     monkeypatch.setattr("ccd_warp._runtime.threads._TICK", 1e-3)
     shown.open = lambda: monkeypatch.setattr(sys, "stderr", shown)
     return shown
@@ -120,21 +111,6 @@ def test_progress_is_shown_and_the_terminal_is_left_as_it_was(tmp_path, terminal
     shown = terminal.getvalue()
     assert shown == "" if words is None else [each for each in words if each not in shown] == []
     assert "narrow phase" not in shown and screen_of(shown) == []
-
-
-@pytest.mark.parametrize("name, stage", [("mesh_ccd", "narrow phase"), ("launch", "step")])
-def test_a_long_call_of_the_library_shows_how_far_it_is_unless_warp_is_silent(terminal, monkeypatch, name, stage):
-    x, faces = plane(400)
-    mesh = ccd.CollisionMesh.from_arrays([(x, faces)])
-    pipeline = ccd.CollisionPipeline(mesh, device="cpu", max_pairs=1 << 20, num_threads=2)
-    terminal.open()
-    for level, press in ((wp.LOG_ERROR, None), (wp.LOG_WARNING, None), (wp.LOG_WARNING, f"{stage}  [")):
-        monkeypatch.setattr(wp.config, "log_level", level)
-        terminal.press = press  # directly after a line was shown, which is cleared whole
-        with pytest.raises(KeyboardInterrupt) if press else nullcontext():
-            getattr(pipeline, name)(x, x + [0.1, 0.0, 0.0])
-        shown = terminal.getvalue()
-        assert (f"\rccd_warp: {stage}  [" in shown) is (level == wp.LOG_WARNING) and screen_of(shown) == []
 
 
 def test_line_says_the_share_that_is_done_and_what_the_rest_will_take():

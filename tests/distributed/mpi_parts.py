@@ -30,7 +30,7 @@ def whole_mesh(mesh):
     order = np.lexsort((*faces.T[::-1], *ordered.T[::-1]))
     is_first = np.ones(len(order), dtype=bool)
     is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
-    return ccd.CollisionMesh(
+    return ccd.CollisionMesh._of_parts(
         faces=mesh.faces[order[is_first]],
         given_edges=mesh.edges[mesh.codimensional_edges],
         with_codimensional_points=_has(mesh, mesh.codimensional_points),

@@ -151,7 +151,7 @@ REFUSED = [
     (of_launch, (FAR, END), "vertices_t0 is a Far on cuda:99; expected it on one of cpu"),
     *((call, (SILENT, END), f"vertices_t0 is a Silent that {DELETED}") for call in (of_step, of_launch)),
     *((call, (START, OF_GRAD), f"vertices_t1 {CANNOT}") for call in (of_step, of_launch)),
-    (lambda x: ccd.CollisionMesh.from_arrays([(x, [[0, 1, 2]])]), (OF_GRAD,), f"vertices {CANNOT}"),
+    (lambda x: ccd.CollisionMesh.from_arrays([(x, [[0, 1, 2]])]), (OF_GRAD,), f"vertices of body 0 {CANNOT}"),
 ]
 
 

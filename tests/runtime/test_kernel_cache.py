@@ -9,7 +9,7 @@ from shared_objects import SharedObjects
 from warp._src import build
 
 from ccd_warp._runtime.kernel_cache import load_or_repair
-from ccd_warp._runtime.launch import start_warp
+from ccd_warp._runtime.quiet import start_warp
 
 
 @wp.kernel(module="unique", enable_backward=False)

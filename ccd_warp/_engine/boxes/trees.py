@@ -235,10 +235,9 @@ class Part:
         return len(self.items) * WIDTH**self.level
 
     @property
-    def place(self) -> tuple[int, int, int]:
-        """Where the part begins: the numbers of the tree pair, of the query block, and of the query in it."""
-        first = self.items[0]
-        return (self.number, first, 0) if self.level else (self.number, *divmod(first, WIDTH))
+    def place(self) -> tuple[int, int]:
+        """Where the part begins: the numbers of the tree pair, and of its first item."""
+        return self.number, self.items[0]
 
     @property
     def num_tests(self) -> int:

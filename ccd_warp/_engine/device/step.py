@@ -30,7 +30,6 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
-from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.interop import as_positions, without_worlds
@@ -91,16 +90,14 @@ class DeviceStep(Plan):
         vertices: NDArray[np.float64],
         static_positions: NDArray[np.float64],
         radius: wp.array | None = None,
-        progress: Progress | None = None,
     ) -> None:
         """Allocate everything, with trees for ``vertices`` and the static bodies of ``static_positions``.
 
-        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none. What
-        takes long is told to ``progress``.
+        ``radius`` are the radii of the vertices, which may change between launches; None where the mesh has none.
         """
         self._mesh = mesh = topology.mesh
         self._flag = StopFlag(topology.device)
-        execution = Execution(topology.device, options.threads, self._flag, progress or Progress())
+        execution = Execution(topology.device, options.threads, self._flag)
         norm = norm_of(mesh, options, may_change=True, on_arcs=self.on_arcs)
         super().__init__(topology, options, execution, self.goal, norm)
         _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture

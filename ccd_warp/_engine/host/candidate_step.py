@@ -6,6 +6,7 @@ from ccd_warp._engine.host.candidates import Candidates, Collector, union
 from ccd_warp._engine.host.pair_memory import KEY_BYTES
 from ccd_warp._engine.host.search import PairSearch
 from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
@@ -36,7 +37,8 @@ class CandidateStep(Step):
             tree_pairs = list(filter(plan.may_meet, plan.tree_pairs))
             search = PairSearch(plan.stages_now(), self.execution, self.workspace.buffers, tree_pairs)
             # counts what the search has just allocated
-            search.largest_capacity = self.capacity(KEY_BYTES, search.num_workers)
+            blocks = search.num_workers if self.execution.is_cuda else max(search.num_workers, WIDTH)
+            search.largest_capacity = self.capacity(KEY_BYTES, blocks)
         for ranges in self.timer.each("pairs", search.ranges()):
             with self.timed("copy"):
                 collector.take(ranges)

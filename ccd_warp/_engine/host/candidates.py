@@ -8,8 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import TreePair
-from ccd_warp._engine.mesh.topology import WIDTH
+from ccd_warp._engine.boxes.trees import Part
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads, run
@@ -72,25 +71,19 @@ def _pairs_of(candidates: Candidates) -> list[NDArray[np.int32]]:
 
 @dataclass(frozen=True)
 class Found:
-    """Keys of pairs of one kind: ``keys[begin:begin + count]``.
+    """Keys of pairs that a part of a search has found: ``keys[begin:begin + count]``.
 
     Attributes:
-        kind: Kind of the pairs.
+        part: The part, of one kind.
         keys: The array that the search has filled.
         begin: The first key.
         count: Number of keys.
-        tree_pair: The trees that were searched.
-        place: The numbers of the tree pair, of the query block and of the query in it with which the keys begin.
-        is_cut: Whether a block of queries was split, so that keys are ordered query by query.
     """
 
-    kind: PairKind
+    part: Part
     keys: wp.array
     begin: int
     count: int
-    tree_pair: TreePair
-    place: tuple[int, int, int]
-    is_cut: bool
 
     def host_keys(self) -> NDArray[np.int64]:
         """The keys; on the CPU a view, which the next batch overwrites."""
@@ -100,34 +93,25 @@ class Found:
         return self.keys.numpy()[self.begin : self.begin + self.count]
 
 
-@dataclass(frozen=True)
-class _Piece:
-    """Pairs found by one part of a search, and the range of keys they come from."""
-
-    found: Found
-    pairs: NDArray[np.int32]
-
-
 class Collector:
     """Collects the pairs of a search batch by batch, and puts them in the order of the trees, or sorts them."""
 
     def __init__(self, execution: Execution, *, is_sorted: bool) -> None:
-        self._execution = execution
-        self._is_sorted = is_sorted
+        self._execution, self._is_sorted = execution, is_sorted
         self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
-        self._pieces: dict[PairKind, list[_Piece]] = {kind: [] for kind in PairKind}
+        self._pieces: dict[PairKind, list[tuple[Part, NDArray[np.int32]]]] = {kind: [] for kind in PairKind}
 
     def take(self, ranges: list[Found]) -> None:
         """Copy the pairs of a batch to an array for each kind, which is the result if no other batch follows."""
         copies = []
         for kind in PairKind:
-            of_kind = sorted((found for found in ranges if found.kind == kind), key=_place)
+            of_kind = [found for found in ranges if found.part.tree_pair.kind == kind]
             pairs = np.empty((sum(found.count for found in of_kind), 2), dtype=np.int32)
             begin = 0
-            for found in of_kind:
-                piece = _Piece(found, pairs[begin : begin + found.count])
-                self._pieces[kind].append(piece)
-                copies.append((piece.pairs, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
+            for found in sorted(of_kind, key=lambda found: found.part.place):
+                piece = pairs[begin : begin + found.count]
+                self._pieces[kind].append((found.part, piece))
+                copies.append((piece, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
                 begin += found.count
             if begin:
                 self._batches[kind].append(pairs)
@@ -139,19 +123,12 @@ class Collector:
         return found.sorted() if self._is_sorted else found
 
     def _pairs_of(self, kind: PairKind) -> NDArray[np.int32]:
-        batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: _place(piece.found))
+        batches, pieces = self._batches[kind], sorted(self._pieces[kind], key=lambda piece: piece[0].place)
         pairs = batches[0] if batches else np.empty((0, 2), dtype=np.int32)
         if len(batches) > 1:
-            pairs = np.empty((sum(map(len, batches)), 2), dtype=np.int32)
-            ends = np.cumsum([len(piece.pairs) for piece in pieces])
-            targets = [pairs[end - len(piece.pairs) : end] for end, piece in zip(ends, pieces, strict=True)]
-            self._copy([(target, piece.pairs) for target, piece in zip(targets, pieces, strict=True)])
-        end = 0
-        for (is_cut, *_), group in itertools.groupby(pieces, key=lambda p: (p.found.is_cut, *_place(p.found)[:2])):
-            blocks = list(group)
-            begin, end = end, end + sum(len(piece.pairs) for piece in blocks)
-            if is_cut and not self._is_sorted:
-                pairs[begin:end] = _as_one_block(blocks[0].found.tree_pair, pairs[begin:end])
+            ends = list(itertools.accumulate(len(piece) for _, piece in pieces))
+            pairs = np.empty((ends[-1], 2), dtype=np.int32)
+            self._copy([(pairs[end - len(piece) : end], piece) for end, (_, piece) in zip(ends, pieces, strict=True)])
         return pairs
 
     def _copy(self, copies: list[tuple[NDArray[np.int32], NDArray[np.int32]]]) -> None:
@@ -173,36 +150,11 @@ def validated_inflation(value: float) -> float:
     return check_real("inflation", value, "a finite length that is not negative", lambda x: x >= 0)
 
 
-def _place(found: Found) -> tuple[int, int, int]:
-    return found.place
-
-
 def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
     """Copy pairs column by column in chunks that fit the cache, which NumPy does four times as fast as by rows."""
     for k in range(0, len(target), _CHUNK):
         for column in range(2):
             target[k : k + _CHUNK, column] = source[k : k + _CHUNK, column]
-
-
-def _as_one_block(tree_pair: TreePair, pairs: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Put pairs of a query block that were found query by query into the order in which the whole block finds them.
-
-    This order is by target block, then by query, then by target: a traversal visits the targets in the order of the
-    tree.
-    """
-    sets = [tree.arrays.primitive.numpy()[: tree.primitives.count] for tree in (tree_pair.query, tree_pair.target)]
-    places = [np.full(1 + max(map(np.max, sets)), -1, dtype=np.int32) for _ in sets]
-    for place, primitives in zip(places, sets, strict=True):
-        place[primitives] = np.arange(len(primitives))
-    query_place, target_place = places
-    query, target = pairs.T[::-1] if tree_pair.swapped else pairs.T
-    if tree_pair.is_symmetric:
-        # The lower index comes first, whichever of the two was the query; within a set the query is the one that comes
-        # first in the tree.
-        is_turned = query_place[query] > query_place[target] if tree_pair.within else query_place[query] < 0
-        query, target = np.where(is_turned, target, query), np.where(is_turned, query, target)
-    query_at, target_at = query_place[query], target_place[target]
-    return pairs[np.lexsort((target_at % WIDTH, query_at % WIDTH, target_at // WIDTH))]
 
 
 def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:

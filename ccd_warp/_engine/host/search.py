@@ -71,9 +71,9 @@ class PairSearch:
         """Search, and yield batches that fit the capacity: the keys of each part, with their place among all keys.
 
         A part runs on one thread, block by block of its queries, and a block finds its pairs in the order of the trees.
-        So the parts of all batches, sorted by tree pair and then by place, give the keys in an order that depends only
-        on the trees, wherever the parts were split, except for a block that was split into its queries
-        (`Found.is_cut`). On CUDA the threads of a part write in arbitrary order.
+        So the parts of all batches, sorted by place, give the keys in an order that depends only on the trees, wherever
+        the parts were split. A block stays whole: where all pairs of one do not fit a thread's part of the capacity,
+        one thread has all of it. On CUDA the threads of a part write in arbitrary order.
         """
         tree_pairs = self._tree_pairs
         pending = deque(part for k, tree_pair in enumerate(tree_pairs) for part in self._parts(tree_pair, k))
@@ -83,22 +83,24 @@ class PairSearch:
         load(self._kernel, self.execution.device)
         num_queries = sum(part.num_queries for part in pending)
         is_long = max(part.num_tests for part in pending) > LONG_SEARCH
-        # A thread needs capacity for all partners of one query, and this is sufficient.
+        # On CUDA, where an item is a query, a part of one fits.
         least = max(tree_pair.target.primitives.count for tree_pair in tree_pairs)
         wanted = 16 * sum(tree_pair.query.primitives.count for tree_pair in tree_pairs)
         last = self.buffers.capacity  # what the last step needed
         capacity = min(self.largest_capacity, max(self.num_workers * least, wanted, last, 1 << 16))
-        total = 0
+        total, num_workers = 0, self.num_workers
         while pending:
             self.buffers.get("keys", capacity, wp.int64)
             self._progress.begin("pairs", num_queries, num_queries - sum(part.num_queries for part in pending))
-            regions = self._batch(pending, capacity, is_long)
+            regions = self._batch(pending, capacity, num_workers, is_long)
             self.num_batches += 1
             total += sum(region.filled for region in regions)
             if self.num_batches > 1:
                 # threads find unequal shares, so with twice the capacity the next step needs one batch
                 self.buffers.capacity = min(2 * total, self.largest_capacity)
-            yield [found for region in regions for found in region.found]
+            found = [each for region in regions for each in region.found]
+            yield found
+            num_workers = self.num_workers if found else 1
             capacity = min(2 * capacity, self.largest_capacity)
 
     def _parts(self, tree_pair: TreePair, number: int) -> list[Part]:
@@ -146,13 +148,12 @@ class PairSearch:
             return
         region.filled += count
         keys = self.buffers.get("keys", 0, wp.int64)
-        is_cut = part.level == 0
-        region.found.append(Found(part.tree_pair.kind, keys, begin, count, part.tree_pair, part.place, is_cut))
+        region.found.append(Found(part, keys, begin, count))
 
-    def _batch(self, pending: deque[Part], capacity: int, is_long: bool) -> list[_Region]:
+    def _batch(self, pending: deque[Part], capacity: int, num_workers: int, is_long: bool) -> list[_Region]:
         """Threads take parts until none is left or their capacity is exhausted; on CUDA this thread alone."""
-        bounds = [capacity * k // self.num_workers for k in range(self.num_workers + 1)]
-        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(self.num_workers)]
+        bounds = [capacity * k // num_workers for k in range(num_workers + 1)]
+        regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(num_workers)]
         lock = threading.Lock()
 
         def work(region: _Region) -> None:
@@ -172,7 +173,7 @@ class PairSearch:
                     if counts[_FOUND] <= region.end - begin:
                         self._keep(region, part, begin, counts)
                         self._progress.done += part.num_queries
-                    elif region.found:
+                    elif region.found or len(part.items) == 1:
                         pending.appendleft(part)
                         return
                     else:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arrays import as_any_array, as_positions, on_host, validated_indices
+from ccd_warp._scene.input.arrays import as_any_array, as_positions, validated_indices
 from ccd_warp._scene.input.names import body_label
 
 
@@ -19,7 +19,7 @@ def common_dimension(vertices: Mapping[int, Any], names: Sequence[str]) -> int:
     """
     columns = {}
     for b, given in vertices.items():
-        shape = np.shape(as_any_array(on_host(given, "vertices"), f"vertices of {body_label(b, names)}", "positions"))
+        shape = np.shape(as_any_array(given, f"vertices of {body_label(b, names)}", "positions"))
         if len(shape) == 2:
             columns[b] = shape[1]
     planar = [b for b, count in columns.items() if count == 2]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp._scene.input.arrays import as_array, as_positions, check_finite, on_host, validated_indices
+from ccd_warp._scene.input.arrays import as_array, as_positions, check_finite, validated_indices
 from ccd_warp._scene.input.messages import warn
 from ccd_warp._scene.input.names import body_label
 
@@ -63,7 +63,7 @@ def cells_by_type(cells: Any) -> dict[str, Any]:
         kind, values = None, block
         if _is_typed(block):
             kind, values = block if isinstance(block, tuple) else (block.type, block.data)
-        rows = as_array(on_host(values, "cells"), "cells", "integers and shape (n, corners)")
+        rows = as_array(values, "cells", "integers and shape (n, corners)")
         if kind is None:
             if rows.ndim != 2 or rows.shape[1] not in _BY_CORNERS:
                 counts = ", ".join(f"{count} of a {kind}" for count, kind in sorted(_BY_CORNERS.items()))

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._scene.input.arguments import check_items, shown
-from ccd_warp._scene.input.arrays import as_array, on_host
+from ccd_warp._scene.input.arrays import as_array
 
 # What is paired, by key.
 KEYS = ("bodies", "vertices", "vertex_face", "edge_edge", "point_segment", "point_point", "vertex_plane")
@@ -138,7 +138,7 @@ def _validated_rows(
     values: Any, name: str, *columns: tuple[str, int, NDArray[np.int32] | None]
 ) -> NDArray[np.integer[Any]]:
     """Pairs of indices, shape [k, 2], or a ValueError; ``columns`` says what each column holds."""
-    array = as_array(on_host(values, name), name, "integers and shape (k, 2)")
+    array = as_array(values, name, "integers and shape (k, 2)")
     if array.size == 0 and array.ndim <= 2 and array.shape[-1:] in ((0,), (2,)):
         return np.zeros((0, 2), dtype=np.int32)
     if array.ndim != 2 or array.shape[1] != 2:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._scene.half_space import HalfSpace, Planes
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp._scene.input.arrays import as_array, as_float64, on_host
+from ccd_warp._scene.input.arrays import as_array, as_float64
 
 
 def planes_of(
@@ -68,11 +68,10 @@ def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
 
 def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:
     """As many finite float64 numbers as there are coordinates, or a ValueError."""
-    array = as_array(on_host(values, name), name, f"{dimension} numbers")
+    array = as_array(values, name, f"{dimension} numbers")
     if array.shape != (dimension,):
         raise ValueError(f"{name} has shape {array.shape}; expected {(dimension,)}")
-    rows = values if array is values else [values]
-    vector = as_float64(array[None], name, rows)[0]
+    vector = as_float64(array[None], name)[0]
     if not np.isfinite(vector).all():
         raise ValueError(f"{name} is {vector.tolist()}; expected finite numbers")
     return vector

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._scene.input.arguments import check_count, check_items, check_real, shown
-from ccd_warp._scene.input.arrays import as_any_array, as_array, as_float64, on_host
+from ccd_warp._scene.input.arrays import as_any_array, as_array, as_float64
 from ccd_warp._scene.input.names import body_label, is_default_name
 
 
@@ -58,7 +58,7 @@ def _chosen_bodies(name: str, values: Iterable[int | str], names: Sequence[str])
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
     """One bool for each body, or a ValueError."""
-    array = as_any_array(on_host(values, name), name, "a bool or one bool a body")
+    array = as_any_array(values, name, "a bool or one bool a body")
     if array.dtype != bool:
         raise ValueError(f"{name} is {shown(values)}; expected a bool or one bool a body")
     if array.shape not in ((), (num_bodies,)):
@@ -71,7 +71,7 @@ def validated_body_pairs(values: ArrayLike | None, names: Sequence[str]) -> NDAr
     if values is None:
         return None
     num_bodies = len(names)
-    array = as_array(on_host(values, "body_pairs"), "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
+    array = as_array(values, "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
     if array.dtype != bool or array.shape != (num_bodies, num_bodies):
         raise ValueError(
             f"body_pairs has dtype {shown(array.dtype)} and shape {array.shape}; "
@@ -112,10 +112,10 @@ def validated_radius(
         number = check_real("radius", values, "a finite length of at least 0, or an array of these", lambda x: x >= 0)
         return np.full(num_vertices, number)
     expected = f"a number, shape {(num_bodies,)}, one a body, or {(num_vertices,)}, one a vertex"
-    array = as_any_array(on_host(values, "radius"), "radius", expected)
+    array = as_any_array(values, "radius", expected)
     if array.shape not in ((), (num_bodies,), (num_vertices,)):
         raise ValueError(f"radius has shape {array.shape}; expected {expected}")
-    given = as_float64(np.atleast_1d(array), "radius", values, "entry")
+    given = as_float64(np.atleast_1d(array), "radius", "entry")
     is_invalid = ~(np.isfinite(given) & (given >= 0))
     if is_invalid.any():
         at = int(np.argmax(is_invalid))
@@ -145,7 +145,7 @@ def validated_worlds(
     """A world for each vertex, the same for all vertices of a primitive, or a ValueError; ``where`` names its body."""
     if values is None:
         return np.zeros(num_vertices, dtype=np.int32)
-    array = as_array(on_host(values, "vertex_world"), "vertex_world", f"integers and shape {(num_vertices,)}")
+    array = as_array(values, "vertex_world", f"integers and shape {(num_vertices,)}")
     if array.shape == (0,) == (num_vertices,):
         return np.zeros(0, dtype=np.int32)
     if array.shape != (num_vertices,) or array.dtype.kind not in "iu":

@@ -217,8 +217,8 @@ def test_published_pairs_are_found(scene):
 # --- order, and whose the arrays are ---
 
 
-def test_blocks_of_boxes_that_exceed_the_memory_limit_keep_the_order():
-    """The least limit holds the partners of one box a thread; a block of sixteen, which have more, is cut."""
+def test_searches_that_exceed_the_memory_limit_keep_the_order():
+    """The least limit holds the partners of sixteen boxes; of three threads one has all of it for some blocks."""
     rng, cables = np.random.default_rng(2), np.arange(450).reshape(-1, 2)
     bodies = [(*soup(rng, 280, 0.2, spread=0.0), []) for _ in range(2)]
     bodies.append((0.01 * rng.standard_normal((900, 3)), [], cables))  # all boxes hold the origin

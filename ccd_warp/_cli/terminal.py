@@ -6,15 +6,13 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import warp as wp
-
 _closed: list[int] = []  # where stderr led before it was closed, the outermost first
 _closing = threading.Lock()  # while a line is written, and while stderr is closed and opened
 
 
 @contextmanager
 def closed_stderr() -> Iterator[None]:
-    """Drop what native code writes to stderr: without a CUDA driver Warp complains there, whatever its log level."""
+    """Drop what native code writes to stderr, as OpenGL and VTK do."""
     try:
         saved = os.dup(2)
     except OSError:  # the process has no stderr
@@ -31,14 +29,6 @@ def closed_stderr() -> Iterator[None]:
             if saved in _closed:
                 _closed.remove(saved)
             os.close(saved)
-
-
-def is_warp_silent() -> bool:
-    """Whether the user has Warp say nothing but errors.
-
-    Programs with kernels of their own ask Warp for warnings alone, and still want to know why a first call takes long.
-    """
-    return bool(wp.config.log_level > wp.LOG_WARNING)
 
 
 def has_terminal() -> bool:

@@ -1,10 +1,9 @@
 """A line on the terminal that shows the stage of a step, a bar, and how long it will take."""
 
-import threading
 import time
 
+from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.terminal import has_terminal, is_warp_silent, write_to_terminal
 
 PATIENCE = 2.0  # seconds before a line appears
 _WIDTH = 24
@@ -12,8 +11,6 @@ _WIDTH = 24
 
 class ProgressLine:
     """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
-
-    prefix = ""
 
     def __init__(self, is_quiet: bool) -> None:
         self._is_shown = not is_quiet and has_terminal()
@@ -28,7 +25,7 @@ class ProgressLine:
             self._stage, self._stage_begin = progress.stage, now
         if not self._is_shown or now - self._begin < PATIENCE:
             return
-        self._write(self.prefix + line_of(progress, now - self._stage_begin))
+        self._write(line_of(progress, now - self._stage_begin))
 
     def clear(self) -> None:
         """Clear the line."""
@@ -41,35 +38,6 @@ class ProgressLine:
         self._length = max(self._length, len(text))
         write_to_terminal(f"\r{text:{self._length}}")
         self._length = len(text)
-
-
-class CallLine:
-    """The line of a call of the library, which costs nothing before the call has taken long.
-
-    There is none where Warp is to be silent, and on other threads than the main one, where others may show theirs.
-    Each ``with`` is another call, of which ``progress`` is told.
-    """
-
-    def __init__(self) -> None:
-        self._line: ProgressLine | None = None
-        self.progress = Progress()
-
-    def __enter__(self) -> None:
-        self.progress.show = self.show
-
-    def __exit__(self, *_: object) -> None:
-        self.progress.show = None
-        if self._line is not None:
-            self._line.clear()
-            self._line = None
-
-    def show(self, progress: Progress) -> None:
-        """Rewrite the line, once the call has taken two seconds."""
-        if self._line is None:
-            is_main = threading.current_thread() is threading.main_thread()
-            self._line = ProgressLine(is_quiet=is_warp_silent() or not is_main)
-            self._line.prefix = "ccd_warp: "
-        self._line.show(progress)
 
 
 def line_of(progress: Progress, seconds: float) -> str:
