@@ -100,6 +100,8 @@ class PairSearch:
                 self.buffers.capacity = min(2 * total, self.largest_capacity)
             found = [each for region in regions for each in region.found]
             yield found
+            if pending and not found and num_workers == 1 and capacity == self.largest_capacity:
+                raise MemoryError(f"a block of {WIDTH} boxes overlaps more than {capacity:,} others, the most at a time")
             num_workers = self.num_workers if found else 1
             capacity = min(2 * capacity, self.largest_capacity)
 
