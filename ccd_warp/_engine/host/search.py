@@ -101,7 +101,7 @@ class PairSearch:
             found = [each for region in regions for each in region.found]
             yield found
             if pending and not found and num_workers == 1 and capacity == self.largest_capacity:
-                raise MemoryError(f"a block of {WIDTH} boxes overlaps more than {capacity:,} others, the most at a time")
+                raise MemoryError(f"a block of boxes overlaps more than {capacity:,} others, the most of a batch")
             num_workers = self.num_workers if found else 1
             capacity = min(2 * capacity, self.largest_capacity)
 
