@@ -1,120 +1,187 @@
-"""The tests and all that they need, in parts that can be carried to a machine with a GPU and without a network.
+"""What a machine with a GPU and without a network lacks for the tests, in parts that can be carried there.
 
-    python benchmarks/gpu_pack.py --out packed [--arch 90] [--limit 56] [--packages newton ...]
+    python benchmarks/gpu_pack.py --out packed [--arch 90] [--limit 45] [--python 3.12] [--packages newton ...]
 
-and there, with Python of the same version and processor: ``python3 packed/unpack.py check && sh check/run.sh``. Packed
-are this checkout, the wheels of what the tests use, and every kernel compiled for the GPU, which takes none.
+Packed are every kernel compiled for the GPU, which takes none, and packages; not the checkout. There, in the root of a
+checkout, with all files of the folder: ``python3 packed/unpack.py /tmp/day && sh /tmp/day/run.sh``. It needs ``xz``.
 """
 
 from __future__ import annotations
 
 import argparse
 import hashlib
-import json
+import io
+import math
 import os
 import platform
-import shutil
+import struct
 import subprocess
 import sys
+import tarfile
 import zipfile
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import warp as wp
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.append(str(ROOT / "tests" / "helpers"))
-from cuda_modules import cuda_modules  # noqa: E402
+sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
+from cuda_modules import cuda_modules
 
-PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "numpy", "pytest", "pytest-xdist", "hypothesis")
-RUN = """#!/bin/sh
-# The tests on the GPU; further options are those of pytest, or: sh run.sh times [OPTION …]
-cd "$(dirname "$0")" && export PYTHONPATH="$PWD/site:$PWD" CCD_WARP_CUBINS="$PWD/cubins"
-if [ "$1" = times ]; then shift && exec "${PYTHON:-python3}" benchmarks/gpu_times.py "$@"; fi
-exec "${PYTHON:-python3}" -m pytest --device cuda:0 -n 4 --junitxml=gpu.xml -o faulthandler_timeout=120 "$@"
+PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "python-flint")  # beside NumPy, pytest, xdist, hypothesis
+LEFT_OUT = ("warp/tests/", "warp/examples/", "trimesh/resources/models/")
+RUN = """# In the root of a checkout: the tests on the GPU, then the times, with files in the folder $OUT.
+# `tests` or `times` as the first argument: one of both, and the other arguments are its options.
+here="$(cd "$(dirname "$0")" && pwd)" what="${1:-both}" python="${PYTHON:-python3}" out="${OUT:-.}" status=0
+[ $# = 0 ] || shift
+export PYTHONPATH="$here/site:$PWD" WARP_CACHE_PATH="$here/cache" CCD_WARP_CUBINS="$here/cache"
+export XLA_PYTHON_CLIENT_PREALLOCATE=false
+# Not the tests of the checkout itself, of programs and of pages, nor those that end processes.
+[ "$what" = times ] || timeout -s INT -k 20 300 "$python" -m pytest --device cuda:0 -n 12 -q --tb=short \\
+    -o faulthandler_timeout=60 --junitxml="$out/gpu.xml" --ignore=tests/laws/test_again_after_failure.py \\
+    tests/laws tests/engine tests/kernels tests/calls tests/input "$@" || status=1
+[ "$what" = tests ] || timeout -k 5 210 "$python" benchmarks/gpu_times.py --minutes 3 --output "$out/gpu_times.json" \\
+    "$@" || status=1
+exit $status
 """
-UNPACK = '''"""Puts together the parts that lie beside this file: python3 unpack.py DIR."""
-import hashlib, json, platform, sys, zipfile
+UNPACK = """# Puts together the parts that lie beside this file: python3 unpack.py DIR
+import hashlib, io, lzma, platform, sys, tarfile
 from pathlib import Path
 
-here, into = Path(__file__).resolve().parent, Path(sys.argv[1])
-said = json.loads((here / "parts.json").read_text())
-if [platform.machine(), *sys.version_info[:2]] != said["of"]:
-    sys.exit(f"error: this is {platform.machine()}, Python {platform.python_version()}; expected {said['of']}")
-into.mkdir(parents=True, exist_ok=True)
-with (into / "all.zip").open("wb") as file:
-    for name, digest in said["parts"].items():
-        data = (here / name).read_bytes() if (here / name).is_file() else b""
-        if hashlib.sha256(data).hexdigest() != digest:
-            sys.exit(f"error: {name} is {'damaged' if data else 'missing'}; expected it in {here}")
-        file.write(data)
-with zipfile.ZipFile(into / "all.zip") as archive:
-    archive.extractall(into)
-(into / "all.zip").unlink()
-print(f"unpacked; sh {into / 'run.sh'} runs the tests on the GPU, sh {into / 'run.sh'} times measures it")
-'''
+here, into, data = Path(__file__).resolve().parent, Path(sys.argv[1]), b""
+if [platform.machine(), *sys.version_info[:2]] != OF:
+    sys.exit(f"error: this is {platform.machine()}, Python {platform.python_version()}; expected {OF}")
+for name, digest in PARTS.items():
+    part = (here / name).read_bytes() if (here / name).is_file() else b""
+    if hashlib.sha256(part).hexdigest() != digest:
+        sys.exit(f"error: {name} is {'damaged' if part else 'missing'}; expected it in {here}")
+    data += part
+with lzma.open(io.BytesIO(data)) as xz, tarfile.open(fileobj=xz, mode="r|", ignore_zeros=True) as archive:
+    archive.extractall(into, filter="data")
+print(f"unpacked; sh {into / 'run.sh'} in the root of a checkout runs the tests on the GPU, and measures it")
+"""
 
 
-def compile_for(archs: list[int], folder: Path) -> None:
-    """Compile every module for GPUs, as cubins under the names that Warp looks for; what is there is kept."""
-    wp.config.kernel_cache_dir, wp.config.cuda_output = str(folder), "cubin"
+def compile_for(archs: list[int], folder: Path) -> list[Path]:
+    """The folders of all modules, compiled under the names and hashes that Warp looks for; what is there is kept."""
     wp.init()
+    wp.config.kernel_cache_dir, wp.config.cuda_output = str(folder / wp.config.version), "cubin"
 
-    def compile_one(arch: int, name: str, module: object) -> None:
+    def compile_one(arch: int, name: str, module: object) -> Path:
         block_dim = module.options["block_dim"]
-        module.get_module_hash(block_dim)
+        identifier = module.get_module_identifier(block_dim)
         options = module.resolve_options(wp.config, block_dim=block_dim)
         if module._compile(None, output_arch=arch, use_ptx=False, options=options):
             print(f"{name}, sm_{arch}", flush=True)
+        return Path(wp.config.kernel_cache_dir, identifier)
 
+    # the solvers that take longest begin
+    modules = sorted(cuda_modules(with_distances=True).items(), key=lambda item: " last " not in item[0])
     with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        modules = cuda_modules(with_distances=True).items()
         orders = [pool.submit(compile_one, arch, *each) for arch in archs for each in modules]
-    for order in orders:
-        order.result()
+    return sorted({order.result() for order in orders})
 
 
-def pack(out: Path, packages: list[str], limit: int) -> list[str]:
-    """Write the parts, each of at most so many bytes; returns their names."""
-    shutil.rmtree(out / "wheels", ignore_errors=True)
-    command = [sys.executable, "-m", "pip", "download", "--only-binary", ":all:", "--dest", str(out / "wheels")]
-    subprocess.run([*command, *packages], check=True)
-    with zipfile.ZipFile(out / "all.zip", "w", zipfile.ZIP_LZMA) as archive:
-        for wheel in sorted((out / "wheels").glob("*.whl")):
-            with zipfile.ZipFile(wheel) as inside:
-                for name in inside.namelist():
-                    archive.writestr(f"site/{name}", inside.read(name))
-        tracked = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-        for name in tracked.splitlines():
-            archive.write(ROOT / name, name)
-        for path in sorted((out / "cubins").rglob("*.*")):
-            if path.is_file() and path.suffix != ".cu":
-                archive.write(path, path.relative_to(out))
-        archive.writestr("run.sh", RUN)
-    parts = {}
-    with (out / "all.zip").open("rb") as file:
-        while data := file.read(limit):
-            name = f"part.{len(parts):02d}"
-            (out / name).write_bytes(data)
-            parts[name] = hashlib.sha256(data).hexdigest()
-    (out / "all.zip").unlink()
-    of = [platform.machine(), *sys.version_info[:2]]
-    (out / "parts.json").write_text(json.dumps({"of": of, "parts": parts}))
-    (out / "unpack.py").write_text(UNPACK)
-    return list(parts)
+def code_for_gpus(library: bytes) -> Iterator[tuple[int, int, slice]]:
+    """Kind (2 is code, 1 PTX), architecture and place of all that a library of ELF has for GPUs.
+
+    Its section .nv_fatbin is a row of containers (magic, version, size of the header and of the rest), each a row of
+    entries (kind, version, sizes of header and data, and from byte 28 on the architecture).
+    """
+    (table,), (size, count, of_names) = struct.unpack_from("<Q", library, 40), struct.unpack_from("<3H", library, 58)
+    sections = [struct.unpack_from("<IIQQQQ", library, table + k * size) for k in range(count)]
+    for name, _, _, _, position, length in sections:
+        end = position + length if library.startswith(b".nv_fatbin\0", sections[of_names][4] + name) else 0
+        while position < end:
+            magic, _, header, length = struct.unpack_from("<IHHQ", library, position)
+            if magic != 0xBA55ED50:  # of what fills up to a multiple of 8
+                position += 8
+                continue
+            entry, position = position + header, position + header + length
+            while entry < position:
+                kind, _, header, length, arch = struct.unpack_from("<HHIQ12xI", library, entry)
+                yield kind, arch, slice(entry + header, entry + header + length)
+                entry += header + length
+
+
+def for_these_gpus(library: bytes, archs: list[int]) -> bytes:
+    """The library with zeros for what runs on other GPUs alone; as it is if it has no code for one of these."""
+    data, wanted, code = bytearray(library), {arch // 10 for arch in archs}, list(code_for_gpus(library))
+    if wanted <= {arch // 10 for kind, arch, _ in code if kind == 2}:
+        for kind, arch, place in code:
+            if kind != 2 or arch // 10 not in wanted:
+                data[place] = bytes(place.stop - place.start)
+    return bytes(data)
+
+
+def of_packages(packages: list[str], archs: list[int], python: str, folder: Path) -> Iterator[tuple[str, bytes]]:
+    """Names and bytes of what wheels of packages hold, without those that they need."""
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--only-binary", ":all:"]
+    subprocess.run([*command, "--python-version", python, "--dest", str(folder), *packages], check=True)
+    for path in sorted(folder.glob("*.whl")):
+        with zipfile.ZipFile(path) as wheel:
+            for name in wheel.namelist():
+                if not name.startswith(LEFT_OUT) and not name.endswith("/"):
+                    data = wheel.read(name)
+                    yield f"site/{name}", for_these_gpus(data, archs) if name == "warp/bin/warp.so" else data
+
+
+def of_caches(compiled: list[Path], kept: Path | None) -> Iterator[tuple[str, bytes]]:
+    """Names and bytes of the script, of what is compiled, and of what a cache has for the CPU."""
+    yield "run.sh", RUN.encode()
+    for path in sorted(path for folder in compiled for path in folder.iterdir() if path.suffix != ".cu"):
+        yield f"cache/{path.relative_to(path.parents[2])}", path.read_bytes()
+    for path in sorted(kept.rglob("*")) if kept else ():
+        of_cpu = path.suffix in (".o", ".meta") and path.parent.name.startswith("wp_ccd_warp")
+        if of_cpu or path.parent.name == "ccd_warp_answers":
+            yield f"cache/{path.relative_to(kept)}", path.read_bytes()
+
+
+def compress(path: Path, files: Iterator[tuple[str, bytes]]) -> None:
+    """Write an archive, which is there when it is complete."""
+    options = ("--format=xz", "--x86", "--lzma2=preset=6,dict=64MiB", "--threads=0", "--block-size=128MiB")
+    with path.with_suffix(".new").open("wb") as out, subprocess.Popen(["xz", *options], stdin=-1, stdout=out) as xz:
+        with tarfile.open(fileobj=xz.stdin, mode="w|") as archive:
+            for name, data in files:
+                about = tarfile.TarInfo(name)
+                about.size = len(data)
+                archive.addfile(about, io.BytesIO(data))
+        xz.communicate()
+    if xz.returncode:
+        raise OSError(f"xz ended with {xz.returncode}")
+    path.with_suffix(".new").rename(path)
 
 
 def main() -> None:
     """Compile, download and pack."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, required=True, help="folder; what is compiled there already is kept")
-    parser.add_argument("--arch", type=int, nargs="*", default=[90], help="GPUs of the kernels (90); none without")
-    parser.add_argument("--packages", nargs="+", default=[], help="beside those of the tests, as newton or torch")
-    parser.add_argument("--limit", type=float, default=56.0, help="MiB of a part (56)")
+    parser.add_argument("--out", type=Path, required=True, help="folder; what was made there before is kept")
+    parser.add_argument("--arch", type=int, nargs="+", default=[90], help="GPUs of the kernels (90)")
+    parser.add_argument("--python", default="3.12", help="Python of that machine (3.12)")
+    parser.add_argument(
+        "--packages", nargs="+", default=[], help="beside those of the tests; what they need is not added"
+    )
+    parser.add_argument("--limit", type=float, default=45.0, help="MiB of a part (45)")
+    parser.add_argument("--kept", type=Path, help="a kernel cache: with what is compiled for the CPU and kept there")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
-    compile_for(given.arch, given.out / "cubins")
-    print(*pack(given.out, [*PACKAGES, *given.packages], int(given.limit * 2**20)), f"in {given.out}")
+    out = given.out.resolve()
+    compiled = compile_for(given.arch, out / "cubins")
+    packages = ([*PACKAGES, *given.packages], given.arch, given.python)
+    named = out / hashlib.sha256(str(packages).encode()).hexdigest()[:8]
+    if not (site := named.with_suffix(".xz")).exists():
+        compress(site, of_packages(*packages, named))
+    compress(out / "caches.xz", of_caches(compiled, given.kept))
+    data, parts = site.read_bytes() + (out / "caches.xz").read_bytes(), {}
+    size = math.ceil(len(data) / math.ceil(len(data) / (given.limit * 2**20)))
+    for old in out.glob("part.*"):
+        old.unlink()
+    for begin in range(0, len(data), size):
+        name, part = f"part.{len(parts)}", data[begin : begin + size]
+        (out / name).write_bytes(part)
+        parts[name] = hashlib.sha256(part).hexdigest()
+    of = [platform.machine(), *map(int, given.python.split("."))]
+    (out / "unpack.py").write_text(f"OF, PARTS = {of}, {parts}\n{UNPACK}")
+    print(*parts, f"and unpack.py in {given.out}: {len(data) / 2**20:.1f} MiB")
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,6 +25,7 @@ import warp as wp
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
 from hard_cases import FAMILIES
+from machine import processor
 from scenes import bodies_through_each_other, cloth_over_sphere, crumpled_cloth, ground_under_cloth, long_step, pile
 
 import ccd_warp as ccd
@@ -41,7 +42,6 @@ SCENES: dict[str, Callable[[], Any]] = {
 }
 QUICK: dict[str, Callable[[], Any]] = {"cloth": partial(cloth_over_sphere, 400), "pile": partial(pile, 8, 48)}
 PRECISIONS, BROAD_PHASES = ("float64", "float32"), ("tree", "hash")
-BLOCK_DIMS = (None, 32, 64, 128, 256)  # threads a block: what kernels ask for, and others
 CALLS = ("mesh_ccd", "collision_free_step", "find_candidates")
 _DIFFERENT = 100_000  # queries that are different; the others are copies of them at other places in memory
 
@@ -145,18 +145,6 @@ def launches(clock: Clock, scenes: dict[str, Callable[[], Any]]) -> Iterator[dic
             yield row
 
 
-@contextmanager
-def launched_with(block_dim: int | None) -> Iterator[None]:
-    """Let every launch within have a number of threads a block, its own if None."""
-    launch = wp.launch
-    if block_dim is not None:
-        wp.launch = lambda *arguments, **options: launch(*arguments, **{**options, "block_dim": block_dim})
-    try:
-        yield
-    finally:
-        wp.launch = launch
-
-
 def points_of(kind: str, touching: bool, count: int, device: Any) -> list[wp.array]:
     """Queries that touch, or of which the first direction proves that they do not; copies of some different ones."""
     found = []
@@ -175,27 +163,20 @@ def points_of(kind: str, touching: bool, count: int, device: Any) -> list[wp.arr
 
 
 def queries(clock: Clock, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:
-    """Queries of both kinds, touching or not, in both precisions, by threads a block."""
+    """Queries of both kinds, touching or not, in both precisions."""
     solve = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
     for kind in solve:
         for touching in (True, False):
             for count in counts:
                 arrays = points_of(kind, touching, count, clock.device)
                 for precision in PRECISIONS:
-                    for block_dim in BLOCK_DIMS if clock.device.is_cuda else (None,):
-                        print(f"{count:,} {kind} {precision}, {block_dim or 'own'} threads a block …", flush=True)
-                        call = partial(solve[kind], *arrays, precision=precision, length_scale=1.0)
-                        with launched_with(block_dim):
-                            seconds = clock.events(call)
-                            kernels = sum(clock.kernels(call).values())  # without what the host does in between
-                        row: dict[str, Any] = {
-                            "queries": count,
-                            "kind": kind,
-                            "touching": touching,
-                            "precision": precision,
-                        }
-                        row |= {"block_dim": block_dim, "seconds": seconds, "kernels": kernels}
-                        yield row | {"queries_a_second": count / (kernels or seconds)}
+                    print(f"{count:,} {kind} {precision} …", flush=True)
+                    call = partial(solve[kind], *arrays, precision=precision, length_scale=1.0)
+                    seconds = clock.events(call)
+                    kernels = sum(clock.kernels(call).values())  # without what the host does in between
+                    row = {"queries": count, "kind": kind, "touching": touching, "precision": precision}
+                    row |= {"seconds": seconds, "kernels": kernels}
+                    yield row | {"queries_a_second": count / (kernels or seconds)}
 
 
 def first(clock: Clock, counts: tuple[int, ...]) -> Iterator[dict[str, Any]]:
@@ -258,7 +239,8 @@ def main(arguments: list[str] | None = None) -> int:
     }
     is_different = False
     with given.output.open("w", encoding="utf-8") as file:
-        about = {"device": clock.device.name, "arch": clock.device.arch, "warp": wp.config.version}
+        about = {"device": clock.device.name, "arch": clock.device.arch, "warp": wp.config.version, **processor()}
+        about |= {"cuda": wp.get_cuda_driver_version() if clock.device.is_cuda else None, "date": f"{date.today()}"}
         file.write(json.dumps(about) + "\n")
         for name in given.only:
             for row in rows[name]:

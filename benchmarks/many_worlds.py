@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import scenes
 import warp as wp
-from device_step import worlds as sheets_and_balls
 from timing import figures, interleaved
 
 import ccd_warp as ccd
@@ -34,6 +33,22 @@ def balls_and_walls(count: int, share: float = 1.0) -> _Frames:
     end = start.copy()
     end[:, : len(ball), 0] += np.where(rng.random(count) < share, 2.0, 0.2)[:, None]
     return mesh.replicate(count), start.reshape(-1, 3), end.reshape(-1, 3)
+
+
+def sheets_and_balls(count: int) -> _Frames:
+    """Worlds of a sheet of 32 faces above a ball of 80 faces, which some of the sheets hit."""
+    sheet, faces = scenes.grid(5, 5, 1.0, 1.0)
+    ball, ball_faces = scenes.sphere(80, 0.3)
+    size = len(sheet) + len(ball)
+    mesh = ccd.CollisionMesh.from_arrays(
+        [(sheet, faces), (ball, ball_faces)] * count,
+        static=range(1, 2 * count, 2),
+        vertex_world=np.repeat(np.arange(count), size),
+    )
+    start = np.tile(np.concatenate([sheet + [0.01, 0.02, 0.5], ball]), (count, 1))
+    end = start.copy()
+    end[mesh.moving_vertices, 2] -= np.repeat(np.random.default_rng(0).uniform(0.0, 0.4, count), len(sheet))
+    return mesh, start, end
 
 
 def unequal_worlds(count: int) -> _Frames:
@@ -57,7 +72,7 @@ SCENES: dict[str, Callable[[int], _Frames]] = {
     "ball before a wall": balls_and_walls,
     "the same, a third meet": lambda count: balls_and_walls(count, 1 / 3),
     "the same, none meets": lambda count: balls_and_walls(count, 0.0),
-    "sheet over a ball": lambda count: sheets_and_balls(count)[1:],
+    "sheet over a ball": sheets_and_balls,
     "balls of many sizes": unequal_worlds,
 }
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import broad_phases
 import checkout  # noqa: F401
-import device_step
 import gradients
 import many_worlds
 import numpy as np
@@ -165,9 +164,6 @@ class Run:
 
     def separation(self) -> Rows:
         yield from separation.measure(separation.NUM_FACES)
-
-    def device_step(self) -> Rows:
-        yield from device_step.measure_all(self.devices[-1])
 
     def gradients(self) -> Rows:
         for scene in gradients.all_scenes(0.1 if self.is_quick else 1.0):

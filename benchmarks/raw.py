@@ -32,6 +32,8 @@ def _save(table: pd.DataFrame, path: Path) -> None:
 def read(folder: Path, part: str) -> pd.DataFrame:
     """The rows of a part, none where it was not measured."""
     path = folder / f"{part}.csv"
+    if (lines := path.with_suffix(".json")).is_file():  # of gpu_times.py: the machine, and a line a measurement
+        return pd.read_json(lines, lines=True)
     return pd.read_csv(path, keep_default_na=False, na_values=[""]) if path.is_file() else pd.DataFrame()
 
 

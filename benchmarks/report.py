@@ -315,13 +315,61 @@ def separation(folder: Path) -> list[str]:
     return table_of(pd.DataFrame(columns))
 
 
-def device_step(folder: Path) -> list[str]:
-    rows = raw.read(folder, "device_step")
-    columns = {"scene": rows.scene} | {name: counted(rows[name]) for name in ("vertices", "pairs", "contacts")}
-    names = {"mesh_ccd": "`mesh_ccd`", "launch": "`launch`", "replay": "in a graph"}
-    names["line search"] = "`launch_line_search`, by vertex"
-    columns |= {header: rows[f"seconds.{name}"].map(time_text) for name, header in names.items()}
+def gpu_launches(folder: Path) -> list[str]:
+    """Launches of scenes on a GPU and on the CPU beside it, with the kernels that take longest."""
+    rows, code = raw.read(folder, "gpu_times"), raw.read(folder, "cuda_code")
+    rows = rows[rows.scene.notna()].assign(is_cpu=lambda r: r.device == "cpu")
+    stages = code[code.kernel == "solve_pairs"].set_index("hash").module.str.split().str[2]
+
+    def shares(kernels: dict[str, float]) -> str:
+        parts = [(name.rpartition("_")[::2], seconds / sum(kernels.values())) for name, seconds in kernels.items()]
+        named = [(f"`{short.split('__')[-1]}` {stages.get(key, '')}".strip(), part) for (short, key), part in parts]
+        return ", ".join(f"{name} {100 * part:.0f} %" for name, part in named if part >= 0.08)
+
+    on_cpu = rows[rows.is_cpu].set_index("scene")[["launch", "mesh_ccd"]].add_prefix("cpu ")
+    rows = rows[~rows.is_cpu].join(on_cpu, on="scene")
+    columns = {"scene": rows.scene, "pairs": counted(rows.pairs), "broad phase": rows.broad_phase}
+    columns |= {"`launch`": rows.launch.map(time_text), "in a graph": rows.replay.map(time_text)}
+    columns |= {"its kernels": rows.kernels.map(shares), "`launch` on the CPU": rows["cpu launch"].map(time_text)}
+    columns |= {
+        f"`mesh_ccd`{of}": rows[f"{key}mesh_ccd"].map(time_text)
+        for of, key in ((" there", ""), (" on the CPU", "cpu "))
+    }
     return table_of(pd.DataFrame(columns))
+
+
+def gpu_queries(folder: Path) -> list[str]:
+    rows = raw.read(folder, "gpu_times")
+    rows = rows[rows.queries.notna()]
+    rates = rows.assign(
+        count=counted(rows.queries) + " queries", rate=(rows.queries_a_second / 1e9).map("{:.3f}".format)
+    )
+    rates["ends"] = rates.touching.map({1: "touch", 0: "freed by the first test"})
+    table = rates.pivot_table(
+        index=["kind", "ends", "precision"], columns="count", values="rate", aggfunc="first", sort=False
+    )
+    return table_of(table.add_suffix(" [G/s]").reset_index().rename(columns={"ends": "queries that"}))
+
+
+def gpu_first(folder: Path) -> list[str]:
+    rows = raw.read(folder, "gpu_times")
+    rows = rows[rows.worlds.notna()]
+    calls = {name: rows[name].map(time_text) for name in ("reserve", "first launch", "launch", "first line search")}
+    return table_of(pd.DataFrame({"worlds of 400 faces": counted(rows.worlds), **calls}))
+
+
+def cuda_code(folder: Path) -> list[str]:
+    """What solvers keep on the stack, and what the driver reserves for it on 132 multiprocessors of 2,048 threads."""
+    rows = raw.read(folder, "cuda_code")
+    rows = rows.join(rows.module.str.extract(r"queued_pairs (?P<solver>\w+ \w+ \w+) ?(?P<norm>\w*)"))
+    table = rows.fillna({"norm": ""}).pivot_table(index="solver", columns="norm", values="stack", sort=False)
+    most = counted(table.max(axis=1) * 132 * 2048 / 1e6) + " MB"
+    table = (
+        table[sorted(table, key=len)]
+        .map(lambda stack: "–" if pd.isna(stack) else f"{stack:,.0f}")
+        .assign(reserved=most)
+    )
+    return table_of(table.rename(columns={"": "maximum"}).reset_index())
 
 
 def gradients(folder: Path) -> list[str]:
@@ -350,7 +398,10 @@ def measured(folder: Path) -> list[str]:
 TABLES: dict[str, tuple[Callable[[Path], list[str]], str]] = {
     "speed": (speed, "sweep"),
     "by tolerance": (by_tolerance, "sweep"),
-    "steps on the device": (device_step, "device_step"),
+    "launches on a GPU": (gpu_launches, "gpu_times"),
+    "queries on a GPU": (gpu_queries, "gpu_times"),
+    "first calls on a GPU": (gpu_first, "gpu_times"),
+    "stack of kernels": (cuda_code, "cuda_code"),
     "what gradients cost": (gradients, "gradients"),
     "measured": (measured, raw.RUNS),
     "methods": (methods, raw.RUNS),

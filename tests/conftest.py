@@ -50,6 +50,10 @@ def pytest_sessionstart(session):
         raise pytest.UsageError(f"--device is {name!r}; expected emulated or one of {', '.join(names)}")
     wp.set_device(name)
     trees._BUSY_WARPS = 8  # so that the small scenes of the tests are searched as large ones are, by warps of 1 to 16
+    if wp.get_device().is_cuda:
+        from uploads import upload_to_launches
+
+        upload_to_launches()
 
 
 def pytest_sessionfinish():

@@ -12,7 +12,7 @@ from ccd_warp._gradients.given import Given
 from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.structs import dtypes_of, struct_of
-from ccd_warp.kernels.step import attained, regularity, toi_adjoint, toi_slope
+from ccd_warp.kernels.gradients import attained, regularity, toi_adjoint, toi_slope
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -179,7 +179,7 @@ class Attaining:
         """Add what the contacts contribute to the gradients of the input."""
         mesh, form = self._topology.mesh, given.form
         if form.real not in self._rows:
-            self._rows[form.real] = specialised("step.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
+            self._rows[form.real] = specialised("gradients.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
         moving_row = self._check.step.contact_arrays.moving_row("gradients")
         inputs = [self._pairs, 4 * self.num_rows, self._slopes, mesh.num_vertices, moving_row]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex), int(form.is_displacement)]

@@ -9,7 +9,7 @@ import warp as wp
 from ccd_warp._engine.host.contacts import new_contact_list
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.structs import struct_of
-from ccd_warp.kernels.step import attained
+from ccd_warp.kernels.gradients import attained
 
 _CONTACT_COLUMNS = ("count", "kind", "primitives", "toi", "status")
 _MOST_UNUSED = 4  # as many as most line searches have passes

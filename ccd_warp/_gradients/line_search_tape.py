@@ -14,7 +14,7 @@ from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._results.device_results import TOIS, LaunchResult
 from ccd_warp._runtime.tape import active_tape
 from ccd_warp._scene.mesh import CollisionMesh
-from ccd_warp.kernels.step import ordered_sums, regularity
+from ccd_warp.kernels.gradients import ordered_sums, regularity
 from ccd_warp.kernels.template import specialised
 
 _CHUNK = 256  # vertices whose contributions one item adds
@@ -96,7 +96,7 @@ class TapedLineSearch:
         topology = self._step.topology
         gradients = self._given.gradients(topology)
         vertex_rating, all_found = self._rated()
-        kernels = specialised("step.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
+        kernels = specialised("gradients.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
         moving = topology.moving_vertices
         inputs = [moving, vertex_rating, int(self._form.t1_by_vertex)]
         self._step.repeated.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
@@ -133,7 +133,7 @@ class TapedLineSearch:
         """Turn the gradient of the end of a pass into that of its begin; returns that by the toi of each group."""
         topology, form, groups = self._step.topology, self._form, self._step.groups[per]
         launch, moving = self._step.repeated.launch, topology.moving_vertices
-        kernels = specialised("step.shorten_adjoint", real=form.real, dimension=topology.mesh.dimension)
+        kernels = specialised("gradients.shorten_adjoint", real=form.real, dimension=topology.mesh.dimension)
         of_fraction, of_chunk, of_toi = (
             wp.empty(n, dtype=wp.float64, device=topology.device)
             for n in (len(moving), groups.num_chunks, groups.num_groups)

@@ -9,7 +9,7 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.tape import active_tape
-from ccd_warp.kernels.step import toi_slope
+from ccd_warp.kernels.gradients import toi_slope
 from ccd_warp.kernels.template import specialised
 
 
@@ -36,7 +36,7 @@ def record_pairs(
     inputs = [touch.query(is_planar=is_planar), int(kind), struct_of(toi_slope.Table, columns)]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
     result.toi.requires_grad = True
-    kernels = specialised("step.toi_adjoint_points", dimension=2 if is_planar else 3)
+    kernels = specialised("gradients.toi_adjoint_points", dimension=2 if is_planar else 3)
     dtype = wp.vec2d if is_planar else wp.vec3d
     wanting = [array if array.requires_grad else None for array in given]
 

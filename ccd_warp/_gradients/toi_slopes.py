@@ -15,7 +15,7 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import default_num_threads
-from ccd_warp.kernels.step import toi_slope
+from ccd_warp.kernels.gradients import toi_slope
 
 # Tangents of arcs at toi, which lead to the root at twice the digits each.
 _MOST_TANGENTS = 8

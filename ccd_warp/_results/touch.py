@@ -51,7 +51,8 @@ class Touch:
         Raises:
             ValueError: If the distance of a pair follows from its start.
         """
-        from ccd_warp.kernels.step import pair_gap, toi_slope  # loaded by those who ask for gradients
+        from ccd_warp.kernels.gradients import toi_slope  # loaded by those who ask for gradients
+        from ccd_warp.kernels.step import pair_gap
 
         if self.start_gap_share > 0.0:
             raise ValueError(

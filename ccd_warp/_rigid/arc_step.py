@@ -21,7 +21,7 @@ from ccd_warp._rigid.arcs import Arcs
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.launch import Recording
-from ccd_warp.kernels.step import shorten_paths as kernels
+from ccd_warp.kernels.rigid import shorten_paths as kernels
 
 _ALL_FLAGS = -1
 

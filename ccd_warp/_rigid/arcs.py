@@ -12,7 +12,7 @@ from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
-from ccd_warp.kernels.step import place_bodies as kernels
+from ccd_warp.kernels.rigid import place_bodies as kernels
 
 _COLUMNS = dtypes_of(kernels.BodyPaths)
 

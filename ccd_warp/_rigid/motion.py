@@ -31,7 +31,7 @@ from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._scene.input.arguments import check_choice, check_instance, shown
 from ccd_warp._scene.mesh import CollisionMesh
 
-# Radians in a step: what is proved of sine and cosine holds below (`kernels.step.place_bodies`), and a slice takes 0.2.
+# Radians in a step: what is proved of sine and cosine holds below (`rigid.place_bodies`), and a slice takes 0.2.
 _LARGEST_TURN = 1e6
 
 

@@ -2,7 +2,7 @@
 
 A part has a sphere and a box in the frame of its body, which go with it (`part_trees`). Two parts cannot touch in a
 slice if in the middle of it they are farther apart than their points can come nearer in half of it (`_body_sweeps`).
-Trees of the parts of two bodies are tested from the top (`kernels.search.near_parts`).
+Trees of the parts of two bodies are tested from the top (`kernels.rigid.near_parts`).
 """
 
 from __future__ import annotations
@@ -168,7 +168,7 @@ class NearParts:
         self, swept: BodySweeps, reach: float, execution: Execution, capacity: int
     ) -> tuple[list[NDArray[Any]], int]:
         """The pairs in some slices, and the capacity for them from now on."""
-        from ccd_warp.kernels.search import near_parts as kernels  # few programs need it
+        from ccd_warp.kernels.rigid import near_parts as kernels  # few programs need it
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=execution.device, copy=execution.is_cuda)
@@ -236,7 +236,7 @@ class NearParts:
     def _trees_on(self, device: Any) -> Any:
         """The trees on a device."""
         if str(device) not in self._on_device:
-            from ccd_warp.kernels.search import near_parts as kernels
+            from ccd_warp.kernels.rigid import near_parts as kernels
 
             trees = self._trees
             arrays = {

@@ -107,7 +107,7 @@ below are in the normalised units of step 2.
    points is turned: products with factors below 1, cross products and sums, 12u of the difference, and a sum of u·M:
    FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS. A gap
    beyond the separation of chords gets twice what was added to that: it was not asked for, and arcs may bend away.
-18. **Bodies on arcs** (`kernels.step.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
+18. **Bodies on arcs** (`kernels.rigid.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
    begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
    `BodyPaths` states for p is 2u·P; on all axes 6·√3 u·P, PLACE_POSITION = 24 with v of a linear path, which is off by
    4u·(2P) at most. Of a screw v is off by 16u·(|v| + T), T the length of u, as it has the direction of ω, and what u

@@ -25,7 +25,8 @@ _ONE = wp.constant(wp.uint32(1))
 
 cull = specialised("search.cull", is_thick=is_thick)
 module = wp.get_module(f"ccd_warp.candidate_cull{'.thick' if is_thick else ''}")
-# 128 registers: sixteen warps fit on a multiprocessor, and small blocks bring few candidates to all of them
+# 156 registers: twelve warps fit on a multiprocessor (sixteen with 128, which spill 64 bytes), and small blocks bring
+# few candidates to all of them
 wp.set_module_options({"enable_backward": False, "fuse_fp": False, "block_dim": 64}, module=module)
 
 

@@ -287,7 +287,7 @@ def test_who_asks_for_what_has_no_gradient_is_told_why():
         (lambda: shared.launch(*ends), "expected 'hold' or None for gradients"),
         (lambda: shared.launch_line_search(*ends), "expected 'hold' or None for gradients"),
         (lambda: pipeline.launch_line_search(ends[0], without), "vertices_t1 does not require a gradient"),
-        (lambda: pipeline.mesh_ccd(*ends), "vertices_t0 requires a gradient"),
+        (lambda: pipeline.mesh_ccd(*(x.to("cpu") for x in ends)), "vertices_t0 requires a gradient"),
         (lambda: pipeline.launch_proximity(ends[0], 0.1), f"positions requires a gradient .* {none}"),
         (lambda: pipeline.launch_displacement_bounds(ends[0], 0.1), f"positions requires a gradient .* {none}"),
         (lambda: thick.launch_proximity(without, 0.1), f"radius requires a gradient .* {none}"),

@@ -9,7 +9,7 @@ from ccd_warp.kernels.boxes.lanes import vec8f
 from ccd_warp.kernels.narrow_phase.sinks import Table
 from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_warp, latest
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
-from ccd_warp.kernels.search.search_types import SearchOptions
+from ccd_warp.kernels.search.search_types import LIST, SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
@@ -104,6 +104,28 @@ def test_half_warps_claim_one_place_for_each_of_their_lanes():
     lane, k = np.arange(16)[:, None], np.arange(8)
     expected = np.where(is_set[:, :, None], (7 * lane + 5 * k) % 16, 100).min(axis=1)
     assert np.array_equal(least.numpy(), np.repeat(expected, 16, axis=0))
+
+
+search_warp = specialised("search.search_warp", end=LIST, in_warps=True)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def claim_threads(is_set: Ints, rows: Rows, owner: Ints):
+    """Some threads of each warp claim places."""
+    thread = wp.tid()
+    threads = search_warp.threads_where(is_set[thread] != 0)
+    if threads != wp.uint32(0):
+        n = search_warp.claim_for(threads, rows, 2, 1)
+        if is_set[thread] != 0:
+            owner[wp.int32(n)] = thread
+
+
+def test_warps_claim_one_place_for_each_of_some_threads():
+    is_set = np.random.default_rng(2).random(2048) < np.repeat(np.linspace(0, 1, 64), 32)
+    rows, owner = array(np.zeros((4, 8)), wp.int64), array(np.full(is_set.sum(), -1), wp.int32)
+    launch(claim_threads, 2048, [array(is_set, wp.int32), rows, owner], block_dim=64)
+    assert rows.numpy()[2, 1] == is_set.sum() == rows.numpy().sum()
+    assert np.array_equal(np.sort(owner.numpy()), np.flatnonzero(is_set))
 
 
 @wp.kernel(enable_backward=False, module="unique")

@@ -46,9 +46,9 @@ def test_every_call_takes_positions_with_an_axis_of_worlds_and_launches_write_th
     real = np.float32 if make.endswith(("f", "32")) else np.float64
     start, end = start.astype(real), end.astype(real)
 
-    def array(x):
+    def array(x, device="cpu"):
         dtype = {"warp float64": wp.float64, "warp vec3d": wp.vec3d, "warp vec3f": wp.vec3f}.get(make)
-        return wp.array(x, dtype=dtype) if dtype else x.tolist() if make == "list" else x.copy()
+        return wp.array(x, dtype=dtype, device=device) if dtype else x.tolist() if make == "list" else x.copy()
 
     alone, flat = ccd.mesh_ccd(one, start[0], end[0]), [x.reshape(-1, 3) for x in (start, end)]
     expected = ccd.mesh_ccd(mesh, *flat)
@@ -60,13 +60,14 @@ def test_every_call_takes_positions_with_an_axis_of_worlds_and_launches_write_th
     assert np.array_equal(searched, ccd.line_search(mesh, *flat, per="world").vertices)
     if make == "list":
         return  # launches take arrays alone
-    pipeline, wished = ccd.CollisionPipeline(mesh), array(end)
+    pipeline, there = ccd.CollisionPipeline(mesh), lambda x: array(x, None)
+    wished = there(end)
     pipeline.reserve(vertices=start)
     for t1 in (end, end[:, :25]):
-        assert np.array_equal(pipeline.launch(array(start), array(t1)).world_toi.numpy(), expected.world_toi)
-    moved = pipeline.launch(array(start), displacements=array(end - start)).world_toi.numpy()
+        assert np.array_equal(pipeline.launch(there(start), there(t1)).world_toi.numpy(), expected.world_toi)
+    moved = pipeline.launch(there(start), displacements=there(end - start)).world_toi.numpy()
     assert np.isfinite(moved).tolist() == [True, True, False, False]
-    pipeline.launch_line_search(array(start), wished, per="world")
+    pipeline.launch_line_search(there(start), wished, per="world")
     shortened = (wished.numpy() if isinstance(wished, wp.array) else wished).reshape(end.shape)
     assert (shortened[:2, :25, 2] > end[:2, :25, 2]).all() and np.array_equal(shortened[2:], end[2:])
 

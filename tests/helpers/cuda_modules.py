@@ -13,10 +13,11 @@ import warp as wp
 _FILES = [
     *("boxes.boxes", "boxes.box_tree", "boxes.rest_order", "boxes.body_boxes", "boxes.body_frames"),
     *("boxes.half_warp_tree", "boxes.box_groups", "boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
-    *("step.contacts", "step.device_step", "step.contact_place", "step.place_bodies", "step.shorten_paths"),
-    *("step.toi_slope", "step.attained", "step.toi_adjoint", "step.ordered_sums", "step.regularity"),
+    *("step.contacts", "step.device_step", "step.contact_place", "rigid.place_bodies", "rigid.shorten_paths"),
+    *("gradients.toi_slope", "gradients.attained", "gradients.toi_adjoint", "gradients.ordered_sums"),
+    *("gradients.regularity", "rigid.near_parts"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
-    *("at_one_time.device_hold", "at_one_time.start_holds", "search.near_parts"),
+    *("at_one_time.device_hold", "at_one_time.start_holds"),
 ]
 
 
@@ -42,8 +43,9 @@ def cuda_modules(with_distances: bool = False, reals: tuple[type, ...] = (wp.flo
             name = f"{real.__name__} {dimension}"
             parameters = {"real": real, "dimension": dimension}
             modules[f"input_rows {name}"] = specialised("step.input_rows", **parameters).read_moving.module
-            modules[f"toi_adjoint_rows {name}"] = specialised("step.toi_adjoint_rows", **parameters).add_rows.module
-            modules[f"shorten_adjoint {name}"] = specialised("step.shorten_adjoint", **parameters).shorten_back.module
+            of_rows = specialised("gradients.toi_adjoint_rows", **parameters).add_rows
+            of_shortened = specialised("gradients.shorten_adjoint", **parameters).shorten_back
+            modules |= {f"toi_adjoint_rows {name}": of_rows.module, f"shorten_adjoint {name}": of_shortened.module}
             modules[f"contact_points {name}"] = specialised("step.contact_points", **parameters).fill_points.module
         norms = [MAXIMUM_NORM]
         if with_distances:
@@ -60,7 +62,7 @@ def cuda_modules(with_distances: bool = False, reals: tuple[type, ...] = (wp.flo
     for shape, norm in shapes.items():
         modules[f"measure_pairs {shape}"] = specialised("at_one_time.measure_pairs", norm=norm).measure_pairs.module
     for dimension in (2, 3):
-        points = specialised("step.toi_adjoint_points", dimension=dimension)
+        points = specialised("gradients.toi_adjoint_points", dimension=dimension)
         modules[f"toi_adjoint_points {dimension}"] = points.add_points.module
     modules["candidate_cull"] = specialised("search.candidate_cull").cull_candidates.module
     if with_distances:

@@ -1,9 +1,13 @@
-"""Programs in processes of their own, forked from one that has done what takes each of them most of its time."""
+"""Programs in processes of their own, forked from one that has done what takes each of them most of its time.
+
+CUDA does not outlive a fork: on a GPU they begin anew, and what is forked has none.
+"""
 
 import multiprocessing
 import os
 import re
 import runpy
+import subprocess
 import sys
 import traceback
 from contextlib import redirect_stdout, suppress
@@ -39,6 +43,7 @@ def _run(folder: Path, *arguments: str) -> int:
 
 def _serve(asked) -> None:
     """Fork a process for each program, where `import ccd_warp` has ended, and kernels of common calls are loaded."""
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
     with redirect_stdout(StringIO()), suppress(Exception):  # which the test of that page tells of
         for code, _ in BLOCK.findall(README.read_text(encoding="utf-8")):
             exec(code, {})
@@ -52,8 +57,19 @@ def _serve(asked) -> None:
         asked.send(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 
-def programs():
-    """Yields a function that runs `python ARGUMENTS` in a folder: its status and output."""
+def _begun(folder, *arguments):
+    """What `python ARGUMENTS` does in a folder, in a process that is begun for it: its status and output."""
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    command = [sys.executable, *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout, done.stderr
+
+
+def programs(device):
+    """Yields a function that runs `python ARGUMENTS` in a folder, for tests on a device: its status and output."""
+    if device.startswith("cuda"):
+        yield _begun
+        return
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()
     server = processes.Process(target=_serve, args=(theirs,), daemon=True)

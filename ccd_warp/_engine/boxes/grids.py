@@ -173,7 +173,7 @@ def _sort_and_fill_places(
         launcher.call(lambda g=grid, n=count: _radix_sort(g, n))  # type: ignore[misc]
         num_buckets = len(grid.cells.bucket_begin)
         launcher.launch(hash_grid.find_buckets, num_buckets, [only_if, grid.buckets, count], [cells])
-        inputs = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
+        inputs: list[Any] = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
         launcher.launch(hash_grid.fill_places, places, inputs, [boxes, cells])
         inputs = [only_if, vertex_aabbs, primitives.num_corners]
         launcher.launch(half_warp_tree.fill_leaves, places * arrays.num_aabbs, inputs, [boxes])

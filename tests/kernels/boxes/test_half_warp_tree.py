@@ -15,6 +15,13 @@ DEVICE = wp.get_device("cpu")
 WAYS = Execution(DEVICE, 1), type("AsOnCuda", (Execution,), {"is_cuda": True})(DEVICE, 1)
 
 
+@pytest.fixture(autouse=True)
+def on_the_cpu():
+    """Arrays of which nothing is said are there too."""
+    with wp.ScopedDevice("cpu"):
+        yield
+
+
 def vertex_aabbs_of(topology, num_aabbs):
     """Vertex AABBs that differ at the two ends of a step."""
     mesh = topology.mesh

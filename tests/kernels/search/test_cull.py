@@ -193,8 +193,9 @@ def test_every_width_gives_a_mesh_one_answer_and_counts_pairs_beyond_the_capacit
     for width in WIDTHS:
         monkeypatch.setattr(lanes, "cpu_lanes", lambda w=width: w)
         result = ccd.mesh_ccd(mesh, *frames)
-        pipeline = ccd.CollisionPipeline(mesh, num_threads=1, max_pairs=4096, max_contacts=4096)
+        pipeline = ccd.CollisionPipeline(mesh, num_threads=1, max_pairs=1 << 14, max_contacts=4096)
         whole = outputs_of(pipeline.launch(*frames))
+        assert not whole[".flags"]  # or the pairs without a place are those found last, in any order on CUDA
         answers.append(
             outputs_of({"host": result.contacts, "counts": result.counts})
             | {key: whole[key] for key in (".num_pairs", ".vertex_toi")}

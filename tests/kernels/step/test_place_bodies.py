@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from ccd_warp.kernels.step.place_bodies import sine_and_cosine
+from ccd_warp.kernels.rigid.place_bodies import sine_and_cosine
 from flint import arb, ctx
 
 UNIT = 2.0**-53

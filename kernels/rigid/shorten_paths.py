@@ -3,8 +3,8 @@
 import warp as wp
 
 from ..atomics import atomic_min_int64
-from .device_step import PER_SCENE, PER_WORLD
-from .minima import Minima, is_kinematic, world_of
+from ..step.device_step import PER_SCENE, PER_WORLD
+from ..step.minima import Minima, is_kinematic, world_of
 from .place_bodies import BodyPaths
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -8,8 +8,8 @@ are the same in every bit on each run.
 import warp as wp
 
 from ..pair_kind import VERTEX_FACE, VERTEX_PLANE
+from ..step.contact_place import vertices_of
 from .attained import NO_KEY, Attained, Check, CheckedMesh, second_body, world_of_vertex
-from .contact_place import vertices_of
 from .toi_slope import Table
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

@@ -12,8 +12,8 @@ vertices of its contact, and what stays does so whatever was before.
 import warp as wp
 
 from ..pair_kind import VERTEX_PLANE
+from ..step.contact_place import vertices_of
 from .attained import NO_KEY, Attained, Check, CheckedMesh, second_body, world_of_vertex
-from .contact_place import vertices_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

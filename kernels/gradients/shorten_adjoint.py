@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..parameters import dimension, real
-from . import in_space as positions
+from ..step import in_space as positions
 from .regularity import UNKNOWN
 
 _ZERO = wp.constant(wp.float64(0.0))

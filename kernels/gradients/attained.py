@@ -12,9 +12,9 @@ import warp as wp
 
 from ..atomics import atomic_min_int64, claim_int
 from ..pair_kind import VERTEX_PLANE
-from .contact_place import vertices_of
-from .contacts import contact_key
-from .step import ContactList
+from ..step.contact_place import vertices_of
+from ..step.contacts import contact_key
+from ..step.step import ContactList
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 

@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..parameters import dimension, real
-from . import in_space as positions
+from ..step import in_space as positions
 from .toi_adjoint import Pairs
 from .toi_slope import Slopes
 
