@@ -85,6 +85,7 @@ _WORDS = [
     (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|~?typing\.Any)", r"\1: Positions"),
     (rf"~numpy\.ndarray\[{_ANY}, ~numpy\.dtype\[(~?[\w.]+?)_?\]\]", r"NDArray[\1]"),
     (r"~?ccd_warp\._scene\.input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
+    (r"~?ccd_warp\._results\.contact_place\.BodyMotion", "~ccd_warp.RigidMotion"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
     (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.AffineMotion", "Motion"),
     (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
