@@ -14,6 +14,7 @@ from published import requires_data, simulation_boxes, simulation_scenes, simula
 from scenes import NO_FACES, sheet, single, soup, with_static_at_rest
 
 import ccd_warp as ccd
+from ccd_warp._engine.host.candidate_step import CandidateStep
 from ccd_warp._engine.mesh import body_groups
 from ccd_warp._engine.mesh.topology import Topology
 
@@ -252,3 +253,10 @@ def test_candidates_keep_their_order_belong_to_the_caller_and_are_sorted_on_dema
         assert pairs.dtype == ordered.dtype == np.int32 and pairs.flags.writeable and pairs.flags.c_contiguous
         assert not np.shares_memory(pairs, ordered) and not np.shares_memory(pairs, other)
         np.testing.assert_array_equal(ordered, pairs[np.lexsort(pairs.T[::-1])])
+
+
+def test_a_block_whose_pairs_no_batch_can_hold_is_an_error_and_no_loop(monkeypatch):
+    mesh = ccd.CollisionMesh.from_arrays([sheet(9), sheet(9)])
+    monkeypatch.setattr(CandidateStep, "capacity", lambda *_: 8)
+    with pytest.raises(MemoryError, match="a block of boxes overlaps more than 8 others"):
+        ccd.find_candidates(mesh, mesh.vertices, mesh.vertices)
