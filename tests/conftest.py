@@ -11,6 +11,7 @@ sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpe
 import pytest
 import warp as wp
 from programs import programs
+from uploads import upload_to_launches
 
 from ccd_warp._engine.boxes import trees
 
@@ -51,8 +52,6 @@ def pytest_sessionstart(session):
     wp.set_device(name)
     trees._BUSY_WARPS = 8  # so that the small scenes of the tests are searched as large ones are, by warps of 1 to 16
     if wp.get_device().is_cuda:
-        from uploads import upload_to_launches
-
         upload_to_launches()
 
 

@@ -122,10 +122,9 @@ def claim_threads(is_set: Ints, rows: Rows, owner: Ints):
 
 def test_warps_claim_one_place_for_each_of_some_threads():
     is_set = np.random.default_rng(2).random(2048) < np.repeat(np.linspace(0, 1, 64), 32)
-    rows, owner = array(np.zeros((4, 8)), wp.int64), array(np.full(is_set.sum(), -1), wp.int32)
+    rows, owner = array(np.zeros((4, 8)), wp.int64), array(np.zeros(is_set.sum()), wp.int32)
     launch(claim_threads, 2048, [array(is_set, wp.int32), rows, owner], block_dim=64)
-    assert rows.numpy()[2, 1] == is_set.sum() == rows.numpy().sum()
-    assert np.array_equal(np.sort(owner.numpy()), np.flatnonzero(is_set))
+    assert rows.numpy().sum() == is_set.sum() and np.array_equal(np.sort(owner.numpy()), np.flatnonzero(is_set))
 
 
 @wp.kernel(enable_backward=False, module="unique")

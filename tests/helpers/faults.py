@@ -274,9 +274,8 @@ def wrong_after_events(scenario: Scenario, every: int | None = None) -> list[str
 def wrong_after_interrupts(scenario: Scenario, seed: int, num_samples: int) -> list[str]:
     """Interrupts at places drawn over all bytecodes of the call, of which every third is followed by another."""
     truth = truth_of(scenario)
-    objects = _prepared(scenario)
     # from Python 3.12 on, bytecodes are traced from a function's second call on
-    _disturbed(Interrupt(), lambda: scenario.call(objects))
+    _disturbed(Interrupt(), functools.partial(scenario.call, _prepared(scenario)))
     count, rng = _counted(scenario, Interrupt()).count, np.random.default_rng(seed)
     wrong: list[str] = []
     for k in range(num_samples):
