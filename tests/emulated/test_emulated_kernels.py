@@ -111,7 +111,6 @@ search_warp = specialised("search.search_warp", end=LIST, in_warps=True)
 
 @wp.kernel(enable_backward=False, module="unique")
 def claim_threads(is_set: Ints, rows: Rows, owner: Ints):
-    """Some threads of each warp claim places."""
     thread = wp.tid()
     threads = search_warp.threads_where(is_set[thread] != 0)
     if threads != wp.uint32(0):
