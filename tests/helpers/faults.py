@@ -216,8 +216,8 @@ def inject(scenario: Scenario, fault: Any, truth: dict[str, np.ndarray]) -> list
     objects = _prepared(scenario)
     ignored: list[Any] = []
     hook, sys.unraisablehook = sys.unraisablehook, ignored.append
-    try:
-        with alarm(_PATIENCE, TimeoutError):
+    try:  # an interrupt within a copy of Warp would leave the null stream as the current one
+        with alarm(_PATIENCE, TimeoutError), wp.ScopedStream(wp.get_stream() if wp.get_device().ordinal >= 0 else None):
             error, result = _disturbed(fault, lambda: scenario.call(objects))
     finally:
         sys.unraisablehook = hook
