@@ -83,13 +83,15 @@ def _told_to_warp(stream: Any) -> Iterator[None]:
     except RuntimeError:  # another object for this stream has gone
         stream = _stream_of(stream.device, _handle(stream), anew=True)
         wp.capture_begin(stream=stream, external=True)
-    _captured_by_libraries.add(stream)
     try:
+        _captured_by_libraries.add(stream)
         with wp.ScopedStream(stream, sync_enter=False):
             yield
     finally:
-        _captured_by_libraries.discard(stream)
-        wp.capture_end(stream=stream)
+        try:
+            wp.capture_end(stream=stream)
+        finally:
+            _captured_by_libraries.discard(stream)
 
 
 def _stream_of(device: Any, handle: int, *, anew: bool = False) -> Any:

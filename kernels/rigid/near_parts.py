@@ -74,7 +74,7 @@ class PartMotion:
 
 @wp.struct
 class NearPairs:
-    """Pairs of parts that may touch, in no order; more than there is room for are counted, but not kept."""
+    """Pairs of parts that may touch, in no order; more than the capacity are counted, but not kept."""
 
     count: wp.array2d[wp.int64]  # [1, 1]
     window: wp.array[wp.int64]  # the slice, times the windows it is halved into, plus the number of one of them

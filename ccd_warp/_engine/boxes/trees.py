@@ -250,8 +250,10 @@ class Part:
             first = WIDTH * self.items[0]
             queries = range(first, min(first + WIDTH, self.tree_pair.query.primitives.count))
             return replace(self, level=0, items=queries).split(count)
-        count = min(count, len(self.items))
-        bounds = (len(self.items) * k // count for k in range(count + 1))
+        count, length = min(count, len(self.items)), len(self.items)
+        # queries of one block stay together where there are enough, as a warp takes them
+        unit = WIDTH if self.level == 0 and length >= WIDTH * count else 1
+        bounds = [length // unit * k // count * unit for k in range(count)] + [length]
         return [replace(self, items=self.items[i:j]) for i, j in itertools.pairwise(bounds)]
 
 

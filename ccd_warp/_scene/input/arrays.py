@@ -1,4 +1,7 @@
-"""Conversion to NumPy arrays on the host, without a copy where possible and never with rounding."""
+"""Conversion to NumPy arrays on the host, without a copy where possible, and of arrays never with rounding.
+
+Lists are first what NumPy makes of them, which rounds an integer from 2^53 on that stands beside floats.
+"""
 
 import math
 import sys
