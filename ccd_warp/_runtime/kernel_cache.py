@@ -11,6 +11,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._runtime.shared_header import one_header
+from ccd_warp._runtime.target import compiler_flags, cpu_target
 
 _ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
 _is_said = False
@@ -25,6 +26,8 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     """
     if device.is_cpu:
         block_dim = 1  # as Warp takes it there; the cache tells modules apart by it
+    # Part of the name of a module, which Warp keeps for each block_dim: on CUDA it is the same on every machine.
+    kernel.module.options["cpu_compiler_flags"] = compiler_flags(cpu_target()) if device.is_cpu else None
     # There is a folder of the module only if it was compiled before.
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if not os.path.isdir(folder):
