@@ -26,10 +26,10 @@ from gpu_pack import compile_for
 from texts import table_of
 
 sys.path.append(str(ROOT / "tests"))  # where the emulated device is
-from cuda_modules import cuda_modules
 from scenes import cloth_over_sphere
 
 import ccd_warp as ccd
+from ccd_warp._runtime.every_module import every_module
 
 REGISTERS = 65_536  # of a multiprocessor; a warp of 32 threads takes them by eights a thread, and 64 warps fit
 
@@ -91,7 +91,7 @@ def main() -> None:
     wp.config.log_level = wp.LOG_WARNING
     launched = {name: launches(name) for name in ("tree", "hash")}  # before compile_for() takes another cache
     compile_for([given.arch], given.cubins.resolve() / "cubins")
-    chosen = {name: m for name, m in cuda_modules(with_distances=True).items() if any(w in name for w in given.modules)}
+    chosen = {name: m for name, m in every_module(None).items() if any(w in name for w in given.modules)}
     folder = Path(wp.config.kernel_cache_dir)
     cubins = {
         name: next(folder.glob(f"{m.get_module_identifier(m.options['block_dim'])}/*sm{given.arch}.cubin"))

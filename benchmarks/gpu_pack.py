@@ -12,7 +12,6 @@ import argparse
 import hashlib
 import io
 import math
-import os
 import platform
 import struct
 import subprocess
@@ -20,13 +19,12 @@ import sys
 import tarfile
 import zipfile
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import warp as wp
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "helpers"))
-from cuda_modules import cuda_modules
+from ccd_warp._runtime.beforehand import compile_modules
+from ccd_warp._runtime.every_module import every_module
 
 PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "python-flint")  # beside NumPy, pytest, xdist, hypothesis
 LEFT_OUT = ("warp/tests/", "warp/examples/", "trimesh/resources/models/")
@@ -66,20 +64,7 @@ def compile_for(archs: list[int], folder: Path) -> list[Path]:
     """The folders of all modules, compiled under the names and hashes that Warp looks for; what is there is kept."""
     wp.init()
     wp.config.kernel_cache_dir, wp.config.cuda_output = str(folder / wp.config.version), "cubin"
-
-    def compile_one(arch: int, name: str, module: object) -> Path:
-        block_dim = module.options["block_dim"]
-        identifier = module.get_module_identifier(block_dim)
-        options = module.resolve_options(wp.config, block_dim=block_dim)
-        if module._compile(None, output_arch=arch, use_ptx=False, options=options):
-            print(f"{name}, sm_{arch}", flush=True)
-        return Path(wp.config.kernel_cache_dir, identifier)
-
-    # the solvers that take longest begin
-    modules = sorted(cuda_modules(with_distances=True).items(), key=lambda item: " last " not in item[0])
-    with ThreadPoolExecutor(os.cpu_count() or 1) as pool:
-        orders = [pool.submit(compile_one, arch, *each) for arch in archs for each in modules]
-    return sorted({order.result() for order in orders})
+    return sorted({path.parent for arch in archs for path in compile_modules(every_module(None), arch).values()})
 
 
 def code_for_gpus(library: bytes) -> Iterator[tuple[int, int, slice]]:

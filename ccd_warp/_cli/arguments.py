@@ -6,6 +6,8 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any, NoReturn, get_args
 
+from ccd_warp._cli.compile import add_compile
+from ccd_warp._cli.doctor import add_doctor
 from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._runtime.version import __version__
 from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
@@ -82,6 +84,8 @@ def make_parser() -> argparse.ArgumentParser:
             verbosity("--verbose", "print what each stage counted, too", **_FLAG)
             verbosity("--quiet", "print nothing but errors", **_FLAG)
             _add_options(_adder(command.add_argument_group("options of the collision detection")))
+    add_compile(commands)
+    add_doctor(commands)
     return parser
 
 

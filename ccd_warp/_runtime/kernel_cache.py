@@ -1,4 +1,7 @@
-"""Warp's kernel cache on the disk: what is damaged there is compiled again, and what cannot be written is named."""
+"""Warp's kernel cache on the disk: what is damaged there is compiled again, and what cannot be written is named.
+
+Before it is looked at, a module is looked for in the package (`packaged`).
+"""
 
 import os
 import shutil
@@ -10,8 +13,9 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.packaged import load_packaged
 from ccd_warp._runtime.shared_header import one_header
-from ccd_warp._runtime.target import compiler_flags, cpu_target
+from ccd_warp._runtime.target import set_flags
 
 _ADVICE = "free space there, or let WARP_CACHE_PATH name a folder that can be written"
 _is_said = False
@@ -19,15 +23,16 @@ _is_announced = False
 
 
 def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
-    """Load a kernel's module, compiled or from the cache; where files there are damaged, name them and compile again.
+    """Load a kernel's module, of the package, from the cache or compiled; damaged files are named, and compiled again.
 
     Raises:
         OSError: If the cache cannot be written.
     """
     if device.is_cpu:
         block_dim = 1  # as Warp takes it there; the cache tells modules apart by it
-    # Part of the name of a module, which Warp keeps for each block_dim: on CUDA it is the same on every machine.
-    kernel.module.options["cpu_compiler_flags"] = compiler_flags(cpu_target()) if device.is_cpu else None
+    set_flags(kernel.module, device)
+    if load_packaged(kernel.module, device, block_dim):
+        return
     # There is a folder of the module only if it was compiled before.
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if not os.path.isdir(folder):
@@ -78,13 +83,27 @@ def announced_compilation() -> Iterator[None]:
 
 
 def _load(kernel: Any, device: Any, block_dim: int | None) -> None:
+    module, compiled = kernel.module, _compiled_for_gpu(kernel.module, device, block_dim)
     with one_header():
-        wp.load_module(module=kernel.module, device=device, block_dim=block_dim)
+        if compiled:
+            module.load(device, block_dim, output_arch=device.arch, **compiled)
+        else:
+            wp.load_module(module=module, device=device, block_dim=block_dim)
     if device.is_cpu:  # an object file of zeros, as a crash of the machine leaves it, is loaded and holds nothing
         key = (device.context, block_dim)
         if kernel.module.execs[key].get_kernel_hooks(kernel).forward is None:
             del kernel.module.execs[key]
             raise RuntimeError(f"the kernel {kernel.key} is missing")
+
+
+def _compiled_for_gpu(module: Any, device: Any, block_dim: int | None) -> dict[str, str]:
+    """Code that `ccd-warp compile --arch` has put into the cache: Warp itself may look there for PTX alone."""
+    if not device.is_cuda:
+        return {}
+    name = module.get_module_identifier(block_dim)
+    path = os.path.join(str(wp.config.kernel_cache_dir), name, name)
+    files = {"binary_path": f"{path}.sm{device.arch}.cubin", "meta_path": f"{path}.meta"}
+    return files if all(map(os.path.isfile, files.values())) else {}
 
 
 def unwritable_cache(folder: Any, error: Exception) -> str:

@@ -54,20 +54,25 @@ def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = No
         load_or_repair(kernel, device, block_dim_of(kernel, device))
         progress.done += 1
 
-    def load_modules() -> None:
-        with building, uncollected(), quietly():
-            if device.is_capturing:
-                for kernel in missing.values():
-                    load_module(kernel)
-            else:
-                run_beside([lambda k=kernel: load_module(k) for kernel in missing.values()])  # type: ignore[misc]
-
+    tasks = [lambda k=kernel: load_module(k) for kernel in missing.values()]
     if device.is_capturing:  # Warp allows it only on the thread of the capture
-        load_modules()
+        with building, uncollected(), quietly():
+            for task in tasks:
+                task()
     else:
-        run_aside(load_modules, progress.tick)
+        build_beside(tasks, progress)
     progress.begin(*stage)
     _loaded.update(missing)
+
+
+def build_beside(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
+    """Compile modules side by side on other threads, while this one waits, shows progress and handles an interrupt."""
+
+    def build() -> None:
+        with building, uncollected(), quietly():
+            run_beside(tasks)
+
+    run_aside(build, progress.tick)
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,10 @@ module of its own, these would appear in the output of a program that may never 
 stay, and so does what Warp says of the user's own kernels. ``warp.config.log_level = warp.LOG_DEBUG`` shows everything.
 """
 
+import atexit
 import ctypes
 import os
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -15,6 +17,7 @@ from contextlib import contextmanager, nullcontext
 import warp as wp
 
 from ccd_warp._runtime.kernel_cache import unwritable_cache
+from ccd_warp._runtime.packaged import has_any
 from ccd_warp.kernels.once import building
 
 _DRIVERS = {"linux": ("libcuda.so", "libcuda.so.1"), "win32": ("nvcuda.dll",)}
@@ -42,10 +45,22 @@ def start_warp() -> None:
         return
     try:
         with building, quietly(), nullcontext() if _has_driver() else _without_driver_warning():
-            wp.init()
+            _init()
     except OSError as error:
         raise OSError(unwritable_cache(error.filename or wp.config.kernel_cache_dir, error)) from error
     _is_started = True
+
+
+def _init() -> None:
+    """Initialise Warp, with an empty cache of its own where it can have no other and the package brings its kernels."""
+    try:
+        wp.init()
+    except OSError:
+        if not has_any():
+            raise
+        wp.config.kernel_cache_dir = tempfile.mkdtemp(prefix="ccd_warp_")
+        atexit.register(shutil.rmtree, wp.config.kernel_cache_dir, ignore_errors=True)
+        wp.init()
 
 
 def _has_driver() -> bool:

@@ -6,6 +6,7 @@ of x86-64 is as fast (benchmarks/notes/compilation.md), and its object has the s
 
 import os
 from functools import cache
+from typing import Any
 
 import warp as wp
 
@@ -36,6 +37,14 @@ def cpu_target() -> str:
         raise ValueError(f"the environment variable CCD_WARP_TARGET must be {NATIVE} or absent; found {asked!r}")
     level = LEVELS[cpu_lanes()]
     return level if not asked and _NEEDED[level] <= _flags_of_processor() else NATIVE
+
+
+def set_flags(module: Any, device: Any) -> None:
+    """Have Warp compile a module for a device as all of them are; flags are a part of its name.
+
+    Warp keeps the name for each size of a block, and on CUDA it is the same on every machine.
+    """
+    module.options["cpu_compiler_flags"] = compiler_flags(cpu_target()) if device.is_cpu else None
 
 
 def compiler_flags(target: str) -> str | None:

@@ -21,9 +21,9 @@ import ccd_warp.kernels
 import pytest
 import warp as wp
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
-from cuda_modules import cuda_modules
 from kept import kept
 
+from ccd_warp._runtime.every_module import every_module
 from ccd_warp._runtime.lanes import search_on
 
 ARCH = 80
@@ -32,14 +32,14 @@ LOADING = ["search_trees list False", "search_trees boxes False", "half_warp_tre
 
 
 def test_every_file_with_kernels_is_covered():
-    covered = {name.split()[0] for name in cuda_modules()} | {"narrow_phase"}  # which only the CPU launches
+    covered = {name.split()[0] for width in (None, 1) for name in every_module(width)}
     for path in Path(ccd_warp.kernels.__path__[0]).rglob("*.py"):
         assert "@wp.kernel" not in path.read_text(encoding="utf-8") or path.stem in covered
 
 
 @pytest.mark.parametrize("walk", ["search_trees", "search_hashes"])
 def test_every_search_that_a_scene_may_ask_for_is_listed(walk):
-    modules = cuda_modules(with_distances=True).values()
+    modules = every_module(None).values()
     for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, True)):
         assert search_on(None, walk, end, with_lists, is_cuda=True, is_thick=is_thick).module in modules
 
@@ -51,7 +51,7 @@ def sources():
 
 
 def _hash_of(name):
-    module = cuda_modules(with_distances=True)[name]
+    module = every_module(None)[name]
     return f"{module.name} {module.get_module_hash(module.options['block_dim']).hex()}"
 
 
@@ -80,7 +80,7 @@ def output(request):
 
 # Of the searches for radii, which all run emulated, those that take the distances of pairs each in another way.
 _OF_RADII = ["candidate_cull thick", "search_trees boxes False thick"]
-NAMES = [name for name in cuda_modules(with_distances=True) if not name.endswith("thick") or name in _OF_RADII]
+NAMES = [name for name in every_module(None) if not name.endswith("thick") or name in _OF_RADII]
 
 
 def _ptx(name, output):
@@ -93,7 +93,7 @@ def _ptx(name, output):
 @pytest.mark.parametrize("name", NAMES)
 def test_compiles_to_ptx(name, output):
     ptx = _ptx(name, output)
-    for kernel in cuda_modules(with_distances=True)[name].kernels.values():
+    for kernel in every_module(None)[name].kernels.values():
         assert kernel.key.split(".")[-1].split("__")[-1] in ptx
     # fuse_fp is off: no bound relies on it, but contraction would make CPU and CUDA differ. Where it is on, the
     # compiler fuses, or leaves operations without a rounding of their own for the driver to fuse.
@@ -120,10 +120,10 @@ NAMES_OF_MODULES = """
     import warp as wp
 
     wp.config.log_level = wp.LOG_ERROR
-    from cuda_modules import cuda_modules
+    from ccd_warp._runtime.every_module import every_module
 
     wp.init()
-    modules = {name: module for name, module in cuda_modules(reals=(wp.float64,)).items() if "float64" in name}
+    modules = {name: module for name, module in every_module(None).items() if "float64" in name}
 
 
     def names():
@@ -164,7 +164,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--compile", nargs="+", metavar="NAME", required=True)
     wp.config.log_level = wp.LOG_ERROR
-    modules = cuda_modules(with_distances=True)
+    modules = every_module(None)
     for name in parser.parse_args().compile:
         place = place_of(name)
         place.parent.mkdir(parents=True, exist_ok=True)

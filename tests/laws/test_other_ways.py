@@ -16,11 +16,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import warp as wp
-from cuda_modules import cuda_modules
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
 
 import ccd_warp as ccd
+from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
 from laws.outputs import different, outputs_of
@@ -366,7 +366,7 @@ def test_every_kernel_for_cuda_is_run(other_device):
     launched = {(module, key.split("__")[-1]) for module, key in SHARED.launches}
     missing = [
         f"{name}: {key}"
-        for name, module in cuda_modules(with_distances=True).items()
+        for name, module in every_module(None).items()
         if not name.endswith(_LIKE_OTHERS)
         for key in (kernel.key.split("__")[-1] for kernel in module.kernels.values())
         if key not in CPU_ALONE.split() and (module.name, key) not in launched

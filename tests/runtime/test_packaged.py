@@ -1,0 +1,281 @@
+"""Kernels that come with the package: loaded without a compiler or a cache; compiled where they are no good."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import warp as wp
+from shared_objects import SharedObjects
+from warp._src import build
+
+import ccd_warp as ccd
+from ccd_warp._cli.compile import WORDS, needed
+from ccd_warp._runtime import launch, packaged
+from ccd_warp._runtime.beforehand import compile_modules
+from ccd_warp._runtime.every_module import every_module
+from ccd_warp._runtime.kernel_cache import load_or_repair
+from ccd_warp._runtime.lanes import cpu_lanes
+from ccd_warp._runtime.quiet import start_warp
+from ccd_warp._runtime.target import cpu_target, set_flags
+
+
+@wp.kernel(module="unique", enable_backward=False)
+def double(begin: int, values: wp.array[float]):
+    values[begin + wp.tid()] *= 2.0
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder in place of that of the package, for objects from the usual cache."""
+    start_warp()
+    monkeypatch.setattr(packaged, "FOLDER", tmp_path / "objects")
+    yield packaged.FOLDER
+    packaged._index.cache_clear()
+
+
+@pytest.fixture
+def package(folder, tmp_path, monkeypatch):
+    """The folder with a kernel, and an empty cache; what the compiler makes of the kernel is kept in the usual one."""
+    objects = SharedObjects(Path(wp.config.kernel_cache_dir) / "ccd_warp_objects")
+    monkeypatch.setattr(build, "build_cpu", objects.build_cpu)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "made"))
+    _fill({"double": double.module})
+    (tmp_path / "cache").mkdir()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "cache"))
+    return folder
+
+
+def _fill(modules):
+    """Put modules into the folder of the package."""
+    packaged._index.cache_clear()
+    packaged.FOLDER.mkdir()
+    for name, path in compile_modules(modules, cpu_target()).items():
+        shutil.copyfile(path, packaged.FOLDER / name)
+    packaged.write_index(packaged.FOLDER)
+    packaged._index.cache_clear()
+
+
+def _load_anew():
+    """Load the kernel as a new process does, and launch it; whether it was compiled."""
+    double.module.unload()
+    with wp.ScopedDevice("cpu"):
+        load_or_repair(double, wp.get_device("cpu"), None)
+        values = wp.full(2, 1.0, dtype=float)
+        wp.launch(double, dim=1, inputs=[1], outputs=[values])
+        assert values.numpy().tolist() == [1.0, 2.0]
+    return any(Path(wp.config.kernel_cache_dir).iterdir())
+
+
+def test_a_kernel_of_the_package_is_loaded_from_there_and_nothing_is_written(package):
+    files = {path: path.stat() for path in package.iterdir()}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not _load_anew()
+    assert files == {path: path.stat() for path in package.iterdir()}
+
+
+DAMAGE = {
+    "half an object": (".o", lambda content: content[: len(content) // 2]),
+    "another object of its length": (".o", lambda content: content[::-1]),
+    "an object of zeros": (".o", lambda content: bytes(len(content))),
+    "no metadata": (".meta", lambda content: b""),
+    "an object that is gone": (".o", None),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_a_damaged_kernel_of_the_package_is_named_and_compiled_instead(package, name):
+    ending, damage = DAMAGE[name]
+    (path,) = package.glob(f"*{ending}")
+    path.write_bytes(damage(path.read_bytes())) if damage else path.unlink()
+    with pytest.warns(RuntimeWarning, match=f"{path} is damaged.*compiled instead"):
+        assert _load_anew()
+    assert path.exists() == bool(damage)
+
+
+def _of_other_warp(package):
+    index = json.loads((package / packaged.INDEX).read_text())
+    (package / packaged.INDEX).write_text(json.dumps(index | {"warp": "1.18.0"}))
+    return f"those of the package are for Warp 1.18.0; this is {wp.config.version}"
+
+
+def _half_an_index(package):
+    text = (package / packaged.INDEX).read_text()
+    (package / packaged.INDEX).write_text(text[: len(text) // 2])
+    return "this installation holds none"
+
+
+@pytest.mark.parametrize("change", [_of_other_warp, _half_an_index])
+def test_a_package_that_does_not_fit_is_as_if_it_were_not_there(package, change):
+    assert packaged.why_none(wp.get_device("cpu")) == "" and packaged.has_any()
+    reason = change(package)
+    packaged._index.cache_clear()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert _load_anew()
+    assert packaged.why_none(wp.get_device("cpu")).startswith(reason) and not packaged.has_any()
+
+
+@pytest.mark.parametrize(("arch", "chosen"), [(90, None), (89, 86), (86, 86), (80, 80), (75, None), (121, 120)])
+def test_a_gpu_is_given_the_newest_code_of_its_own_generation(package, arch, chosen):
+    module = SimpleNamespace(get_module_hash=lambda _: b"\x01", loads=[], name="m")
+    module.load = lambda *_, **where: module.loads.append((where["output_arch"], where["binary_path"].name))
+    for name in ("01.meta", "01.sm80.cubin", "01.sm86.cubin", "01.sm120.cubin"):
+        (package / name).touch()
+    packaged.write_index(package)
+    packaged._index.cache_clear()
+    loads = [(chosen, f"01.sm{chosen}.cubin")] if chosen else []
+    device = SimpleNamespace(is_cpu=False, arch=arch)
+    assert packaged.load_packaged(module, device, 64) == bool(chosen) and module.loads == loads
+
+
+def _scene():
+    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
+    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
+    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
+    return mesh, mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
+
+
+OF_PROCESS = """
+import sys
+from pathlib import Path
+
+from warp._src import build
+
+from ccd_warp._runtime import packaged
+
+packaged.FOLDER = Path(sys.argv[1])
+build.build_cpu = None
+from runtime import test_packaged
+
+print(test_packaged.ccd.mesh_ccd(*test_packaged._scene()).vertex_toi.tobytes().hex())
+"""
+
+
+def test_two_processes_at_once_need_neither_a_compiler_nor_a_cache(folder, tmp_path):
+    every = every_module(cpu_lanes())
+    _fill({name: every[name] for name in needed(every, {"mesh_ccd"})})
+    (tmp_path / "file").touch()
+    tests = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path, "WARP_CACHE_PATH": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
+    command = [sys.executable, "-P", "-c", OF_PROCESS]
+
+    def begin(objects):
+        return subprocess.Popen([*command, objects], env=environment, stdout=-1, stderr=-1, text=True)
+
+    both = [process.communicate() for process in [begin(folder), begin(folder)]]
+    expected = ccd.mesh_ccd(*_scene()).vertex_toi.tobytes().hex()
+    assert [out.split()[-1:] for out, _ in both] == [[expected]] * 2, both[0][1]
+    assert not list(tmp_path.glob("ccd_warp_*")), "the cache in place of that which cannot be is gone at the end"
+    assert f"cannot be written in {tmp_path}/file" in begin(tmp_path).communicate()[1]
+
+
+def _planar():
+    square, edges = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]), [[0, 1], [1, 2], [2, 3], [3, 0]]
+    mesh = ccd.CollisionMesh.from_arrays([(square, edges), (square + [2, 0], edges)])
+    return mesh, mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 1, [1.5, 0])
+
+
+def _launch(mesh, start, end):
+    vec = wp.vec3d if mesh.dimension == 3 else wp.vec2d
+    ends = [wp.array(x, dtype=vec, device="cpu") for x in (start, end)]
+    return ccd.CollisionPipeline(mesh, device="cpu").launch(*ends)
+
+
+def _ground(mesh, start, end):
+    plane = ccd.HalfSpace([0, 0, -0.1], [0, 0, 1.0])
+    mesh = ccd.CollisionMesh.from_arrays([(start[:25], mesh.faces[:32]), plane])
+    return ccd.mesh_ccd(mesh, mesh.vertices, end[:25])
+
+
+def _excluded(mesh, start, end):
+    return ccd.mesh_ccd(mesh.excluding({"bodies": [[0, 1]]}), start, end)
+
+
+def _turn(mesh, start, end):
+    turning = ccd.CollisionMesh.from_arrays([(start[:25], mesh.faces[:32])], rigid=[0], self_collision=False)
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=[[0, 0, 0.1, 0, 0, 1.0]])
+    return ccd.mesh_ccd(turning, turning.vertices, turning.vertices, motion=motion)
+
+
+OF_WORDS = {
+    "mesh_ccd": ccd.mesh_ccd,
+    "pairs": lambda *_: ccd.point_point_ccd(np.zeros((600, 2, 3)), np.ones((600, 2, 3)), device="cpu"),
+    "collision_free_step": lambda mesh, start, end: ccd.collision_free_step(mesh, end, start, minimum_separation=0.5),
+    "line_search": lambda mesh, start, end: ccd.line_search(mesh, end, start, minimum_separation=0.5),
+    "launch": _launch,
+    "thickness": lambda *scene: ccd.mesh_ccd(*scene, minimum_distance=0.01),
+    "float32": lambda *scene: ccd.mesh_ccd(*scene, precision="float32"),
+    "2d,launch": lambda *_: _launch(*_planar()),
+    "hash": lambda *scene: ccd.mesh_ccd(*scene, broad_phase="hash"),
+    "half_spaces": _ground,
+    "excluded_pairs": _excluded,
+    "find_candidates": ccd.find_candidates,
+    "find_proximity": lambda mesh, start, end: ccd.find_proximity(mesh, start, 2.0),
+    "find_intersections": lambda mesh, start, end: ccd.find_intersections(mesh, start * [1, 1, 0.0]),
+    "motion": _turn,
+    "gradients": lambda *scene: ccd.mesh_ccd(*scene).contacts.toi_gradient(),
+}
+
+
+def test_every_word_has_a_call():
+    assert {word for words in OF_WORDS for word in words.split(",")} == WORDS.keys()
+
+
+@pytest.mark.parametrize("words", OF_WORDS)
+def test_a_call_finds_all_modules_that_its_words_have_compiled(words, monkeypatch):
+    names = {module.name: name for name, module in every_module(cpu_lanes()).items()}
+    loaded = set()
+
+    def load(kernel, device, block_dim):
+        loaded.add(names[kernel.module.name])
+        load_or_repair(kernel, device, block_dim)
+
+    monkeypatch.setattr(launch, "load_or_repair", load)
+    monkeypatch.setattr(launch, "_loaded", set())
+    with wp.ScopedDevice("cpu"):
+        OF_WORDS[words](*_scene())
+    compiled = {*needed(names.values(), words.split(","))}
+    assert loaded <= compiled
+    is_plain = words in ("mesh_ccd", "pairs")
+    assert (loaded <= {*needed(names.values(), ["mesh_ccd"])}) == is_plain, "the words are needed"
+
+
+IN_REVERSE = """
+import json
+import sys
+
+from ccd_warp._runtime import every_module
+
+for name in ("_REALS", "_NORMS"):
+    setattr(every_module, name, getattr(every_module, name)[::-1])
+import warp as wp
+
+from ccd_warp._runtime.target import set_flags
+from ccd_warp._runtime.quiet import start_warp
+
+start_warp()
+modules = every_module.every_module(int(sys.argv[1]))
+for module in reversed(modules.values()):
+    set_flags(module, wp.get_device("cpu"))
+    module.get_module_hash(1)
+print(json.dumps({name: module.get_module_hash(1).hex() for name, module in modules.items()}))
+"""
+
+
+def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_before():
+    command = [sys.executable, "-P", "-c", IN_REVERSE, str(cpu_lanes())]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout.splitlines()[-1])
+    modules = every_module(cpu_lanes())
+    for module in modules.values():
+        set_flags(module, wp.get_device("cpu"))
+    assert found == {name: module.get_module_hash(1).hex() for name, module in modules.items()}
