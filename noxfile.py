@@ -50,6 +50,20 @@ def users(session: nox.Session) -> None:
 
 
 @nox.session(python=PYTHONS[0])
+def wheel(session: nox.Session) -> None:
+    """A wheel for Linux on x86-64 with compiled kernels, for the Warp of pyproject.toml: `-- FOLDER`, and after it, for
+    those of GPUs, `--arch 80 90 120`. `python -m build` makes the wheel for all others.
+    """
+    folder, *options = session.posargs or session.error("expected a folder: nox -s wheel -- dist")
+    warp = next(line for line in nox.project.load_toml("pyproject.toml")["project"]["dependencies"] if "warp" in line)
+    session.install("build", warp.replace(">=", "=="), ".")
+    with TemporaryDirectory() as made:
+        session.run("ccd-warp", "compile", "--package", f"{made}/objects", *options)
+        build = ["python", "-m", "build", "--wheel", "--outdir", folder]
+        session.run(*build, env={"CCD_WARP_OBJECTS": f"{made}/objects"})
+
+
+@nox.session(python=PYTHONS[0])
 def lowest(session: nox.Session) -> None:
     """Before a release: all tests with the lowest versions that pyproject.toml allows, all of them wheels.
 

@@ -1,6 +1,7 @@
 """Distributions hold what they must, and the package imports from any folder."""
 
 import email
+import os
 import re
 import runpy
 import shutil
@@ -20,8 +21,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 IGNORED = "__pycache__ *.egg-info .*_cache .hypothesis build dist .venv .nox .git".split()
 
 
-def _run(*command, cwd: Path) -> str:
-    done = subprocess.run([str(part) for part in command], cwd=cwd, capture_output=True, text=True, check=False)
+def _run(*command, cwd: Path, **variables: str) -> str:
+    how = {"capture_output": True, "text": True, "env": os.environ | variables}
+    done = subprocess.run([str(part) for part in command], cwd=cwd, check=False, **how)
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
@@ -34,10 +36,10 @@ def tree(tmp_path_factory) -> Path:
     return copy
 
 
-def _built(kind: str, tree: Path, folder: Path) -> Path:
+def _built(kind: str, tree: Path, folder: Path, **variables: str) -> Path:
     """A distribution of the tree, built by the setuptools of this environment, so that nothing is downloaded."""
     command = f"import sys, setuptools.build_meta as b; print(b.build_{kind}(sys.argv[1]))"
-    return folder / _run(sys.executable, "-c", command, folder, cwd=tree).splitlines()[-1]
+    return folder / _run(sys.executable, "-c", command, folder, cwd=tree, **variables).splitlines()[-1]
 
 
 @pytest.fixture(scope="module")
@@ -94,6 +96,19 @@ def test_package_imports_beside_a_checkout_of_its_name_and_without_its_parts(tmp
     assert version == PROJECT["version"] and shown == "False True False True".split()
     with pytest.raises(AttributeError, match="module 'ccd_warp' has no attribute 'nothing'"):
         _ = ccd_warp.nothing
+
+
+def test_wheel_with_objects_is_of_a_platform_and_the_next_one_is_without(tmp_path, tree):
+    (tmp_path / "objects").mkdir()
+    (tmp_path / "objects" / "index.json").write_text("{}")
+    wheel = _built("wheel", tree, tmp_path, CCD_WARP_OBJECTS=str(tmp_path / "objects"))
+    assert wheel.name.endswith("-py3-none-manylinux_2_28_x86_64.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        assert archive.read("ccd_warp/_objects/index.json") == b"{}"
+        (about,) = (archive.read(name).decode() for name in archive.namelist() if name.endswith(".dist-info/WHEEL"))
+    assert "Root-Is-Purelib: false\nTag: py3-none-manylinux_2_28_x86_64\n" in about
+    with zipfile.ZipFile(_built("wheel", tree, tmp_path)) as archive:
+        assert not [name for name in archive.namelist() if "_objects" in name]
 
 
 def test_wheel_holds_the_kernels_and_the_types_and_no_path_of_this_machine(tmp_path, tree):
