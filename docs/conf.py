@@ -34,7 +34,7 @@ _REFERENCE = re.findall(
 )
 # The table of contents. A page of docs/ that no list has follows the guides.
 _NAVIGATION = {
-    "Start": ["docs/tasks", "docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
+    "Start": ["docs/installing", "docs/tasks", "docs/examples", "docs/command_line", "docs/explore", "docs/glossary"],
     "Guides": [
         "docs/solver",
         "docs/on_device",

@@ -31,7 +31,7 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     if device.is_cpu:
         block_dim = 1  # as Warp takes it there; the cache tells modules apart by it
     set_flags(kernel.module, device)
-    if load_packaged(kernel.module, device, block_dim):
+    if load_packaged(kernel.module, device, block_dim) and _is_there(kernel, device, block_dim):
         return
     # There is a folder of the module only if it was compiled before.
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
@@ -89,11 +89,17 @@ def _load(kernel: Any, device: Any, block_dim: int | None) -> None:
             module.load(device, block_dim, output_arch=device.arch, **compiled)
         else:
             wp.load_module(module=module, device=device, block_dim=block_dim)
-    if device.is_cpu:  # an object file of zeros, as a crash of the machine leaves it, is loaded and holds nothing
-        key = (device.context, block_dim)
-        if kernel.module.execs[key].get_kernel_hooks(kernel).forward is None:
-            del kernel.module.execs[key]
-            raise RuntimeError(f"the kernel {kernel.key} is missing")
+    if not _is_there(kernel, device, block_dim):
+        raise RuntimeError(f"the kernel {kernel.key} is missing")
+
+
+def _is_there(kernel: Any, device: Any, block_dim: int | None) -> bool:
+    """Whether a module has its kernel: an object file of zeros, as a crash of the machine leaves it, has none."""
+    key = (device.context, block_dim)
+    if device.is_cuda or kernel.module.execs[key].get_kernel_hooks(kernel).forward is not None:
+        return True
+    del kernel.module.execs[key]
+    return False
 
 
 def _compiled_for_gpu(module: Any, device: Any, block_dim: int | None) -> dict[str, str]:

@@ -20,18 +20,20 @@ INDEX = "index.json"  # the version of Warp, and length and checksum of each fil
 
 def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
     """Load a module of the package for a device; whether there was one. A damaged one is named, and not loaded."""
+    meta = FOLDER / meta_name(module, block_dim) if has_any() else FOLDER
     for name, arch in _names(module, device, block_dim):
-        meta = meta_name(module, block_dim)
-        if not is_known(name) or not is_known(meta):
+        path = FOLDER / name
+        if not is_known(name) or not is_known(meta.name):
             continue
-        damaged = [path for path in (FOLDER / name, FOLDER / meta) if not _is_whole(path)]
-        if damaged:
-            text = f"{damaged[0]} is damaged; kernels of {module.name} are compiled instead: install ccd-warp again"
+        try:
+            if not _is_whole(path) or not _is_whole(meta):
+                raise ValueError("it is damaged: install ccd-warp again")
+            module.load(device, block_dim, binary_path=path, meta_path=meta, output_arch=arch)
+            return True
+        except Exception as error:  # Warp raises whatever a driver says
+            text = f"{path} of the package cannot be loaded ({error}); {module.name} is compiled instead"
             warnings.warn(text, RuntimeWarning, stacklevel=2)
             return False
-        where = {"binary_path": FOLDER / name, "meta_path": FOLDER / meta, "output_arch": arch}
-        module.load(device, block_dim, **where)
-        return True
     return False
 
 

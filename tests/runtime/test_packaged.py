@@ -95,9 +95,17 @@ def test_a_damaged_kernel_of_the_package_is_named_and_compiled_instead(package, 
     ending, damage = DAMAGE[name]
     (path,) = package.glob(f"*{ending}")
     path.write_bytes(damage(path.read_bytes())) if damage else path.unlink()
-    with pytest.warns(RuntimeWarning, match=f"{path} is damaged.*compiled instead"):
+    with pytest.warns(RuntimeWarning, match="of the package cannot be loaded .it is damaged.* is compiled instead"):
         assert _load_anew()
     assert path.exists() == bool(damage)
+
+
+def test_an_object_that_was_empty_when_it_was_packed_is_passed_over(package):
+    (path,) = package.glob("*.o")
+    path.write_bytes(bytes(path.stat().st_size))
+    packaged.write_index(package)
+    packaged._index.cache_clear()
+    assert _load_anew()
 
 
 def _of_other_warp(package):
