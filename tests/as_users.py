@@ -16,10 +16,12 @@ from contextlib import redirect_stderr, redirect_stdout
 from importlib import metadata
 from pathlib import Path
 
+import warp as wp
 from warp._src import build
 
 import ccd_warp as ccd
 from ccd_warp._cli import command
+from ccd_warp._runtime import packaged
 
 sys.path.append(str(Path(__file__).resolve().parent / "helpers"))
 from shared_objects import SharedObjects
@@ -65,8 +67,19 @@ def run_commands() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, f"ccd-warp {ccd.__version__}\n", ""), done
 
 
+def check_kernels() -> None:
+    """Under this Python, a wheel that brings kernels has all that this processor can be asked to run."""
+    with redirect_stdout(io.StringIO()) as said:
+        assert command.main(["doctor"]) == 0
+    lines = [line for line in said.getvalue().splitlines() if line.startswith("cpu ")]
+    if not packaged.why_none(wp.get_device("cpu")):
+        assert ": all kernels come with the package" in lines[0], lines
+    print(*lines)
+
+
 def main() -> None:
     check_surroundings()
+    check_kernels()
     if len(sys.argv) > 1:
         shared = SharedObjects(Path(sys.argv[1]))
         build.build_cpu = shared.build_cpu

@@ -46,7 +46,8 @@ def every_module(width: int | None) -> dict[str, Any]:
                 of_rows = getattr(specialised(name, real=real, dimension=dimension), kernel)
                 found[f"{name.partition('.')[2]} {real.__name__} {dimension}"] = of_rows.module
     for shape, norm in (("ball", EUCLIDEAN_NORM), ("box", MAXIMUM_NORM)):
-        found[f"measure_pairs {shape}"] = specialised("at_one_time.measure_pairs", norm=norm).measure_pairs.module
+        measured = specialised("at_one_time.measure_pairs", norm=norm, width=width or 1)
+        found[f"measure_pairs {shape}"] = measured.measure_pairs.module
         of_start = specialised("at_one_time.start_holds", norm=norm)
         found[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
