@@ -1,5 +1,7 @@
 """`ccd-warp compile` and `doctor`: kernels are where they are needed, and a line says where they come from."""
 
+from pathlib import Path
+
 import pytest
 import warp as wp
 
@@ -31,6 +33,13 @@ def test_kernels_are_compiled_into_the_cache(few, capsys):
     for words, number in (("mesh_ccd", 1), ("pairs,hash", 2)):
         assert main(["compile", "--device", "cpu", "--for", words]) == 0
         assert capsys.readouterr().out == f"{number} modules for x86-64 are in {wp.config.kernel_cache_dir}\n"
+
+
+def test_code_for_a_gpu_that_is_not_there_is_compiled_into_the_cache(few, capsys):
+    assert main(["compile", "--arch", "90"]) == 0
+    assert capsys.readouterr().out == f"1 modules for sm_90 are in {wp.config.kernel_cache_dir}\n"
+    name = few["contacts"].get_module_identifier()
+    assert Path(wp.config.kernel_cache_dir, name, f"{name}.sm90.cubin").read_bytes().startswith(b"\x7fELF")
 
 
 def test_kernels_are_put_into_a_folder_that_the_package_takes(few, tmp_path, monkeypatch, capsys):

@@ -2,6 +2,7 @@
 
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import warp as wp
@@ -58,6 +59,22 @@ def test_a_damaged_file_is_named_and_compiled_again_and_a_whole_one_is_not_touch
         warnings.simplefilter("error")
         _load_anew()
     assert times == {path: path.stat().st_mtime_ns for path in times}
+
+
+def test_a_gpu_takes_its_own_code_from_the_cache_and_no_other(tmp_path, monkeypatch):
+    loads = []
+    module = SimpleNamespace(get_module_identifier=lambda _: "m", options={})
+    module.load = lambda device, block_dim, **how: loads.append(how)
+    monkeypatch.setattr(wp, "load_module", lambda **how: loads.append("as Warp does"))
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    (tmp_path / "m").mkdir()
+    for name in ("m.sm90.cubin", "m.sm80.cubin", "m.meta"):
+        (tmp_path / "m" / name).touch()
+    for arch in (90, 89):
+        device = SimpleNamespace(is_cpu=False, is_cuda=True, arch=arch, context=None)
+        load_or_repair(SimpleNamespace(module=module), device, 64)
+    files = {"binary_path": str(tmp_path / "m/m.sm90.cubin"), "meta_path": str(tmp_path / "m/m.meta")}
+    assert loads == [{"output_arch": 90, **files}, "as Warp does"]
 
 
 def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
