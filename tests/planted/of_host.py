@@ -248,6 +248,16 @@ PLANTED = [
     Fault("frame 10 before frame 2", "ccd_warp/_files/natural.py",
           '(0, int(part), "") if k % 2 else', "(0, 0, part) if k % 2 else",
           ("files/test_series_files.py::test_natural_order_is_that_of_a_reader",)),
+    # --- kernels that come with the package ---
+    Fault("an object whose checksum is not looked at", "ccd_warp/_runtime/packaged.py",
+          " and _digest(path) == digest", "",
+          ("runtime/test_packaged.py::test_a_damaged_kernel_of_the_package_is_named_and_compiled_instead",)),
+    Fault("objects for another Warp", "ccd_warp/_runtime/packaged.py",
+          'index["files"] if index.get("warp") == wp.config.version else {}', 'index.get("files", {})',
+          ("runtime/test_packaged.py::test_a_package_that_does_not_fit_is_as_if_it_were_not_there",)),
+    Fault("code for what the processor lacks", "ccd_warp/_runtime/target.py",
+          "_NEEDED[level] <= _flags_of_processor()", "_flags_of_processor()",
+          ("runtime/test_target.py::test_level_by_lanes_and_processor",)),
     # --- threads, ranks ---
     Fault("a part of a launch that begins an item too late", "ccd_warp/_runtime/packed.py",
           "setattr(own, name, begin)", "setattr(own, name, begin + 1)",

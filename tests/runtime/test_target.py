@@ -8,7 +8,7 @@ from ccd_warp._runtime import target
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.lanes import cpu_lanes
 
-V4 = " ".join(target._V4)
+V4 = " ".join(sorted(target._V4))
 
 
 @pytest.mark.parametrize(
