@@ -9,6 +9,7 @@ from typing import Any
 from ccd_warp._cli.process import start_quietly, teller
 from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._runtime.beforehand import compile_modules
+from ccd_warp._runtime.kept_hashes import hashes_of
 from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.packaged import write_index
 from ccd_warp._runtime.progress import Progress
@@ -51,7 +52,7 @@ def add_compile(commands: Any) -> None:
     what.add_argument("--all", help="all kernels there are: several minutes", action="store_true")
     text = f"what steps in float64 need, and what these add, with commas between: {', '.join(WORDS)} (mesh_ccd)"
     what.add_argument("--for", help=text, dest="words", metavar="WORDS", type=_words, default={"mesh_ccd"})
-    text = "put all kernels into a new folder, for every level of x86-64 and for --arch, as a wheel takes them"
+    text = "put all kernels into a new folder, as a wheel takes them, for all levels of x86-64 and --arch, or --device"
     command.add_argument("--package", help=text, metavar="DIR", type=Path)
     command.add_argument("--quiet", help="print nothing but errors", action="store_true")
 
@@ -73,10 +74,11 @@ def run(arguments: argparse.Namespace) -> int:
     places: list[tuple[int | None, Any]] = [(None, arch) for arch in arguments.arch]
     if arguments.package:
         arguments.package.mkdir(parents=True)
-        places += LEVELS.items()
-    elif not places:
+        places += [] if arguments.device else LEVELS.items()
+    if not places:
         device = resolve_device(arguments.device)
         places = [(None, device) if device.is_cuda else (cpu_lanes(), cpu_target())]
+    hashes: dict[str, list[Any]] = {}
     for width, place in places:
         modules = every_module(width)
         is_all = arguments.all or arguments.package
@@ -87,10 +89,12 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.package:
             for name, path in made.items():
                 shutil.copyfile(path, arguments.package / name)
+            for module in modules.values():
+                hashes |= hashes_of(module, 1 if width else module.options["block_dim"])
         at = arguments.package or next((path.parents[1] for path in made.values()), "the package")
         tell(f"{len(names)} modules for {shown} are in {at}")
     if arguments.package:
-        write_index(arguments.package)
+        write_index(arguments.package, hashes)
     return 0
 
 

@@ -12,15 +12,19 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.kept_hashes import digest_of_sources, recall
 from ccd_warp._runtime.target import NATIVE, cpu_target
 
 FOLDER = Path(__file__).parents[1] / "_objects"
-INDEX = "index.json"  # the version of Warp, and length and checksum of each file
+INDEX = "index.json"  # the version of Warp, length and checksum of each file, and hashes of modules
 
 
 def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
     """Load a module of the package for a device; whether there was one. A damaged one is named, and not loaded."""
-    meta = FOLDER / meta_name(module, block_dim) if has_any() else FOLDER
+    if not has_any():  # no hash is computed for nothing
+        return False
+    recall(module, block_dim, _index())
+    meta = FOLDER / meta_name(module, block_dim)
     for name, arch in _names(module, device, block_dim):
         path = FOLDER / name
         if not is_known(name) or not is_known(meta.name):
@@ -60,7 +64,7 @@ def why_none(device: Any) -> str:
     if index["warp"] != wp.config.version:
         return f"those of the package are for Warp {index['warp']}; this is {wp.config.version}"
     if device.is_cpu and cpu_target() == NATIVE:
-        return "they are compiled for this very processor"
+        return "code for this very processor is asked for, or none of the levels of x86-64 fits it"
     return ""
 
 
@@ -74,16 +78,15 @@ def meta_name(module: Any, block_dim: int | None) -> str:
     return object_name(module, block_dim, ".meta")
 
 
-def write_index(folder: Path) -> None:
-    """Write the index of the files in a folder."""
+def write_index(folder: Path, hashes: dict[str, list[Any]]) -> None:
+    """Write the index of the files in a folder, with hashes of modules."""
     files = {path.name: [path.stat().st_size, _digest(path)] for path in sorted(folder.iterdir()) if path.name != INDEX}
-    (folder / INDEX).write_text(json.dumps({"warp": wp.config.version, "files": files}), encoding="utf-8")
+    index = {"warp": wp.config.version, "files": files, "sources": digest_of_sources(), "hashes": hashes}
+    (folder / INDEX).write_text(json.dumps(index), encoding="utf-8")
 
 
 def _names(module: Any, device: Any, block_dim: int | None) -> list[tuple[str, int | None]]:
     """Names that an object for a device may have, the best first, and the GPU for which it was compiled."""
-    if not _files():  # no hash is computed for nothing
-        return []
     if device.is_cpu:
         name = module._get_compile_output_name(device, block_dim=block_dim)
         ending = name.removeprefix(module.get_module_identifier(block_dim))

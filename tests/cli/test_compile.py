@@ -42,8 +42,9 @@ def test_code_for_a_gpu_that_is_not_there_is_compiled_into_the_cache(few, capsys
     assert Path(wp.config.kernel_cache_dir, name, f"{name}.sm90.cubin").read_bytes().startswith(b"\x7fELF")
 
 
-def test_kernels_are_put_into_a_folder_that_the_package_takes(few, tmp_path, monkeypatch, capsys):
-    assert main(["compile", "--package", str(tmp_path / "made"), "--quiet"]) == 0
+@pytest.mark.parametrize("more", [[], ["--device", "cpu"]], ids=["for all levels", "for a device"])
+def test_kernels_are_put_into_a_folder_that_the_package_takes(more, few, tmp_path, monkeypatch, capsys):
+    assert main(["compile", "--package", str(tmp_path / "made"), *more, "--quiet"]) == 0
     endings = sorted(path.suffix for path in (tmp_path / "made").iterdir())
     assert endings == [".json", ".meta", ".meta", ".o", ".o"]
     monkeypatch.setattr(packaged, "FOLDER", tmp_path / "made")

@@ -17,9 +17,10 @@ from warp._src import build
 
 import ccd_warp as ccd
 from ccd_warp._cli.compile import WORDS, needed
-from ccd_warp._runtime import launch, packaged
+from ccd_warp._runtime import kept_hashes, launch, packaged
 from ccd_warp._runtime.beforehand import compile_modules
 from ccd_warp._runtime.every_module import every_module
+from ccd_warp._runtime.kept_hashes import hashes_of
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.quiet import start_warp
@@ -58,7 +59,8 @@ def _fill(modules):
     packaged.FOLDER.mkdir()
     for name, path in compile_modules(modules, cpu_target()).items():
         shutil.copyfile(path, packaged.FOLDER / name)
-    packaged.write_index(packaged.FOLDER)
+    hashes = {key: kept for module in modules.values() for key, kept in hashes_of(module, 1).items()}
+    packaged.write_index(packaged.FOLDER, hashes)
     packaged._index.cache_clear()
 
 
@@ -103,7 +105,7 @@ def test_a_damaged_kernel_of_the_package_is_named_and_compiled_instead(package, 
 def test_an_object_that_was_empty_when_it_was_packed_is_passed_over(package):
     (path,) = package.glob("*.o")
     path.write_bytes(bytes(path.stat().st_size))
-    packaged.write_index(package)
+    packaged.write_index(package, {})
     packaged._index.cache_clear()
     assert _load_anew()
 
@@ -131,13 +133,32 @@ def test_a_package_that_does_not_fit_is_as_if_it_were_not_there(package, change)
     assert packaged.why_none(wp.get_device("cpu")).startswith(reason) and not packaged.has_any()
 
 
+def test_a_hash_is_recalled_for_the_same_sources_and_options_alone(package, monkeypatch):
+    def is_recalled():
+        double.module.mark_modified()
+        set_flags(double.module, wp.get_device("cpu"))
+        kept_hashes.recall(double.module, 1, packaged._index())
+        return 1 in double.module.hashers
+
+    double.module.mark_modified()
+    computed = double.module.get_module_hash(1), double.hash, double.grid_stride
+    assert is_recalled()
+    assert computed == (double.module.get_module_hash(1), double.hash, double.grid_stride)
+    assert not _load_anew()
+    with monkeypatch.context() as patch:
+        patch.setitem(double.module.options, "max_unroll", 3)
+        assert not is_recalled()
+    monkeypatch.setattr(kept_hashes, "digest_of_sources", lambda: "of others")
+    assert not is_recalled()
+
+
 @pytest.mark.parametrize(("arch", "chosen"), [(90, None), (89, 86), (86, 86), (80, 80), (75, None), (121, 120)])
 def test_a_gpu_is_given_the_newest_code_of_its_own_generation(package, arch, chosen):
-    module = SimpleNamespace(get_module_hash=lambda _: b"\x01", loads=[], name="m")
+    module = SimpleNamespace(get_module_hash=lambda _: b"\x01", loads=[], name="m", hashers={64: None})
     module.load = lambda *_, **where: module.loads.append((where["output_arch"], where["binary_path"].name))
     for name in ("01.meta", "01.sm80.cubin", "01.sm86.cubin", "01.sm120.cubin"):
         (package / name).touch()
-    packaged.write_index(package)
+    packaged.write_index(package, {})
     packaged._index.cache_clear()
     loads = [(chosen, f"01.sm{chosen}.cubin")] if chosen else []
     device = SimpleNamespace(is_cpu=False, arch=arch)
