@@ -51,4 +51,6 @@ def _source_of_kernels(device: Any) -> str:
         count += is_packaged(module, device, 1 if device.is_cpu else module.options["block_dim"])
     if count == len(modules):
         return f"all kernels come with the package, {count} modules"
-    return f"{count} of {len(modules)} modules come with the package, and the others are compiled, as they differ"
+    return (
+        f"{count} of {len(modules)} modules come with the package; the others differ or are damaged, and are compiled"
+    )

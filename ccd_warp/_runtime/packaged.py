@@ -42,8 +42,9 @@ def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
 
 
 def is_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
-    """Whether the package has a module for a device, by what it says itself."""
-    return any(is_known(name) for name, _ in _names(module, device, block_dim))
+    """Whether the package has a module for a device, and whole."""
+    paths = [FOLDER / name for name, _ in _names(module, device, block_dim) if is_known(name)]
+    return bool(paths) and _is_whole(paths[0]) and _is_whole(FOLDER / meta_name(module, block_dim))
 
 
 def is_known(name: str) -> bool:

@@ -52,10 +52,9 @@ def test_kernels_are_put_into_a_folder_that_the_package_takes(more, few, tmp_pat
     assert main(["doctor"]) == 0 and main(["compile", "--device", "cpu", "--all"]) == 0
     out = capsys.readouterr().out
     assert ": all kernels come with the package, 2 modules\n" in out and out.endswith("are in the package\n")
-    monkeypatch.setitem(few["contacts"].options, "max_unroll", 3)
-    few["contacts"].mark_modified()
+    next((tmp_path / "made").glob("*.o")).write_bytes(b"")
     assert main(["doctor"]) == 0
-    assert ": 1 of 2 modules come with the package, and the others are compiled, as" in capsys.readouterr().out
+    assert ": 1 of 2 modules come with the package; the others differ or are damaged," in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
