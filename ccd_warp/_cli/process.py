@@ -1,9 +1,8 @@
-"""The process of the command line: its streams, what others write to them, and lines that say what it is doing."""
+"""The process of the command line: its streams, and what others write to them."""
 
 import logging
 import os
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -12,8 +11,6 @@ from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._cli import progress_line
-from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import resolve_device
 
@@ -108,27 +105,3 @@ def warnings_on_stderr(before: Callable[[], None] = lambda: None, *, is_quiet: b
         warnings.simplefilter("always", RuntimeWarning)
         warnings.showwarning = show
         yield
-
-
-@contextmanager
-def waiting(what: str, *, is_quiet: bool) -> Iterator[None]:
-    """Show what the work inside is, once it has taken two seconds and until it is done, where no share is known."""
-    if is_quiet or not has_terminal():
-        yield
-        return
-    shown: list[str] = []
-
-    def show() -> None:
-        shown.append(f"{what} ...")
-        write_to_terminal(f"\r{shown[0]}")
-
-    timer = threading.Timer(progress_line.PATIENCE, show)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        timer.join()
-        if shown:
-            write_to_terminal(f"\r{'':{len(shown[0])}}\r")

@@ -1,8 +1,8 @@
 """A line on the terminal that shows the stage of a step, a bar, and how long it will take."""
 
+import sys
 import time
 
-from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._runtime.progress import Progress
 
 PATIENCE = 2.0  # seconds before a line appears
@@ -13,7 +13,7 @@ class ProgressLine:
     """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
 
     def __init__(self, is_quiet: bool) -> None:
-        self._is_shown = not is_quiet and has_terminal()
+        self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
         self._begin = self._stage_begin = time.monotonic()
         self._stage = ""
         self._length = 0
@@ -31,12 +31,12 @@ class ProgressLine:
         """Clear the line."""
         if self._length:
             self._write("")
-            write_to_terminal("\r")
+            print(end="\r", file=sys.stderr, flush=True)
 
     def _write(self, text: str) -> None:
         # the longer of both while an interrupt may come before the line is written or after it
         self._length = max(self._length, len(text))
-        write_to_terminal(f"\r{text:{self._length}}")
+        print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
         self._length = len(text)
 
 

@@ -13,7 +13,7 @@ from ccd_warp._cli.contacts import described, earliest
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.frames import Body
+from ccd_warp._files.frames import Frames
 from ccd_warp._results.results import Counts
 from ccd_warp._runtime.display import counted, kind_name, named_counts, shown_range, start_sentence
 from ccd_warp._runtime.status import CCDStatus
@@ -62,7 +62,7 @@ def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is
         is_verbose: Whether to show what each stage counted.
     """
     tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
-    lines = [format_title(title, step.options), "", *body_lines(step.mesh, step.bodies, tois), "", *_outcome(step), ""]
+    lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step), ""]
     lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
     if is_verbose:
         lines += [*format_table(("count", ""), _count_rows(step.result.counts), align="<>"), ""]
@@ -74,19 +74,20 @@ def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is
     return "\n".join(lines + format_table(("stage", "seconds", "share"), rows, align="<>>"))
 
 
-def body_lines(mesh: CollisionMesh, bodies: Sequence[Body], tois: Sequence[str] = ()) -> list[str]:
+def body_lines(frames: Frames, tois: Sequence[str] = ()) -> list[str]:
     """The first bodies with their sizes, what was merged in reading them, and which vertices take no part."""
-    header = ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    mesh, header = frames.mesh, ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    vertices, faces = np.diff(mesh.body_vertex_range), np.bincount(mesh.face_body, minlength=mesh.num_bodies)
     rows = [
-        (name, mesh._kind_of_body(b), f"{len(body.vertices_t0):,}", f"{len(body.faces):,}", *tois[b : b + 1])
-        for b, (name, body) in enumerate(zip(mesh.names, bodies, strict=True))
+        (name, mesh._kind_of_body(b), f"{vertices[b]:,}", f"{faces[b]:,}", *tois[b : b + 1])
+        for b, name in enumerate(mesh.names)
     ]
     lines = format_table(header, rows[:_MOST_BODIES], align="<<>><"[: len(header)])
     lines += [f"  ... {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
     unused = mesh.vertex_body[np.setdiff1d(mesh.unused_vertices, mesh.inner_vertices)]
     num_unused, notes = np.bincount(unused, minlength=mesh.num_bodies).tolist(), []
-    for name, body, count in zip(mesh.names, bodies, num_unused, strict=True):
-        notes += [f"  ({body.merged:,} vertices of {name} merged by position)"] if body.merged else []
+    for name, merged, count in zip(mesh.names, frames.num_merged.tolist(), num_unused, strict=True):
+        notes += [f"  ({merged:,} vertices of {name} merged by position)"] if merged else []
         words = counted(count, f"vertex of {name} in no face takes", f"vertices of {name} in no face take")
         notes += [f"  ({words} no part)"] if count else []
     return lines + notes[:_MOST_BODIES]

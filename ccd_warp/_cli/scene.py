@@ -6,37 +6,48 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._calls.pose_sequence import PoseSequence
-from ccd_warp._files.frames import Body
-from ccd_warp._files.mesh_frames import mesh_of, static_bodies
+from ccd_warp._files.bodies import Body, mesh_of, static_bodies
+from ccd_warp._files.sequence import FrameSequence
+from ccd_warp._files.series import FileSeries, find_series
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import CCDStatus
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arguments import check_count
 from ccd_warp._scene.input.excluded_pairs import KEYS, ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
+StepSequence = FrameSequence | PoseSequence
 _ROW = "expected rows KEY,A,B, as vertices,12,340 or bodies,cloth,wall"
 
 
-def how_to_read(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What all readers of files take."""
-    limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
-    return {"max_bytes": limit, "surface": arguments.surface, "split": arguments.split}
+def open_sequence(arguments: argparse.Namespace, paths: list[Path]) -> StepSequence:
+    """The frames of files, in one order if there are just two of a step, or the poses of the bodies of one file."""
+    how = {"surface": arguments.surface, "split": arguments.split}
+    obstacles, joined = _obstacles(arguments, **how), partial(make_mesh, arguments)
+    if arguments.poses is None:
+        if arguments.path is not None:
+            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
+        options = {"displacement": arguments.displacement, "surface": arguments.surface}
+        is_step = arguments.command == "run"
+        series = [FileSeries(paths[0].name, paths, **options)] if is_step else find_series(paths, **options)
+        return FrameSequence(series, obstacles, joined, split=arguments.split)
+    if len(paths) != 1 or arguments.displacement is not None:
+        found = "--displacement is" if arguments.displacement is not None else f"{len(paths)} files are"
+        raise InputError(f"{found} given with --poses; expected one mesh file, with each body in its own frame")
+    return PoseSequence(paths[0], arguments.poses, arguments.path or "linear", obstacles, joined, **how)
 
 
-def obstacles(arguments: argparse.Namespace) -> list[Body]:
+def _obstacles(arguments: argparse.Namespace, **how: bool) -> list[Body]:
     """The bodies of ``--static`` and ``--half-space``; these are called "half-space" where they have no name."""
-    bodies = static_bodies(arguments.static, **how_to_read(arguments))
+    bodies = static_bodies(arguments.static, **how)
     for text in arguments.half_space:
         name, _, numbers = text.rpartition("=")
         try:
@@ -44,27 +55,8 @@ def obstacles(arguments: argparse.Namespace) -> list[Body]:
         except ValueError:
             expected = "X,Y,Z,NX,NY,NZ, a point and a normal, or NAME=X,Y,Z,NX,NY,NZ"
             raise InputError(f"--half-space {printable(text)}: expected {expected}") from None
-        bodies.append(Body.of_half_space(name or "half-space", HalfSpace([x, y, z], [nx, ny, nz])))
+        bodies.append(Body(name or "half-space", half_space=HalfSpace([x, y, z], [nx, ny, nz])))
     return bodies
-
-
-def pose_sequence(mesh_path: str | Path, arguments: argparse.Namespace) -> PoseSequence | None:
-    """The bodies of a mesh file at the poses of ``--poses``, and obstacles; None where no poses are given."""
-    if arguments.poses is None:
-        if arguments.path is not None:
-            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
-        return None
-    for name in ("end", "displacement", "faces"):
-        if getattr(arguments, name, None) is not None:
-            raise InputError(f"{name} is given with --poses; expected one mesh file, with each body in its own frame")
-    return PoseSequence(
-        Path(mesh_path),
-        arguments.poses,
-        arguments.path or "linear",
-        obstacles(arguments),
-        partial(make_mesh, arguments),
-        **how_to_read(arguments),
-    )
 
 
 def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
