@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._files.bodies import Body, file_bodies, mesh_of, static_bodies
-from ccd_warp._files.frames import Frames
 from ccd_warp._files.poses import read_poses as read_table
-from ccd_warp._files.sequence import checked_static
+from ccd_warp._files.sequence import Frames, checked_static
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import check_choice, check_flag, check_items, check_path

@@ -76,10 +76,8 @@ def make_parser() -> argparse.ArgumentParser:
     ):
         command = commands.add_parser(name, help=text, description=description)
         add_arguments(_adder(command))
+        _adder(command)("--quiet", "print nothing but errors", **_FLAG)
         if name != "bench":
-            verbosity = _adder(command.add_mutually_exclusive_group())
-            verbosity("--verbose", "print what each stage counted, too", **_FLAG)
-            verbosity("--quiet", "print nothing but errors", **_FLAG)
             _add_options(_adder(command.add_argument_group("options of the collision detection")))
     return parser
 
@@ -126,7 +124,6 @@ def _add_bench(add: _Add) -> None:
     add("--devices", "Warp devices (the CPU and every GPU)", metavar="NAME", nargs="+")
     text = "folder of bench.csv and bench.png (ccd_warp_bench); the picture needs the extra 'bench'"
     add("--output", text, **_file("DIR", default=Path("ccd_warp_bench")))
-    add("--quiet", "print nothing but errors", **_FLAG)
 
 
 def _add_scene(add: _Add) -> None:
@@ -144,7 +141,7 @@ def _add_scene(add: _Add) -> None:
     add("--half-space", f"{text}; {again}", metavar="[NAME=]X,Y,Z,NX,NY,NZ", **_REPEATED)
     text = "half the thickness of all bodies, or of one, in the unit of the files"
     add("--radius", f"{text}; {again}", metavar="[NAME=]R", **_REPEATED)
-    add("--exclude", "pairs to leave out: rows of text KEY,A,B, as vertices,12,340 or bodies,cloth,wall", **_file())
+    add("--exclude", f"two bodies that never meet, as cloth,wall; {again}", metavar="A,B", **_REPEATED)
     text = "leave out pairs with two vertices that fewer than N edges connect (1: pairs that share a vertex)"
     add("--exclusion-rings", text, type=int, metavar="N", default=1)
     text = "leave out of every step the pairs that are in contact in the first frame, as at a clamped edge"

@@ -16,8 +16,8 @@ from ccd_warp._cli.process import make_folder, start_quietly, teller
 from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.report import format_report, format_toi
 from ccd_warp._cli.solve import SolvedStep, make_options, solve
-from ccd_warp._files.frames import Frames
 from ccd_warp._files.ply import write_ply
+from ccd_warp._files.sequence import Frames
 from ccd_warp._scene.input.messages import printable
 
 
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
             step = solve(scene.frames, make_options(given, mesh), line, is_quiet=is_quiet)
         finally:
             line.clear()
-        tell(f"{format_report(f'demo {number}: {scene.title}', step, step.timings, is_verbose=arguments.verbose)}\n")
+        tell(f"{format_report(f'demo {number}: {scene.title}', step, step.timings)}\n")
         if scene.name == "bullet":
             at_start, at_end = _tests_at_both_ends(step)
             tell(f"  test at the start of the step  {at_start}\n  test at the end of the step    {at_end}")

@@ -18,11 +18,7 @@ from ccd_warp._scene.input.messages import InputError
 @contextmanager
 def closed_stderr() -> Iterator[None]:
     """Drop what native code writes to stderr, as OpenGL and VTK do."""
-    try:
-        saved = os.dup(2)
-    except OSError:  # the process has no stderr
-        yield
-        return
+    saved = os.dup(2)
     try:
         with open(os.devnull, "wb") as null:
             os.dup2(null.fileno(), 2)

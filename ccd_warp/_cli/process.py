@@ -5,7 +5,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -22,8 +22,7 @@ INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
 def say(line: str) -> None:
     """Print a line on stderr, where there is one; ``print`` would take stdout where there is none."""
     if sys.stderr is not None:
-        with suppress(OSError):
-            print(line, file=sys.stderr, flush=True)
+        print(line, file=sys.stderr, flush=True)
 
 
 def warn(line: str) -> None:
@@ -31,14 +30,12 @@ def warn(line: str) -> None:
     say(f"ccd-warp: warning: {printable(line)}")
 
 
-def write_out(text: str, stream: TextIO | None, name: Path | str = "standard output") -> None:
+def write_out(text: str, stream: TextIO, name: Path | str = "standard output") -> None:
     """Write a text at once; a reader who has gone, as that of a pipe to ``head``, changes nothing.
 
     Raises:
         InputError: If it cannot be written, as on a full disk.
     """
-    if stream is None:  # the process was started without it
-        return
     try:
         stream.write(text)
         stream.flush()
@@ -58,14 +55,11 @@ def teller(output: Path | None, *, is_quiet: bool) -> Callable[[str], None]:
 
 def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
     """Refuse a file of results that cannot be written, before the computation."""
-    if path is None:
+    if path is None or path == STDOUT:
         return
-    if path == STDOUT:
-        if sys.stdout is None:
-            raise InputError("--output -: there is no standard output; give a file, or do not close it")
-    elif path.suffix.lower() not in suffixes:
+    if path.suffix.lower() not in suffixes:
         raise InputError(f"--output {path}: the name must end in {' or '.join(suffixes)}, or be - alone")
-    elif not path.parent.is_dir():
+    if not path.parent.is_dir():
         raise InputError(f"--output {path}: the folder {path.parent} does not exist; create it first")
 
 

@@ -7,6 +7,7 @@ from ccd_warp._runtime.progress import Progress
 
 PATIENCE = 2.0  # seconds before a line appears
 _WIDTH = 24
+_ERASE = "\r\x1b[K"  # back to the begin of the line, and nothing behind
 
 
 class ProgressLine:
@@ -16,28 +17,19 @@ class ProgressLine:
         self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
         self._begin = self._stage_begin = time.monotonic()
         self._stage = ""
-        self._length = 0
 
     def show(self, progress: Progress) -> None:
         """Rewrite the line, once the run has taken two seconds."""
         now = time.monotonic()
         if progress.stage != self._stage:
             self._stage, self._stage_begin = progress.stage, now
-        if not self._is_shown or now - self._begin < PATIENCE:
-            return
-        self._write(line_of(progress, now - self._stage_begin))
+        if self._is_shown and now - self._begin >= PATIENCE:
+            print(end=f"{_ERASE}{line_of(progress, now - self._stage_begin)}", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
         """Clear the line."""
-        if self._length:
-            self._write("")
-            print(end="\r", file=sys.stderr, flush=True)
-
-    def _write(self, text: str) -> None:
-        # the longer of both while an interrupt may come before the line is written or after it
-        self._length = max(self._length, len(text))
-        print(f"\r{text:{self._length}}", end="", file=sys.stderr, flush=True)
-        self._length = len(text)
+        if self._is_shown:
+            print(end=_ERASE, file=sys.stderr, flush=True)
 
 
 def line_of(progress: Progress, seconds: float) -> str:

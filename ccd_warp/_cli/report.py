@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 import warp as wp
@@ -13,8 +12,7 @@ from ccd_warp._cli.contacts import described, earliest
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.frames import Frames
-from ccd_warp._results.results import Counts
+from ccd_warp._files.sequence import Frames
 from ccd_warp._runtime.display import counted, kind_name, named_counts, shown_range, start_sentence
 from ccd_warp._runtime.status import CCDStatus
 from ccd_warp._runtime.version import __version__
@@ -52,20 +50,17 @@ def format_title(title: str, options: Options) -> str:
     )
 
 
-def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is_verbose: bool) -> str:
+def format_report(title: str, step: SolvedStep, timings: dict[str, float]) -> str:
     """The report of one step, without a final newline.
 
     Args:
         title: First line.
         step: The step and its result.
         timings: Seconds of each stage, in order, as they are to be shown.
-        is_verbose: Whether to show what each stage counted.
     """
     tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
     lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step), ""]
     lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
-    if is_verbose:
-        lines += [*format_table(("count", ""), _count_rows(step.result.counts), align="<>"), ""]
     total = sum(timings.values())
     rows = [
         (name.replace("_", " "), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
@@ -177,15 +172,3 @@ def _outcome(step: SolvedStep) -> list[str]:
             "late; raise --max-iterations or --max-work to refine them"
         )
     return [*lines, *end, *scope_lines(step.mesh, step.options, step.ignored)]
-
-
-def _count_rows(counts: Counts) -> list[tuple[str, str]]:
-    """Counts by what a reader calls them; codimensional primitives only where there are any."""
-    rows: list[tuple[str, int]] = []
-    for field in fields(counts):
-        value, name = getattr(counts, field.name), field.name.removeprefix("num_").replace("_", " ")
-        if isinstance(value, dict):
-            rows += [(f"{kind_name(kind)} {name}", count) for kind, count in value.items()]
-        elif value or not name.startswith("codimensional"):
-            rows.append((name, value))
-    return [(name, f"{count:,}") for name, count in rows]

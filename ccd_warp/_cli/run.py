@@ -43,17 +43,13 @@ def run(arguments: argparse.Namespace) -> int:
         steps.line.clear()
     timings |= step.timings
     if output is not None:
-        begin = time.perf_counter()
         write_result(output, step)
-        timings["write files"] = time.perf_counter() - begin
     if picture is not None:
-        begin = time.perf_counter()
         draw_step(picture, step)
-        timings["draw picture"] = time.perf_counter() - begin
     tell = teller(output, is_quiet=is_quiet)
     times = ": " + " -> ".join(sequence.labels)
     title = f"{arguments.start}{times if arguments.end is None else f' -> {arguments.end}'}"
-    tell(format_report(title, step, timings, is_verbose=arguments.verbose))
+    tell(format_report(title, step, timings))
     for path in (path for path in (output, picture) if path not in (None, STDOUT)):
         tell(f"wrote {printable(str(path))}")
     return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))

@@ -11,7 +11,6 @@ from ccd_warp._cli.pictures import check_picture, draw_animation, draw_step
 from ccd_warp._cli.process import (
     INTERRUPTED,
     STDOUT,
-    check_output,
     make_folder,
     say,
     start_quietly,
@@ -53,9 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_picture(picture, "--picture", is_sequence=True)
     with warnings_on_stderr(is_quiet=is_quiet):
         sequence = open_sequence(arguments, arguments.frames)
-    if output == STDOUT:
-        check_output(output, ())
-    else:
+    if output != STDOUT:
         make_folder(output, "--output")
     steps = Steps(arguments, sequence)
     tell = teller(output, is_quiet=is_quiet)

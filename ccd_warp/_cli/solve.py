@@ -17,7 +17,7 @@ from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.scene import StartContacts, StepSequence
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.frames import Frames
+from ccd_warp._files.sequence import Frames
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.results import MeshResult

@@ -61,8 +61,8 @@ class FileBodies:
     def __init__(self, first: Mesh, name: str, *, split: bool, is_static: bool = False) -> None:
         self._first = first
         index = np.arange(len(first.vertices))
-        merged, self._vertex = (index, index) if not first.has_copies else _merge(first)
-        faces, copies = self._vertex[first.faces], np.bincount(self._vertex, minlength=len(merged)) - 1
+        merged, vertex = _merge(first) if first.has_copies else (index, index)
+        faces, copies = vertex[first.faces], np.bincount(vertex, minlength=len(merged)) - 1
         names, part = parts_of(first, faces, len(merged), name, split=split)
         vertices, of_part = (_by_part(each, len(names)) for each in (part, part[faces[:, 0]]))
         local = np.empty(len(merged), dtype=np.int64)
@@ -82,8 +82,8 @@ class FileBodies:
                 )
             )
         self.source_index = np.concatenate([body.source_index for body in self.bodies])
-        self._copies = np.flatnonzero(merged[self._vertex] != index)
-        self._copied = merged[self._vertex[self._copies]]
+        self._copies = np.flatnonzero(merged[vertex] != index)
+        self._copied = merged[vertex[self._copies]]
 
     def positions(self, frame: Mesh) -> np.ndarray:
         """The vertices of all bodies in another frame, shape [n, 3].
@@ -92,11 +92,6 @@ class FileBodies:
             InputError: If it differs in topology, or vertices that are one in the first frame part.
         """
         first = self._first
-        if first.has_copies != frame.has_copies:
-            raise InputError(
-                f"{first.path} and {frame.path} store shared vertices in different ways; "
-                "save both frames in the same format, PLY for example"
-            )
         for noun in ("vertices", "faces"):
             if len(getattr(first, noun)) != len(getattr(frame, noun)):
                 raise InputError(

@@ -23,14 +23,13 @@ from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._scene.input.messages import InputError, printable, reason_of
 from ccd_warp._scene.input.trimesh_bodies import transformed
 
-_WITH_COPIES = (".stl", ".stl_ascii", ".glb", ".gltf", ".dae")
+_WITH_COPIES = (".stl", ".glb", ".gltf", ".dae")
 # trimesh would read these formats leniently: it pads, skips and truncates inconsistent data.
 _READERS: dict[str, Callable[[bytes], tuple[Any, ...]]] = {
     ".ply": read_ply,
     ".obj": read_obj,
     ".off": read_off,
     ".stl": read_stl,
-    ".stl_ascii": read_stl,
 }
 _OF_TRIMESH = (".glb", ".gltf", ".3mf", ".dae")
 _ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"

@@ -44,36 +44,15 @@ def find_series(paths: Sequence[Path], **options: Any) -> list[Series]:
     Raises:
         InputError: If a path is missing or not known, or they differ in the number of frames, or hold fewer than two.
     """
-    frames: list[Path] = []
-    series: list[Series] = []
-
-    def add(path: Path) -> None:
-        suffix = path.suffix.lower()
-        if suffix == ".pvd":
-            series.extend(_pvd_series(path, **options))
-        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf(path, **options)).is_series:
-            series.append(xdmf)
-        else:
-            frames.append(path)
-
-    def add_frames() -> None:
-        for group in grouped_frames(frames) if frames else ():
-            series.append(FileSeries(series_name(group), group, **options))
-        frames.clear()
-
+    groups: list[list[Path]] = [[]]
     for path in paths:
         if path.is_dir():
-            add_frames()
-            for each in _files_of(path):
-                add(each)
-            add_frames()
+            groups += [_files_of(path), []]
         elif path.exists():
-            add(path)
+            groups[-1].append(path)
         else:
             raise InputError(f"{path}: no such file or folder; {_ADVICE}")
-    add_frames()
-    if not series:
-        raise InputError(f"no frames are given; {_ADVICE}")
+    series = [each for files in groups for each in _series_of(files, **options)]
     first, times = series[0], [each.times for each in series if each.times is not None]
     for other in series:
         if len(other.labels) != len(first.labels):
@@ -86,6 +65,22 @@ def find_series(paths: Sequence[Path], **options: Any) -> list[Series]:
     if len(first.labels) < 2:
         raise InputError(f"{first.name} has {len(first.labels)} frame; expected two or more")
     return series
+
+
+def _series_of(files: list[Path], **options: Any) -> list[Series]:
+    """The series of files of all frames, then those of files of one frame."""
+    frames: list[Path] = []
+    series: list[Series] = []
+    for path in files:
+        suffix = path.suffix.lower()
+        if suffix == ".pvd":
+            series += _pvd_series(path, **options)
+        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf(path, **options)).is_series:
+            series.append(xdmf)
+        else:
+            frames.append(path)
+    groups = grouped_frames(frames) if frames else []
+    return series + [FileSeries(series_name(group), group, **options) for group in groups]
 
 
 def _files_of(folder: Path) -> list[Path]:

@@ -3,7 +3,6 @@
 import base64
 import re
 import zlib
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from xml.etree import ElementTree as ET
@@ -23,7 +22,6 @@ _CELLS = {
     **{24: ("tetra10", 10), 25: ("hexahedron20", 20)},
 }
 _ATTRIBUTES = {"type", "version", "byte_order", "header_type", "compressor"}
-_Fields = dict[str, Callable[[], np.ndarray]]
 
 
 def read_vtu(data: bytes) -> Grid:
@@ -43,28 +41,12 @@ def read_vtu(data: bytes) -> Grid:
     if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or set(root.keys()) - _ATTRIBUTES:
         raise InputError(f"is no VTKFile of the type UnstructuredGrid with {', '.join(sorted(_ATTRIBUTES))} alone")
     arrays = _Arrays(root, body[1:])
-    points, blocks, first = [np.zeros((0, 3))], [], 0
-    fields: list[_Fields] = []
-    for piece in _one(root, "UnstructuredGrid").findall("Piece"):
-        num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
-        points.append(arrays.read(_one(_one(piece, "Points"), "DataArray"), "f", num_points, 3))
-        for name, cells in _blocks(arrays, _one(piece, "Cells"), num_cells):
-            if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
-                raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
-            blocks.append((name, cells + first))
-        at_points = [array for parent in piece.findall("PointData") for array in parent]
-        fields.append({x.get("Name", ""): partial(arrays.read, x, "fiu", num_points) for x in at_points})
-        first += num_points
-    return Grid(np.concatenate(points), blocks, _of_all(fields))
-
-
-def _of_all(pieces: list[_Fields]) -> _Fields:
-    """The fields that all pieces have."""
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([piece[name]() for piece in pieces])
-
-    return {name: partial(joined, name) for name in (pieces or [{}])[0] if all(name in piece for piece in pieces)}
+    piece = _one(_one(root, "UnstructuredGrid"), "Piece")
+    num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
+    points = arrays.read(_one(_one(piece, "Points"), "DataArray"), "f", num_points, 3)
+    at_points = [array for parent in piece.findall("PointData") for array in parent]
+    fields = {array.get("Name", ""): partial(arrays.read, array, "fiu", num_points) for array in at_points}
+    return Grid(points, _blocks(arrays, _one(piece, "Cells"), num_cells), fields)
 
 
 def _blocks(arrays: "_Arrays", parent: ET.Element, num_cells: int) -> Blocks:

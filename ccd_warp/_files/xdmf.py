@@ -55,7 +55,7 @@ class Xdmf:
         from meshio.xdmf.common import translate_mixed_cells, xdmf_to_meshio_type
 
         geometry, topology = self._part(k, "Geometry"), self._part(k, "Topology")
-        layout, kind = (part.get("Type") or part.get(f"{part.tag}Type", "XYZ") for part in (geometry, topology))
+        layout, kind = (part.get("Type") or part.get(f"{part.tag}Type") or "XYZ" for part in (geometry, topology))
         points, corners = _array(self.path, geometry, "f"), _array(self.path, topology, "iu")
         if layout != "XYZ":
             raise InputError(f"has a geometry of the type {layout!r}; expected XYZ")

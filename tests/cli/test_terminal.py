@@ -45,7 +45,10 @@ def frames(count):
 def screen_of(shown) -> list[str]:
     """Lines that stay on a terminal, but for that of a machine so busy that to load kernels takes seconds."""
     lines, column = [""], 0
-    for letter in shown.replace("\r\n", "\n"):
+    for letter in shown.replace("\r\n", "\n").replace("\x1b[K", "\0"):
+        if letter == "\0":
+            lines[-1] = lines[-1][:column]
+            continue
         if letter == "\n":
             lines.append("")
         elif letter != "\r":
