@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._files.bodies import Body, file_bodies, mesh_of, static_bodies
+from ccd_warp._files.bodies import file_bodies, mesh_of, static_bodies
 from ccd_warp._files.poses import read_poses as read_table
 from ccd_warp._files.sequence import Frames, checked_static
 from ccd_warp._rigid.motion import RigidMotion
@@ -39,7 +39,7 @@ class PoseSequence:
         mesh_path: Path,
         poses_path: Path,
         path: Literal["linear", "screw"],
-        static: list[Body],
+        static: list[Any],
         make_mesh: Callable[..., CollisionMesh],
         *,
         surface: bool = False,
@@ -122,5 +122,5 @@ def read_poses(
     files = check_path("mesh_path", mesh_path), check_path("poses_path", poses_path)
     check_choice("path", path, ("linear", "screw"))
     scripted, split = check_items("kinematic", kinematic, "a list of body indices"), check_flag("split", split)
-    obstacles: Any = static_bodies(checked_static(static), split=split)
+    obstacles = static_bodies(checked_static(static), split=split)
     return PoseSequence(*files, path, obstacles, partial(mesh_of, kinematic=scripted), split=split)

@@ -68,8 +68,8 @@ class FrameSequence:
     def __init__(
         self,
         series: Sequence[Any],
-        static: list[Body],
-        make_mesh: Callable[[list[Body]], CollisionMesh],
+        static: list[Any],
+        make_mesh: Callable[[list[Any]], CollisionMesh],
         *,
         split: bool = False,
     ) -> None:
