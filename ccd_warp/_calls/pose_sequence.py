@@ -88,7 +88,7 @@ class PoseSequence:
 
     def _step(self, k: int) -> tuple[Frames, RigidMotion]:
         """The positions of all vertices, in the frames of their bodies, and the motion, as of a `FrameSequence`."""
-        return Frames.of(self.mesh, self._bodies, self._vertices, self._vertices), self.step(k)
+        return Frames._of(self.mesh, self._bodies, self._vertices, self._vertices), self.step(k)
 
 
 def read_poses(

@@ -39,7 +39,7 @@ class Frames:
     num_merged: NDArray[np.int64]
 
     @classmethod
-    def of(
+    def _of(
         cls, mesh: CollisionMesh, bodies: Sequence[Body], start: NDArray[np.float64], end: NDArray[np.float64]
     ) -> "Frames":
         """The step of a mesh between two positions; ``bodies`` are those of the mesh."""
@@ -128,7 +128,7 @@ class FrameSequence:
             ValueError: If a file is damaged, or its topology differs.
         """
         number = range(len(self) - 1)[k]
-        return Frames.of(self.mesh, self._bodies, self[number], self[number + 1])
+        return Frames._of(self.mesh, self._bodies, self[number], self[number + 1])
 
     def steps(self) -> Iterator[Frames]:
         """All steps, one after the other."""
