@@ -64,12 +64,12 @@ class FileBodies:
         merged, vertex = _merge(first) if first.has_copies else (index, index)
         faces, copies = vertex[first.faces], np.bincount(vertex, minlength=len(merged)) - 1
         names, part = parts_of(first, faces, len(merged), name, split=split)
-        vertices, of_part = (_by_part(each, len(names)) for each in (part, part[faces[:, 0]]))
+        vertices, of_part = (_by_part(parts, len(names)) for parts in (part, part[faces[:, 0]]))
         local = np.empty(len(merged), dtype=np.int64)
         self.bodies: list[Body] = []
-        for body_name, chosen, body_faces in zip(names, vertices, of_part, strict=True):
-            local[chosen] = np.arange(len(chosen))
-            source_index = merged[chosen]
+        for body_name, body_vertices, body_faces in zip(names, vertices, of_part, strict=True):
+            local[body_vertices] = np.arange(len(body_vertices))
+            source_index = merged[body_vertices]
             self.bodies.append(
                 Body(
                     body_name,
@@ -77,7 +77,7 @@ class FileBodies:
                     local[faces[body_faces]],
                     source_index,
                     is_static,
-                    int(copies[chosen].sum()),
+                    int(copies[body_vertices].sum()),
                     is_surface=first.is_surface,
                 )
             )

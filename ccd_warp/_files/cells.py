@@ -77,8 +77,8 @@ def _displaced(grid: Grid, displacement: str | None) -> np.ndarray:
     if displacement is None:
         return vertices
     if displacement not in grid.fields:
-        found = ", ".join(map(repr, grid.fields)) or "none"
-        raise InputError(f"has no field {displacement!r} at its points; expected one of them: {found}")
+        field_names = ", ".join(map(repr, grid.fields)) or "none"
+        raise InputError(f"has no field {displacement!r} at its points; expected one of them: {field_names}")
     vectors = np.asarray(grid.fields[displacement](), dtype=np.float64)
     if vectors.shape != vertices.shape:
         raise InputError(f"the field {displacement!r} has shape {vectors.shape}; expected {vertices.shape}, as points")

@@ -135,6 +135,6 @@ def _read_with_trimesh(path: Path, suffix: str, data: bytes) -> list[Part]:
             # trimesh makes a node for each material of a mesh, below the node of the mesh.
             node = scene.graph.transforms.parents.get(node, node)
         parts.append(Part(transformed(mesh.vertices, matrix), faces, [str(node)]))
-    if not 0 < stated <= (found := sum(len(part.faces) for part in parts)):
-        raise InputError(f"says that it has {stated} triangles, and {found} of its scene can be read; {_ADVICE}")
+    if not 0 < stated <= (num_read := sum(len(part.faces) for part in parts)):
+        raise InputError(f"says that it has {stated} triangles, and {num_read} of its scene can be read; {_ADVICE}")
     return parts

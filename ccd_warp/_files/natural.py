@@ -19,8 +19,8 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 def pattern_of(path: Path) -> str:
     """The name of a file with its last number replaced by ``#``, the name itself if there is none."""
     stem, suffix = path.stem, path.suffix
-    found = list(_NUMBER.finditer(stem))
-    return f"{stem[: found[-1].start()]}#{stem[found[-1].end() :]}{suffix}" if found else f"{stem}{suffix}"
+    numbers = list(_NUMBER.finditer(stem))
+    return f"{stem[: numbers[-1].start()]}#{stem[numbers[-1].end() :]}{suffix}" if numbers else f"{stem}{suffix}"
 
 
 def series_name(paths: Sequence[Path]) -> str:

@@ -25,7 +25,7 @@ def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: boo
     names, part = [name], np.zeros(count, dtype=np.int64)
     if mesh.face_name is not None:
         names, part = _groups(mesh.names, mesh.face_name, faces, count)
-        names = [each or name for each in names] if len(names) > 1 else [name]
+        names = [part_name or name for part_name in names] if len(names) > 1 else [name]
     if split:
         names, part = _components(names, part, faces if mesh.cells is None else mesh.cells, count)
     if len(names) == 1:
@@ -43,10 +43,10 @@ def _groups(names: Sequence[str], group: np.ndarray, faces: np.ndarray, count: i
     order = np.argsort(np.unique(by_group, return_index=True)[1])
     number = np.full(len(root), -1)
     number[roots[order]] = np.arange(len(order))
-    found: list[list[str]] = [[] for _ in order]
+    names_of_parts: list[list[str]] = [[] for _ in order]
     for k, part in zip(used.tolist(), number[root[faces[first, 0]]].tolist(), strict=True):
-        found[part].append(names[k])
-    return [_joined(each) for each in found], number[root[:count]]
+        names_of_parts[part].append(names[k])
+    return [_joined(part_names) for part_names in names_of_parts], number[root[:count]]
 
 
 def _components(
@@ -59,10 +59,10 @@ def _components(
     order = np.lexsort((first, part[roots]))
     number = np.full(count, -1)
     number[roots[order]] = np.arange(len(order))
-    found: list[str] = []
+    component_names: list[str] = []
     for name, components in zip(names, np.bincount(part[roots], minlength=len(names)).tolist(), strict=True):
-        found += [f"{name}#{k}" for k in range(components)] if components > 1 else [name]
-    return found, number[root]
+        component_names += [f"{name}#{k}" for k in range(components)] if components > 1 else [name]
+    return component_names, number[root]
 
 
 def _joined(names: Sequence[str]) -> str:

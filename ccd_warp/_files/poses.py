@@ -75,6 +75,6 @@ def _body(text: str, names: list[str]) -> int:
     """The index of a body, by its name or, where no body has it, by its index."""
     index = names.index(text) if text in names else int(text) if text.isdecimal() else -1
     if not 0 <= index < len(names):
-        known = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
-        raise InputError(f"column body holds {text}, and no body is called so; expected one of {known}")
+        expected = ", ".join(names[:_MOST_NAMES]) + (", …" if len(names) > _MOST_NAMES else "")
+        raise InputError(f"column body holds {text}, and no body is called so; expected one of {expected}")
     return index

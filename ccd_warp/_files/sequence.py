@@ -75,18 +75,18 @@ class FrameSequence:
     ) -> None:
         """Of the series of files that move, and obstacles; ``make_mesh`` joins their bodies."""
         self._series: Sequence[Series] = series
-        self._name = ", ".join(each.name for each in series)
+        self._name = ", ".join(frames.name for frames in series)
         self.labels = [printable(label) for label in series[0].labels]
-        found = [each.times for each in series if each.times is not None]
-        self.times = np.array(found[0] if found else range(len(self.labels)), dtype=np.float64)
+        times = [frames.times for frames in series if frames.times is not None]
+        self.times = np.array(times[0] if times else range(len(self.labels)), dtype=np.float64)
         self._files, ends = [], []
-        for each in series:
-            first, second = each.read(0), each.read(1)
-            self._files.append(of := FileBodies(first, each.name, split=split))
+        for frames in series:
+            first, second = frames.read(0), frames.read(1)
+            self._files.append(of := FileBodies(first, frames.name, split=split))
             ends.append([of.positions(first), of.positions(second)])
             label = f"cells of {first.path.name}"
             warn_of_midsides(label, first.midsides, first.faces, first.vertices, second.vertices)
-        self._bodies = [*(body for each in self._files for body in each.bodies), *static]
+        self._bodies = [*(body for file in self._files for body in file.bodies), *static]
         self._static = [body.vertices for body in static]
         self._read = {k: np.concatenate([*(of_file[k] for of_file in ends), *self._static]) for k in (0, 1)}
         self.mesh = make_mesh(self._bodies)
@@ -113,7 +113,7 @@ class FrameSequence:
         number = range(len(self))[k]
         if number not in self._read:
             self._read = {n: frame for n, frame in self._read.items() if abs(n - number) == 1}
-            moving = [of.positions(each.read(number)) for of, each in zip(self._files, self._series, strict=True)]
+            moving = [of.positions(frames.read(number)) for of, frames in zip(self._files, self._series, strict=True)]
             self._read[number] = np.concatenate([*moving, *self._static])
         return self._read[number].copy()
 
@@ -223,14 +223,14 @@ def read_sequence(
         ValueError: If a path is missing, damaged or not known, there are fewer than two frames, bodies differ in their
             number of frames or their times, or another argument is not as described.
     """
-    given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
-    if not given:
+    items = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
+    if not items:
         raise ValueError("paths is empty; expected a path, or a list of paths")
     if displacement is not None and not isinstance(displacement, str):
         raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
     how: dict[str, Any] = {"surface": check_flag("surface", surface)}
-    series = find_series([check_path("paths", path) for path in given], displacement=displacement, **how)
+    series = find_series([check_path("paths", path) for path in items], displacement=displacement, **how)
     bodies = static_bodies(checked_static(static), split=check_flag("split", split), **how)
-    chosen = check_items("kinematic", kinematic, "a list of body indices")
-    make_mesh = partial(mesh_of, kinematic=chosen, self_collision=self_collision)
+    kinematic_bodies = check_items("kinematic", kinematic, "a list of body indices")
+    make_mesh = partial(mesh_of, kinematic=kinematic_bodies, self_collision=self_collision)
     return FrameSequence(series, bodies, make_mesh, split=bool(split))

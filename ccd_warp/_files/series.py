@@ -52,8 +52,8 @@ def find_series(paths: Sequence[Path], **options: Any) -> list[Series]:
             groups[-1].append(path)
         else:
             raise InputError(f"{path}: no such file or folder; {_ADVICE}")
-    series = [each for files in groups for each in _series_of(files, **options)]
-    first, times = series[0], [each.times for each in series if each.times is not None]
+    series = [frames for files in groups for frames in _series_of(files, **options)]
+    first, times = series[0], [frames.times for frames in series if frames.times is not None]
     for other in series:
         if len(other.labels) != len(first.labels):
             raise InputError(
@@ -85,13 +85,13 @@ def _series_of(files: list[Path], **options: Any) -> list[Series]:
 
 def _files_of(folder: Path) -> list[Path]:
     """The frames in a folder, or the files of all frames, in natural order; other files are passed over."""
-    known = [
+    paths = [
         path
         for path in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
         if not path.is_dir() and not path.name.startswith(".")
     ]
-    series = [path for path in known if path.suffix.lower() == ".pvd"]
-    frames = [path for path in known if path.suffix.lower() in (*MESH_SUFFIXES, *CELL_SUFFIXES)]
+    series = [path for path in paths if path.suffix.lower() == ".pvd"]
+    frames = [path for path in paths if path.suffix.lower() in (*MESH_SUFFIXES, *CELL_SUFFIXES)]
     if series and frames:
         raise InputError(f"{folder}: holds {frames[0].name} as well as {series[0].name}; give what you mean by name")
     if not series and not frames:

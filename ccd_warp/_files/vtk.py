@@ -43,10 +43,10 @@ def read_vtk(path: Path) -> Grid:
     )
     stated = [tuple(map(int, line)) for line in re.findall(rb"\nCELLS +(\d+) +(\d+)[ \r]*\n", data)]
     is_old = int(head[1]) < 5  # each cell begins with its number of corners; later there is one offset more than cells
-    found = len(widths) + (not is_old), int(widths.sum()) + is_old * len(widths)
-    if stated != [found]:
-        raise InputError(f"its line CELLS says {stated}, and what is read of it makes {found}; {CUT}")
-    if not is_old and not np.array_equal(np.diff(_offsets(data, is_text, found[0])), widths):
+    read_counts = len(widths) + (not is_old), int(widths.sum()) + is_old * len(widths)
+    if stated != [read_counts]:
+        raise InputError(f"its line CELLS says {stated}, and what is read of it makes {read_counts}; {CUT}")
+    if not is_old and not np.array_equal(np.diff(_offsets(data, is_text, read_counts[0])), widths):
         raise InputError(f"its cells have other numbers of corners than their types; {CUT}")
     # blanks in names are escaped
     fields = {unquote(name): partial(np.asarray, values) for name, values in mesh.point_data.items()}

@@ -75,10 +75,10 @@ def _blocks(arrays: "_Arrays", parent: ET.Element, num_cells: int) -> Blocks:
 
 
 def _one(parent: ET.Element, tag: str) -> ET.Element:
-    found = parent.findall(tag)
-    if len(found) != 1:
-        raise InputError(f"has {len(found)} {tag} in its {parent.tag}; expected one: {CUT}")
-    return found[0]
+    elements = parent.findall(tag)
+    if len(elements) != 1:
+        raise InputError(f"has {len(elements)} {tag} in its {parent.tag}; expected one: {CUT}")
+    return elements[0]
 
 
 class _Arrays:
@@ -89,7 +89,7 @@ class _Arrays:
         self.header = np.dtype(self.order + {"UInt32": "u4", "UInt64": "u8"}[root.get("header_type", "UInt32")])
         self.compressor = root.get("compressor")
         self.appended = appended
-        encodings = [each.get("encoding") for each in root.findall("AppendedData")]
+        encodings = [element.get("encoding") for element in root.findall("AppendedData")]
         self.is_raw = encodings == ["raw"]
         if encodings not in ([], ["raw"], ["base64"]):
             raise InputError(f"has appended data in the encodings {encodings}; expected one, raw or base64")
@@ -98,10 +98,16 @@ class _Arrays:
     def read(self, array: ET.Element, kinds: str, count: int, width: int | None = None) -> np.ndarray:
         """The values of an array of ``count`` tuples, of a type of these kinds; [count, width] unless it is flat."""
         name, dtype = array.get("Name"), np.dtype(self.order + _TYPES[array.attrib["type"]])
-        found = int(array.get("NumberOfComponents") or 1)
-        if array.tag != "DataArray" or dtype.kind not in kinds or found != (width or found) or found < 1 or count < 0:
-            raise InputError(f"its array {name!r} has {found} components of {dtype}; expected {width or 1}: {CUT}")
-        size, text = count * found * dtype.itemsize, (array.text or "").encode()
+        components = int(array.get("NumberOfComponents") or 1)
+        if (
+            array.tag != "DataArray"
+            or dtype.kind not in kinds
+            or components != (width or components)
+            or components < 1
+            or count < 0
+        ):
+            raise InputError(f"its array {name!r} has {components} components of {dtype}; expected {width or 1}: {CUT}")
+        size, text = count * components * dtype.itemsize, (array.text or "").encode()
         match array.attrib["format"]:
             case "ascii":
                 values = all_numbers(text, float if dtype.kind == "f" else int)
@@ -111,15 +117,15 @@ class _Arrays:
                 values = np.frombuffer(self._unpacked(self._appended(int(array.attrib["offset"])), size), dtype)
             case how:
                 raise InputError(f"its array {name!r} has the format {how!r}; expected ascii, binary or appended")
-        if len(values) != count * found:
-            raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * found}: {CUT}")
-        return values if width is None and found == 1 else values.reshape(count, found)
+        if len(values) != count * components:
+            raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * components}: {CUT}")
+        return values if width is None and components == 1 else values.reshape(count, components)
 
     def _appended(self, offset: int) -> bytes:
         """What lies between an offset and the next one."""
         if not 0 <= offset < len(self.appended):
             raise InputError(f"states the offset {offset} in {len(self.appended)} bytes of appended data; {CUT}")
-        end = min((each for each in self.offsets if each > offset), default=len(self.appended))
+        end = min((other for other in self.offsets if other > offset), default=len(self.appended))
         return self.appended[offset:end] if self.is_raw else _decoded(self.appended[offset:end])
 
     def _unpacked(self, data: bytes, size: int) -> bytes:

@@ -70,17 +70,17 @@ class Xdmf:
 
     def _fields(self, k: int) -> dict[str, ET.Element]:
         """The fields at the points."""
-        found = [field for field in self.frames[k].findall("Attribute") if field.get("Center", "Node") == "Node"]
-        fields = {field.get("Name", ""): field for field in found}
-        if len(fields) != len(found):
+        attributes = [field for field in self.frames[k].findall("Attribute") if field.get("Center", "Node") == "Node"]
+        fields = {field.get("Name", ""): field for field in attributes}
+        if len(fields) != len(attributes):
             raise InputError(f"frame {k} has two fields of one name; {CUT}")
         return fields
 
     def _part(self, k: int, tag: str) -> ET.Element:
-        found = self.frames[k].findall(tag) or self._base.findall(tag)
-        if len(found) != 1:
-            raise InputError(f"frame {k} has {len(found)} {tag}; expected one")
-        return found[0]
+        elements = self.frames[k].findall(tag) or self._base.findall(tag)
+        if len(elements) != 1:
+            raise InputError(f"frame {k} has {len(elements)} {tag}; expected one")
+        return elements[0]
 
 
 def _array(path: Path, parent: ET.Element, kinds: str) -> np.ndarray:
