@@ -186,7 +186,7 @@ def _add_options(add_argument: _Add) -> None:
     add("num_threads", "threads on the CPU", "all cores", type=int, metavar="N")
 
 
-def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def command_line_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """The options that the command line gives."""
     names = MeshOptions.__optional_keys__
     return {name: value for name in sorted(names) if (value := getattr(arguments, name)) is not None}

@@ -56,15 +56,15 @@ def queries_of(family: str, kind: str, count: int) -> Queries:
         start, end = (rng.integers(0, 4, size) * (SIDE // 4) + rng.integers(-1, 2, (size[0], 1, 1)) for _ in range(2))
         start[::3, 3] = start[::3, 2] + rng.integers(-1, 2, start[::3, 3].shape)  # slivers and short edges
         k = np.clip(rng.integers(0, 5, size[0]) * (denominator // 4) + rng.integers(-1, 2, size[0]), 0, None)
-    meets, is_known = _meets(kind, start * denominator + (end - start) * k[:, None, None])
-    meets, chosen = meets & (k >= 0) & (k <= denominator), np.flatnonzero(is_known)[:count]
+    meets, is_certain = _meets(kind, start * denominator + (end - start) * k[:, None, None])
+    meets, certain = meets & (k >= 0) & (k <= denominator), np.flatnonzero(is_certain)[:count]
     places, tilt = [], rng.integers(-3, 4, (size[0], 3, 3))
     tilt[np.abs(np.linalg.det(tilt)) < 0.5] = np.eye(3, dtype=int)
     is_above = np.arange(4) < (1 if kind == "vertex-face" else 2)
     for plane, height in ((start, k), (end, k - denominator)):
         points = np.concatenate([plane, (height[:, None] * is_above)[..., None]], axis=2)
-        places.append((points @ tilt + rng.integers(-common, common + 1, (size[0], 1, 3)))[chosen].astype(float))
-    return Queries(kind, places[0], places[1], np.where(meets, k / denominator, np.inf)[chosen])
+        places.append((points @ tilt + rng.integers(-common, common + 1, (size[0], 1, 3)))[certain].astype(float))
+    return Queries(kind, places[0], places[1], np.where(meets, k / denominator, np.inf)[certain])
 
 
 def _aim(kind: str, points: np.ndarray, rng: np.random.Generator) -> None:
@@ -94,13 +94,13 @@ def _meets(kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def judged(toi: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     """What is wrong with some answers, and by how much the others are early; one at nan is undecided, and left out."""
     toi, truth = toi[~np.isnan(toi)], truth[~np.isnan(toi)]
-    found, is_hit = np.isfinite(toi), np.isfinite(truth)
-    early = truth[found & is_hit] - toi[found & is_hit]
+    is_reported, is_hit = np.isfinite(toi), np.isfinite(truth)
+    early = truth[is_reported & is_hit] - toi[is_reported & is_hit]
     return {
         "queries": len(toi),
-        "missed": int((is_hit & ~found).sum()),
+        "missed": int((is_hit & ~is_reported).sum()),
         "late": int((early < 0).sum()),
-        "phantom": int((found & ~is_hit).sum()),
+        "phantom": int((is_reported & ~is_hit).sum()),
         "early_99": float(np.quantile(early, 0.99)) if len(early) else 0.0,
         "early_most": float(early.max(initial=0.0)),
     }
@@ -177,9 +177,9 @@ def step_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[tu
         if has_peer:
             import ipctk
 
-            theirs, found = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
-            calls["ipctk: LBVH"] = partial(found.build, theirs, *frames, broad_phase=ipctk.LBVH())
-            calls["ipctk: Tight-Inclusion"] = partial(found.compute_collision_free_stepsize, theirs, *frames)
+            theirs, candidates = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
+            calls["ipctk: LBVH"] = partial(candidates.build, theirs, *frames, broad_phase=ipctk.LBVH())
+            calls["ipctk: Tight-Inclusion"] = partial(candidates.compute_collision_free_stepsize, theirs, *frames)
         for name, call in calls.items():
             yield f"cloth over sphere, {len(mesh.faces):,} faces", name, timed(call, 2 if is_quick else 9)[0]
 

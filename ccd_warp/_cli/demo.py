@@ -9,7 +9,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from ccd_warp import CollisionMesh, CollisionPipeline
-from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.output import write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.process import make_folder, start_quietly, teller
@@ -93,11 +93,11 @@ def run(arguments: argparse.Namespace) -> int:
             make_folder(path, option)
     for scene in scenes if pictures is not None else ():
         check_picture(pictures / f"{scene.name}.png", "--pictures")
-    tell, given = teller(None, is_quiet=is_quiet), given_options(arguments)
+    tell, option_values = teller(None, is_quiet=is_quiet), command_line_options(arguments)
     for number, scene in enumerate(scenes, 1):
         line, mesh = ProgressLine(is_quiet), scene.frames.mesh
         try:
-            step = solve(scene.frames, make_options(given, mesh), line, is_quiet=is_quiet)
+            step = solve(scene.frames, make_options(option_values, mesh), line, is_quiet=is_quiet)
         finally:
             line.clear()
         tell(f"{format_report(f'demo {number}: {scene.title}', step, step.timings)}\n")
@@ -130,5 +130,5 @@ def _tests_at_both_ends(step: SolvedStep) -> list[str]:
     """What a simulation without CCD finds: whether surfaces cross at the start, and whether they do at the end."""
     with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
         ends = (step.frames.vertices_t0, step.frames.vertices_t1)
-        found = [pipeline.find_intersections(vertices).num_crossing for vertices in ends]
-    return ["HIT" if count else "MISS" for count in found]
+        num_crossing = [pipeline.find_intersections(vertices).num_crossing for vertices in ends]
+    return ["HIT" if count else "MISS" for count in num_crossing]

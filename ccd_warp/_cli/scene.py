@@ -38,8 +38,8 @@ def open_sequence(arguments: argparse.Namespace, paths: list[Path]) -> StepSeque
         series = [FileSeries(paths[0].name, paths, **options)] if is_step else find_series(paths, **options)
         return FrameSequence(series, obstacles, joined, split=arguments.split)
     if len(paths) != 1 or arguments.displacement is not None:
-        found = "--displacement is" if arguments.displacement is not None else f"{len(paths)} files are"
-        raise InputError(f"{found} given with --poses; expected one mesh file, with each body in its own frame")
+        surplus = "--displacement is" if arguments.displacement is not None else f"{len(paths)} files are"
+        raise InputError(f"{surplus} given with --poses; expected one mesh file, with each body in its own frame")
     return PoseSequence(paths[0], arguments.poses, arguments.path or "linear", obstacles, joined, **how)
 
 
@@ -76,8 +76,8 @@ def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: S
 def _body(option: str, name: str, names: Sequence[str]) -> int:
     """The index of the body of this name."""
     if name not in names:
-        known = ", ".join(map(printable, names[:8])) + (", ..." if len(names) > 8 else "")
-        raise InputError(f"{option} {printable(name)}: no such body; expected one of {known}")
+        expected = ", ".join(map(printable, names[:8])) + (", ..." if len(names) > 8 else "")
+        raise InputError(f"{option} {printable(name)}: no such body; expected one of {expected}")
     return names.index(name)
 
 
@@ -127,12 +127,12 @@ class StartContacts:
             near = pipeline.find_proximity(vertices, options.minimum_distance + rounding)
             start = pipeline.find_intersections(vertices)
         touching = contacts[contacts.status == int(CCDStatus.INITIAL_CONTACT)]
-        pairs = joined_pairs(*(validated_excluded_pairs(found, mesh) for found in (touching, near)))
+        pairs = joined_pairs(*(validated_excluded_pairs(pair_list, mesh) for pair_list in (touching, near)))
         return cls(pairs, start.primitives[start.is_crossing])
 
     def others(self, start: Intersections) -> Intersections:
         """What intersects at the start of a step, without the edges that passed through the same faces at first."""
-        now, first = (each[:, 0].astype(np.int64) << 32 | each[:, 1] for each in (start.primitives, self.crossing))
+        now, first = (rows[:, 0].astype(np.int64) << 32 | rows[:, 1] for rows in (start.primitives, self.crossing))
         return start[~(start.is_crossing & np.isin(now, first))]
 
     def __str__(self) -> str:

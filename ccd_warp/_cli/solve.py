@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.arguments import given_options
+from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.scene import StartContacts, StepSequence
@@ -83,7 +83,7 @@ def moving_vertices(frames: Frames, motion: RigidMotion | None) -> MovingVertice
     return MovingVertices(mesh, *places) if motion is None else motion._moving(mesh, *places)
 
 
-def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
+def make_options(values: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
     """The options of the command line, with the length scale that they mean if they give none.
 
     It is that of the mesh: the longest side of the box around all bodies at the start, where ``start`` says where they
@@ -92,7 +92,7 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.f
     Raises:
         ValueError: If an option is out of its range, or the bodies cannot form a kind of pair that it names.
     """
-    options, possible = Options(**given), possible_kinds(mesh, Options())
+    options, possible = Options(**values), possible_kinds(mesh, Options())
     for kind in options.kinds if options.pair_kinds is not None else ():
         if kind not in possible:
             raise InputError(
@@ -148,8 +148,8 @@ class Steps:
     def __init__(self, arguments: argparse.Namespace, sequence: StepSequence) -> None:
         self.sequence, self.is_quiet, self.ignored = sequence, arguments.quiet, None
         self.at_start = self.moving(0).all_at(0.0)
-        given, has_frames_of_bodies = given_options(arguments), arguments.poses is not None
-        self.options = make_options(given, sequence.mesh, self.at_start if has_frames_of_bodies else None)
+        option_values, has_frames_of_bodies = command_line_options(arguments), arguments.poses is not None
+        self.options = make_options(option_values, sequence.mesh, self.at_start if has_frames_of_bodies else None)
         if arguments.ignore_start_contacts:
             with warnings_on_stderr(is_quiet=self.is_quiet):
                 self.ignored = StartContacts.of(sequence.mesh, self.at_start, self.options)
