@@ -65,8 +65,8 @@ class MotionWorlds:
         """
         self._pipeline, self._motion, self.num_worlds = pipeline, motion, motion.num_worlds
         mesh = self._mesh = pipeline.mesh
-        given = motion._body_paths
-        check_motion(mesh, given, self.num_worlds)
+        paths = motion._body_paths
+        check_motion(mesh, paths, self.num_worlds)
         check_worlds(mesh)
         check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
@@ -74,7 +74,7 @@ class MotionWorlds:
         self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
-        self._given, self._turn = (start, end), given.largest_turn
+        self._ends, self._turn = (start, end), paths.largest_turn
 
     def _in_batches(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
@@ -83,12 +83,12 @@ class MotionWorlds:
         """
         count, mesh = self._num_copies, self._mesh
         copies = mesh._copies(count)
-        start = np.tile(self._given[0], (count, 1))
-        end = start if self._given[1] is self._given[0] else np.tile(self._given[1], (count, 1))
+        start = np.tile(self._ends[0], (count, 1))
+        end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
         # bodies that all copies share, half-spaces, come last
-        num_own = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
-        copy_of_body = np.arange(copies.num_bodies) // num_own
-        copy_of_body[count * num_own :] = 0
+        num_copied = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
+        copy_of_body = np.arange(copies.num_bodies) // num_copied
+        copy_of_body[count * num_copied :] = 0
         for first in range(0, self.num_worlds, count):
             worlds = np.arange(first, min(first + count, self.num_worlds))
             is_searched = np.arange(count) < len(worlds)
@@ -97,9 +97,9 @@ class MotionWorlds:
             paths = MeshPaths.of_checked(copies, of_batch, active=is_searched[copy_of_body], turn=self._turn)
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
-                found = call(pipeline, start, end, paths)
+                result = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
-            yield worlds, found
+            yield worlds, result
 
     def _add(self, counts: Counts, timings: dict[str, float]) -> None:
         """Count what a step did."""
@@ -111,12 +111,12 @@ class MotionWorlds:
         """What all that has been searched did; sizes are those of all worlds."""
         kinds = possible_kinds(self._mesh, self._pipeline._options)
         total: dict[str, Any] = {}
-        for each in fields(Counts):
-            values = [getattr(counts, each.name) for counts in self._counts]
-            if each.default is MISSING:
-                total[each.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
+        for field in fields(Counts):
+            values = [getattr(counts, field.name) for counts in self._counts]
+            if field.default is MISSING:
+                total[field.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
             else:
-                total[each.name] = sum(values)
+                total[field.name] = sum(values)
         return Counts(**(total | sizes_of(self._mesh, self.num_worlds)))
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
@@ -137,8 +137,8 @@ class MotionWorlds:
             def of_parts(step: LeastToiStep) -> float:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
-            found = parts.search(self._on_parts(LeastToiStep, of_parts))
-            least = least_of(toi for *_, toi in found)
+            results = parts.search(self._on_parts(LeastToiStep, of_parts))
+            least = least_of(toi for *_, toi in results)
             if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
                 return least
         call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
@@ -152,7 +152,7 @@ class MotionWorlds:
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
         mesh, options = self._mesh, self._pipeline._options
-        frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
+        frames = MovingVertices(mesh, *self._ends, WorldPaths.of_worlds(mesh, self._motion._body_paths))
         scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
         touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
         return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
@@ -183,7 +183,7 @@ class MotionWorlds:
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
         if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
-        parts = pipeline._body_parts(*self._given)
+        parts = pipeline._body_parts(*self._ends)
         if parts is None:
             return None
         options = pipeline._options
@@ -196,9 +196,9 @@ class MotionWorlds:
         def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
             step: _StepT
             with self._pipeline._step_of(kind, parts, paths) as step:
-                found = work(step)
+                result = work(step)
             self._add(step.counts, step.timings)
-            return found
+            return result
 
         return on_parts
 

@@ -65,7 +65,7 @@ PLANTED = [
           "slack_of(paths, body, arm, x) + paths.excess[body]", "slack_of(paths, body, arm, x)",
           ("laws/test_bodies_that_turn.py::test_contacts_of_a_step",)),
     Fault("a body that stands beside its path taken for one that stays", "ccd_warp/_rigid/mesh_paths.py",
-          "bodies[(given.excess > 0.0) & ~given.moves], 0] = UNSEEN", "bodies[:0], 0] = UNSEEN",
+          "bodies[(paths.excess > 0.0) & ~paths.moves], 0] = UNSEEN", "bodies[:0], 0] = UNSEEN",
           ("calls/test_rigid.py::test_bodies_that_stand_on_their_paths_and_may_be_beside_them_are_no_stationary_pair",)),
     # --- parts that may touch ---
     Fault("parts on their paths that may be beside them", "ccd_warp/_rigid/parts/bounds.py",

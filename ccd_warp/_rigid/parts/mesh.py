@@ -125,10 +125,10 @@ class PartMesh:
         body_keys, sizes = np.unique(world * one.num_bodies + body, return_counts=True)
         world_of_body, body = np.divmod(body_keys, one.num_bodies)
         planes = one.planes  # their bodies come last
-        num_own = len(body)
+        first_plane = len(body)
         body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
         world_of_body = np.append(world_of_body, np.zeros(len(planes), dtype=world_of_body.dtype))
-        planes = replace(planes, bodies=(num_own + np.arange(len(planes))).astype(np.int32))
+        planes = replace(planes, bodies=(first_plane + np.arange(len(planes))).astype(np.int32))
         rigid = one.rigid[body]
         is_used = np.zeros((count, int(one.rigid.sum())), dtype=bool)
         is_used[world_of_body[rigid], parts.row_of[body[rigid]]] = True
@@ -145,10 +145,10 @@ class PartMesh:
         if len(contacts) == 0:
             return contacts
         numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
-            "vertex": lambda own: self.vertex[own],
-            "face": lambda own: self.face[own],
-            "plane": lambda own: own,
-            "edge": lambda own: _edges(mesh, self.vertex[self.mesh.edges[own]]),
+            "vertex": lambda index: self.vertex[index],
+            "face": lambda index: self.face[index],
+            "plane": lambda index: index,
+            "edge": lambda index: _edges(mesh, self.vertex[self.mesh.edges[index]]),
         }
         primitives = contacts.primitives.copy()
         for kind in PairKind:

@@ -44,8 +44,8 @@ class WorldsOfParts:
         self.parts = parts
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
-        each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
-        of_slice, begin, end = spans(each, t_max)
+        num_slices = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
+        of_slice, begin, end = spans(num_slices, t_max)
         slices, a, b = self.parts.overlapping(motion, of_slice, begin, end, reach, execution)
         count = len(self.parts.body)
         of_pair = of_slice[slices] * count
@@ -68,10 +68,10 @@ class WorldsOfParts:
                 for of, most in ((before, self._most_rows), (bodies, MOST_BODIES))
             )
             last = min(max(k + 1, min(fits)), len(worlds))
-            chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
-            of_part = np.searchsorted(chosen, self._world[rows])
-            own, counts = self._part[rows], sizes[rows]
-            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), ranges(first[own], counts))
-            given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
-            yield chosen, parts, work(parts, MeshPaths.of_checked(parts.mesh, given, turn=self._turn))
+            batch, rows = worlds[k:last], slice(bounds[k], bounds[last])
+            of_part = np.searchsorted(batch, self._world[rows])
+            part, counts = self._part[rows], sizes[rows]
+            parts = PartMesh.of(self.parts, len(batch), np.repeat(of_part, counts), ranges(first[part], counts))
+            paths = self._motion._of_worlds(batch).rows(np.flatnonzero(parts.is_used.ravel()))
+            yield batch, parts, work(parts, MeshPaths.of_checked(parts.mesh, paths, turn=self._turn))
             k = last
