@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._engine.mesh.planes import planes_of
-from ccd_warp._gradients.given import Given
+from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.structs import dtypes_of, struct_of
@@ -175,15 +175,15 @@ class Attaining:
         """Let the contacts have other gradients of the same minima."""
         self._launch_of_minima(toi_adjoint.change_gradients, of_minima)
 
-    def add_rows(self, given: Given, gradients: tuple[wp.array | None, wp.array | None]) -> None:
+    def add_rows(self, caller_arrays: CallerArrays, gradients: tuple[wp.array | None, wp.array | None]) -> None:
         """Add what the contacts contribute to the gradients of the input."""
-        mesh, form = self._topology.mesh, given.form
+        mesh, form = self._topology.mesh, caller_arrays.form
         if form.real not in self._rows:
             self._rows[form.real] = specialised("gradients.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
         moving_row = self._check.step.contact_arrays.moving_row("gradients")
         inputs = [self._pairs, 4 * self.num_rows, self._slopes, mesh.num_vertices, moving_row]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex), int(form.is_displacement)]
-        outputs = [*gradients, None if given.radius is None else given.radius.grad]
+        outputs = [*gradients, None if caller_arrays.radius is None else caller_arrays.radius.grad]
         self._launch(self._rows[form.real].add_rows, 4 * self.num_rows, inputs, outputs)
 
     def rate(self, ratings: wp.array, hold: wp.array | None = None, vertex_rating: wp.array | None = None) -> None:

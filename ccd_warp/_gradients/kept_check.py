@@ -39,12 +39,12 @@ class KeptCheck:
             self.count = min(self.count, int(count[0])) if self.may_touch else 0
         if not self.may_touch:
             return
-        known = step.kept_copies.pop() if is_read and step.kept_copies else None
-        if known is None or known.capacity < self.count:
+        copies = step.kept_copies.pop() if is_read and step.kept_copies else None
+        if copies is None or copies.capacity < self.count:
             capacity = 1 << (self.count - 1).bit_length() if is_read and self.count else self.count
-            known = _Copies(step, capacity, has_radius=self.has_radius)
-        self.copies = known
-        known.fill(positions, radius, self.count, is_direct=is_read)
+            copies = _Copies(step, capacity, has_radius=self.has_radius)
+        self.copies = copies
+        copies.fill(positions, radius, self.count, is_direct=is_read)
 
     def __del__(self) -> None:
         """Let another check have the memory, unless CUDA may still read it, or a graph owns it."""

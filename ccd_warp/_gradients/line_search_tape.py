@@ -9,7 +9,7 @@ import warp as wp
 from ccd_warp._engine.device.input import SAFETY, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch, passes_of
 from ccd_warp._gradients.attaining import Attaining, all_attaining, as_flags, ratings_of
-from ccd_warp._gradients.given import Given
+from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._results.device_results import TOIS, LaunchResult
 from ccd_warp._runtime.tape import active_tape
@@ -28,7 +28,7 @@ class TapedLineSearch:
     """
 
     def __init__(
-        self, step: DeviceLineSearch, prepared: PreparedLaunch, given: tuple[Any, Any], radius: wp.array | None
+        self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: tuple[Any, Any], radius: wp.array | None
     ) -> None:
         """Of the arguments of a launch, with the positions as the caller has given them.
 
@@ -39,8 +39,8 @@ class TapedLineSearch:
         """
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
         self._step, self._form, self._radius = step, prepared.form, radius
-        self._given = Given.of(given, radius, prepared.form, rows)
-        if self._given.vertices_t1 is None:
+        self._caller_arrays = CallerArrays.of(positions, radius, prepared.form, rows)
+        if self._caller_arrays.vertices_t1 is None:
             raise ValueError(
                 "vertices_t1 does not require a gradient; expected an array of Warp that does, as the shortened "
                 "positions are written to it, or no tape"
@@ -74,7 +74,7 @@ class TapedLineSearch:
             step.on_pass = None
         if step.hold is not None and any(check.may_touch for check in self._checks):
             self._hold = wp.clone(step.hold)
-        active_tape().record_func(self._backward, self._given.arrays)
+        active_tape().record_func(self._backward, self._caller_arrays.arrays)
         return replace(step.result, _taped=self)
 
     def is_regular(self, per: str) -> wp.array:
@@ -85,8 +85,8 @@ class TapedLineSearch:
         """
         if per != "vertex":
             raise ValueError(f"per is {per!r}; expected 'vertex', as a line search has positions")
-        ratings, all_found = self._rated()
-        for attaining in all_found:
+        ratings, of_passes = self._rated()
+        for attaining in of_passes:
             if attaining is not None:
                 attaining.release()
         return as_flags(self._step, ratings)
@@ -94,13 +94,13 @@ class TapedLineSearch:
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
         topology = self._step.topology
-        gradients = self._given.gradients(topology)
-        vertex_rating, all_found = self._rated()
+        gradients = self._caller_arrays.gradients(topology)
+        vertex_rating, of_passes = self._rated()
         kernels = specialised("gradients.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
         moving = topology.moving_vertices
         inputs = [moving, vertex_rating, int(self._form.t1_by_vertex)]
         self._step.repeated.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
-        for check, attaining, (per, share) in zip(self._checks[::-1], all_found[::-1], self._passes[::-1], strict=True):
+        for check, attaining, (per, share) in zip(self._checks[::-1], of_passes[::-1], self._passes[::-1], strict=True):
             if not check.may_touch:
                 continue
             of_toi = self._shorten_back(check, per, share, gradients)
@@ -108,7 +108,7 @@ class TapedLineSearch:
                 continue
             if share > 0.0:
                 attaining.change_gradients({per: of_toi})
-                attaining.add_rows(self._given, gradients)
+                attaining.add_rows(self._caller_arrays, gradients)
             attaining.release()
 
     def _rated(self) -> tuple[wp.array, list[Attaining | None]]:
@@ -117,15 +117,15 @@ class TapedLineSearch:
         rating = wp.full(
             topology.mesh.num_vertices, value=int(regularity.REGULAR), dtype=wp.int32, device=topology.device
         )
-        all_found: list[Attaining | None] = []
+        of_passes: list[Attaining | None] = []
         for check, (per, share) in zip(self._checks, self._passes, strict=True):
             attaining = all_attaining(check, per) if check.may_touch else None
-            all_found.append(attaining)
+            of_passes.append(attaining)
             if check.may_touch:
                 inputs = [topology.moving_vertices, self._step.groups[per].group, check.copies.arrays[TOIS[per]], share]
                 inputs.append(ratings_of(check, per, attaining, self._hold, rating))
                 launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
-        return rating, all_found
+        return rating, of_passes
 
     def _shorten_back(
         self, check: KeptCheck, per: str, share: float, gradients: tuple[wp.array | None, wp.array | None]
