@@ -201,7 +201,7 @@ PLANTED = [
           "is_out = (column < 0) | (column >= count)", "is_out = (column < 0) | (column > count)",
           ("input/test_bad_arguments.py::test_a_mesh_that_cannot_be_is_refused_with_what_was_expected",)),
     Fault("a radius that is not finite", "ccd_warp/_scene/input/mesh_checks.py",
-          "is_invalid = ~(np.isfinite(given) & (given >= 0))", "is_invalid = given < 0",
+          "is_invalid = ~(np.isfinite(radii) & (radii >= 0))", "is_invalid = radii < 0",
           ("input/test_bad_arguments.py::test_a_mesh_that_cannot_be_is_refused_with_what_was_expected",)),
     Fault("a side between two cells kept", "ccd_warp/_scene/input/cells.py",
           "is_outer = count[number[: len(sides)]] == 1", "is_outer = count[number[: len(sides)]] >= 1",

@@ -80,7 +80,7 @@ def _mesh(
         kinematic=none.copy(),
         rigid=np.array(rigid),
         self_collision=none.copy(),
-        given_edges=np.array(edges, dtype=np.int32).reshape(-1, 2),
+        listed_edges=np.array(edges, dtype=np.int32).reshape(-1, 2),
         with_codimensional_points=has_points,
         with_inner_vertices=none.copy(),
         body_pairs=pairs,

@@ -217,14 +217,14 @@ class Options:
 
 
 def options_of(
-    function: str, kind: type[Mapping[str, object]], given: Mapping[str, Any], *, others: Collection[str] = ()
+    function: str, kind: type[Mapping[str, object]], values: Mapping[str, Any], *, others: Collection[str] = ()
 ) -> Options:
     """The options of a call.
 
     Args:
         function: Name of the public function, for the messages.
         kind: Typed dictionary of the options that it takes.
-        given: Options of the call.
+        values: Options of the call.
         others: Its other keyword arguments, which may have been misspelled.
 
     Raises:
@@ -232,12 +232,12 @@ def options_of(
         ValueError: If one is out of its range.
     """
     names = kind.__optional_keys__  # type: ignore[attr-defined]
-    if not given.keys() <= names:
-        name = next(name for name in given if name not in names)
+    if not values.keys() <= names:
+        name = next(name for name in values if name not in names)
         raise TypeError(_why_not_taken(function, name, {*names, *others}))
-    make = _made_once if not given or all(type(value) in _PLAIN for value in given.values()) else _made
+    make = _made_once if not values or all(type(value) in _PLAIN for value in values.values()) else _made
     try:
-        return make(**given)
+        return make(**values)
     except ValueError as error:
         raise ValueError(f"{function}: {error}") from error.__cause__
 
@@ -251,9 +251,9 @@ def naming(function: str) -> Iterator[None]:
         raise ValueError(f"{function}: {error}") from error.__cause__
 
 
-def _made(**given: Any) -> Options:
+def _made(**values: Any) -> Options:
     """Validated options, including the device."""
-    options = Options(**given)
+    options = Options(**values)
     resolve_device(options.device)
     return options
 
@@ -311,11 +311,11 @@ def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
     """Kinds given as themselves, by name or by number, each once and in their order, or a ValueError."""
     names = {kind.name.lower(): kind for kind in PairKind}
     expected = f"a list of {', '.join(map(repr, names))}"
-    given = check_items("pair_kinds", values, expected)
-    chosen = set()
-    for value in given:
+    items = check_items("pair_kinds", values, expected)
+    kinds = set()
+    for value in items:
         is_number = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
-        chosen.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
-    if not chosen or not chosen <= set(PairKind):
-        raise ValueError(f"pair_kinds is {shown(given)}; expected {expected}")
-    return tuple(kind for kind in PairKind if kind in chosen)
+        kinds.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
+    if not kinds or not kinds <= set(PairKind):
+        raise ValueError(f"pair_kinds is {shown(items)}; expected {expected}")
+    return tuple(kind for kind in PairKind if kind in kinds)
