@@ -177,9 +177,9 @@ def step_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[tu
         if has_peer:
             import ipctk
 
-            theirs, candidates = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
-            calls["ipctk: LBVH"] = partial(candidates.build, theirs, *frames, broad_phase=ipctk.LBVH())
-            calls["ipctk: Tight-Inclusion"] = partial(candidates.compute_collision_free_stepsize, theirs, *frames)
+            peer_mesh, candidates = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
+            calls["ipctk: LBVH"] = partial(candidates.build, peer_mesh, *frames, broad_phase=ipctk.LBVH())
+            calls["ipctk: Tight-Inclusion"] = partial(candidates.compute_collision_free_stepsize, peer_mesh, *frames)
         for name, call in calls.items():
             yield f"cloth over sphere, {len(mesh.faces):,} faces", name, timed(call, 2 if is_quick else 9)[0]
 

@@ -186,10 +186,12 @@ class Attaining:
         outputs = [*gradients, None if caller_arrays.radius is None else caller_arrays.radius.grad]
         self._launch(self._rows[form.real].add_rows, 4 * self.num_rows, inputs, outputs)
 
-    def rate(self, ratings: wp.array, hold: wp.array | None = None, vertex_rating: wp.array | None = None) -> None:
+    def rate(
+        self, ratings: wp.array, start_distances: wp.array | None = None, vertex_rating: wp.array | None = None
+    ) -> None:
         """Rate the minima that contacts attain (`regularity`), given the ratings of vertices."""
         inputs = [self._check.copies.as_struct, self._mesh, self._list]
-        inputs += [self._slopes.is_regular, hold, vertex_rating]
+        inputs += [self._slopes.is_regular, start_distances, vertex_rating]
         self._launch(regularity.rate_minima, self.num_rows, inputs, [ratings])
 
 
@@ -205,14 +207,14 @@ def ratings_of(
     check: KeptCheck,
     per: str,
     attaining: Attaining | None,
-    hold: wp.array | None = None,
+    start_distances: wp.array | None = None,
     vertex_rating: wp.array | None = None,
 ) -> wp.array:
     """The rating of each minimum of a kind (`regularity`), given those of vertices, from what attains it."""
     tois = getattr(check.step.result, TOIS[per])
     ratings: wp.array = wp.full(len(tois), value=int(regularity.UNKNOWN), dtype=wp.int32, device=tois.device)
     if attaining is not None:
-        attaining.rate(ratings, hold, vertex_rating)
+        attaining.rate(ratings, start_distances, vertex_rating)
     return ratings
 
 

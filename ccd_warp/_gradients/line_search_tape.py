@@ -51,7 +51,7 @@ class TapedLineSearch:
         ]
         _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
         self._checks: list[KeptCheck] = []
-        self._hold: wp.array | None = None
+        self._start_distances: wp.array | None = None
         for per in dict(self._passes):
             if per not in step.groups:
                 if step.topology.device.is_capturing:  # memory of a capture is gone with its graph
@@ -73,7 +73,7 @@ class TapedLineSearch:
         finally:
             step.on_pass = None
         if step.hold is not None and any(check.may_touch for check in self._checks):
-            self._hold = wp.clone(step.hold)
+            self._start_distances = wp.clone(step.hold)
         active_tape().record_func(self._backward, self._caller_arrays.arrays)
         return replace(step.result, _taped=self)
 
@@ -123,7 +123,7 @@ class TapedLineSearch:
             of_passes.append(attaining)
             if check.may_touch:
                 inputs = [topology.moving_vertices, self._step.groups[per].group, check.copies.arrays[TOIS[per]], share]
-                inputs.append(ratings_of(check, per, attaining, self._hold, rating))
+                inputs.append(ratings_of(check, per, attaining, self._start_distances, rating))
                 launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
         return rating, of_passes
 

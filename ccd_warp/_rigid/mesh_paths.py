@@ -157,7 +157,7 @@ def check_motion(mesh: CollisionMesh, paths: BodyPaths, num_worlds: int = 1) -> 
     """
     bodies = np.flatnonzero(mesh.rigid)
     check_rows(mesh, bodies, len(paths) // num_worlds)
-    _check_rest(mesh, bodies, paths)
+    _check_static_bodies(mesh, bodies, paths)
     _check_plane(mesh, bodies, paths)
 
 
@@ -233,7 +233,7 @@ def _of_worlds(body: str, first: int, last: int) -> str:
     )
 
 
-def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths) -> None:
+def _check_static_bodies(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths) -> None:
     """Check that paths of these bodies, of one world after another, leave the static ones where they are.
 
     Raises:

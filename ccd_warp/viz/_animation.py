@@ -91,7 +91,7 @@ def draw_frame(
         from ccd_warp.viz._panel import Panel
 
         panel = Panel(plotter, (0, 0), scene, view.camera, ZOOM * min(_SIZE) / _SHORTER_SIDE)
-        panel.look()
+        panel.set_view()
         panel.draw_bodies(0.0)
         panel.write_title(title)
         panel.draw_legend()

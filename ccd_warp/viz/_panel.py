@@ -51,7 +51,7 @@ class Panel:
         self.plotter.subplot(*self.place)
         return self.plotter.renderer
 
-    def look(self) -> None:
+    def set_view(self) -> None:
         """Set up view and lights."""
         renderer = self.renderer
         renderer.background_color = "white"

@@ -198,7 +198,7 @@ def is_device_array(value: Any) -> bool:
     """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
     if type(value) is np.ndarray:
         return False  # as found below, but at once
-    return is_of_warp(value) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+    return is_of_warp(value) or (has_dlpack(value) and not isinstance(value, np.ndarray))
 
 
 def is_of_warp(value: Any) -> bool:
@@ -207,7 +207,7 @@ def is_of_warp(value: Any) -> bool:
     return array is not None and isinstance(value, array)
 
 
-def speaks_dlpack(value: Any) -> bool:
+def has_dlpack(value: Any) -> bool:
     """Whether a value is an array that can be shared, and not a class of such arrays."""
     return hasattr(value, "__dlpack__") and not isinstance(value, type)
 
