@@ -18,28 +18,27 @@ from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
 from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
 from ccd_warp._engine.host.candidates import Candidates, validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
-    Course,
-    Ends,
-    LineSearchResult,
-    Solver,
     check_step_is_whole,
     search_step,
     validated_line_search,
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
+from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
-from ccd_warp._results.results import Contacts, Counts, MeshResult
+from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames, check_rows
 from ccd_warp._rigid.motion import Motion, RigidMotion
@@ -901,48 +900,38 @@ class CollisionPipeline:
         *,
         any_suffices: bool = False,
     ) -> float:
-        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held.
+        """The earliest toi of a step in which, unless the options say otherwise, what starts close may part.
 
         Where any toi suffices, what starts close is a contact.
         """
-        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1)
-        if any_suffices:
-            return on_step(lambda step: step.least_toi(any_suffices=True), motion)
-        if not self._options.holds:
-            return on_step(LeastToiStep.least_toi, motion)
-        toi = on_step(lambda step: step.holding().least_toi(), motion)
-        if toi <= 0.0 and self._holds_pairs:
+        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1, motion=motion)
+        toi = on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
+        near = None if toi > 0.0 or any_suffices else self._start_distances
+        if near is not None:
             # something may start within its distance: then it has toi 0, whichever way it moves
-            holds = self._holds(self._at_start(vertices_t0, motion))
-            if np.isfinite(holds).any():
-                toi = on_step(lambda step: step.holding(holds).held_toi(), motion)
+            distances = near.of(self.mesh.frame(self._at_start(vertices_t0, motion)))
+            if distances is not None:
+                toi = on_step(work=lambda step: step.least_toi(distances))
         return toi
 
     @property
-    def _holds_pairs(self) -> bool:
-        """Whether pairs keep a distance within which they may start."""
-        return holds_pairs(self.mesh, self._options)
+    def _start_distances(self) -> StartDistances | None:
+        """What finds how near vertices are at the start; None where pairs keep no distance within which they may."""
+        mesh = self.mesh
+        if not keeps_start_distances(mesh, self._options):
+            return None
 
-    def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """How near each vertex is to anything at one time, as far as it is within its distance."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep  # few programs need it
+        def on_step(work: Callable[[Any], _T], start: NDArray[np.float64], end: NDArray[np.float64]) -> _T:
+            from ccd_warp._at_one_time.start_distance_step import StartDistanceStep  # few programs need it
 
-        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
-        return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
+            of_call = self.counts, self.timings
+            result = self._run(StartDistanceStep, lambda: (start, end), work)
+            self.counts, self.timings = of_call
+            return result
 
-    def _worlds_near(self, start: NDArray[np.float64], ends: Ends, contacts: Contacts) -> NDArray[np.bool_]:
-        """Which worlds have a contact that starts within its distance, or passes by at it."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep
-
-        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
-        of_search = self.counts, self.timings
-        is_straight = ends.paths is None
-        frames = start, ends.end if is_straight else start
-        near = self._run(
-            HoldStep, lambda: frames, lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)
+        return StartDistances(
+            largest_start_distance(mesh, self._options, mesh._largest_radius), mesh.vertex_world, on_step
         )
-        self.counts, self.timings = of_search
-        return near
 
     def is_step_collision_free(
         self,
@@ -990,11 +979,17 @@ class CollisionPipeline:
         def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
-        worlds_near = self._worlds_near if self._holds_pairs else None
-        solver = Solver(on_step, worlds_near, self._holds, holds=self._options.holds)
-        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-        found = search_step(self.mesh, course, solver, **how, begins_at_rest=self._reaches_neighbours(course.start))
-        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+        result = search_step(
+            self.mesh,
+            course,
+            on_step,
+            self._start_distances,
+            per=per,
+            safety=safety,
+            max_rounds=max_rounds,
+            begins_at_rest=self._reaches_neighbours(course.start),
+        )
+        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""

@@ -17,6 +17,7 @@ from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._results.contact_place import ContactPlace, MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
@@ -132,14 +133,9 @@ class MotionWorlds:
 
         parts, pipeline = self._near, self._pipeline
         if parts is not None:
-            holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
-
-            def of_parts(step: LeastToiStep) -> float:
-                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
-
-            found = parts.each(self._on_parts(LeastToiStep, of_parts))
-            least = least_of(toi for *_, toi in found)
-            if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
+            of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
+            least = least_of(toi for *_, toi in parts.each(self._on_parts(LeastToiStep, of_parts)))
+            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
                 return least
         call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
         return least_of(toi for _, toi in self._each(call))

@@ -114,4 +114,4 @@ class ContactStep(ImpactStep):
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
         is_euclidean = is_ball(self.plan.norm)
         touch = Touch.of(self.options, self.length_scale, is_euclidean=is_euclidean, radius=radius)
-        return *self.given, self.paths, None if self.holds else touch, radii
+        return *self.given, self.paths, None if self.lets_part else touch, radii

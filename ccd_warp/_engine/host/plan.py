@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
-from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
 from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.status import PairKind
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -62,29 +60,23 @@ class HostPlan(Plan):
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
-        num_met_by_planes: Vertices that have met planes in this step, or slice.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
     """
 
     @staticmethod
-    def of(
-        workspace: "Workspace", options: "Options", goal: Goal, motion: Motion, *, is_held: bool = False
-    ) -> "HostPlan":
-        """The plan of a workspace for calls with such options, a goal and a motion, where pairs are held or not."""
-        of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
-        key = (goal, of_options, is_held, motion.on_arcs)
+    def of(workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> "HostPlan":
+        """The plan of a workspace for calls with such options, a goal, a norm of separations and a motion."""
+        of_options = options.pair_kinds, options.precision, options.threads, options.broad_phase
+        key = (goal, norm, of_options, motion.on_arcs)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, motion)
+            workspace.plans[key] = HostPlan(workspace, options, goal, norm, motion)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, motion: Motion) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=motion.on_arcs)
-        if goal in ("proximities", "displacements"):
-            norm = EUCLIDEAN_NORM
         self._radii = motion.radius, motion.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
@@ -128,7 +120,7 @@ class HostPlan(Plan):
             **of_pairs,
             **slots,
         )
-        self._stages.load(execution, self._sink)
+        self._stages.load(execution, self.sink)
 
     def _minima(self) -> Any:
         """The minima that the calls lower; of others only which vertex is in which world is read."""
@@ -141,12 +133,12 @@ class HostPlan(Plan):
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
         self.num_searches = dict(NO_PAIRS)
-        self.num_batches = self.num_met_by_planes = 0
+        self.num_batches = 0
         self.begin_candidates()
 
-    def begin_candidates(self) -> None:
-        """Count the candidates of the next search."""
-        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: self.num_met_by_planes}
+    def begin_candidates(self, num_with_planes: int = 0) -> None:
+        """Count the candidates of the next search, beside so many pairs of vertices and planes."""
+        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: num_with_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -382,11 +374,7 @@ class HostPlan(Plan):
     def solve(self, *, is_second: bool) -> None:
         """A round of the narrow phase on the pairs of a batch."""
         section = "narrow phase, second round" if is_second else "narrow phase"
-        self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
-
-    def meet_planes(self, stages: Stages, recording: Recording) -> None:
-        """Record that vertices meet planes beside the narrow phase."""
-        stages.meet_planes(recording, self._sink, Slot("searched"))
+        self.play(section, lambda stages, recording: stages.solve(recording, self.sink, is_second=is_second))
 
     def measure_pairs(self, sink: int) -> None:
         """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
