@@ -11,7 +11,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._calls.pipeline import check_options_on_arcs, validated_distance, validated_search_radius
+from ccd_warp._calls.motions import check_options_on_arcs
+from ccd_warp._calls.pipeline import validated_distance, validated_search_radius
 from ccd_warp._engine.host.candidates import validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.course import Course, Ends

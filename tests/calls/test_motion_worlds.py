@@ -6,7 +6,7 @@ import trimesh
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp._calls import pipeline
+from ccd_warp._calls import motions
 from ccd_warp._rigid import motion_worlds, near_worlds, part_mesh
 from ccd_warp._rigid.part_trees import PartTrees
 
@@ -96,7 +96,7 @@ def throw(spacing):
 @pytest.fixture
 def parts_alone(monkeypatch):
     """Whether parts are looked for in small scenes, too; which is to be compared with what whole bodies find."""
-    return lambda wanted: monkeypatch.setattr(pipeline, "_LARGE_SCENE", 1 if wanted else 1 << 60)
+    return lambda wanted: monkeypatch.setattr(motions, "_LARGE_SCENE", 1 if wanted else 1 << 60)
 
 
 @pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])
