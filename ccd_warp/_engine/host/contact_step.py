@@ -90,7 +90,7 @@ class ContactStep(ImpactStep):
                 plan.solve(is_second=False)
                 if batch.is_only:
                     if not self.ranks.is_alone:
-                        plan.set_counts(OPEN, self.ranks.all_open(plan.num_open()))
+                        plan.counters.set_column(OPEN, self.ranks.all_open(plan.num_open()))
                     has_shared = True
                     plan.solve(is_second=True)
                 else:

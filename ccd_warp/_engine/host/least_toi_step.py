@@ -71,9 +71,11 @@ class LeastToiStep(ImpactStep):
         num_with_planes = 0
         if self.planes is not None:
             with self.timed("planes"):
-                plan.set_least(best)
+                plan.counters.set_least(best)
                 num_with_planes = self.planes.meet()
-                best = self.ranks.least_number(plan.least())  # whether anything is searched is the same everywhere
+                best = self.ranks.least_number(
+                    plan.counters.least()
+                )  # whether anything is searched is the same everywhere
             if self._suffices(best):
                 return best
         t_end, is_straight = self.motion.t_end, not self.motion.on_arcs
@@ -83,7 +85,7 @@ class LeastToiStep(ImpactStep):
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
             plan.set_search(min(best, t_end) if is_straight else t_end, self.inflation, self.separation)
-            plan.set_least(best)
+            plan.counters.set_least(best)
             plan.begin_candidates(num_with_planes)
             open_pairs: _OpenPairs = {}
             for batch in self.batches(self._searched(plan, best, of_sample=of_sample)):
@@ -93,9 +95,9 @@ class LeastToiStep(ImpactStep):
                         of_kind = plan.memory.keys, plan.memory.open_toi
                         keys, toi = (of_batch(kind, batch.found[kind]).numpy() for of_batch in of_kind)
                         open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
-                if self._suffices(plan.least()):
+                if self._suffices(plan.counters.least()):
                     break
-            best = self.ranks.least_number(plan.least())
+            best = self.ranks.least_number(plan.counters.least())
             if self._suffices(best):
                 break
             with self.timed("narrow phase"):
@@ -110,7 +112,7 @@ class LeastToiStep(ImpactStep):
             for _ in self.batches(plan.few_batches(capacity)):
                 with self.timed("narrow phase"):
                     plan.solve(is_second=False)
-            best = plan.least()
+            best = plan.counters.least()
         return iter(()) if self._suffices(best) else plan.batches(capacity, of_sample=of_sample)
 
     def _least_open_toi(self, plan: HostPlan, bound: float, open_pairs: _OpenPairs) -> float:
@@ -123,17 +125,14 @@ class LeastToiStep(ImpactStep):
             is_earlier = toi < bound
             earlier[kind] = keys[is_earlier], toi[is_earlier]
         num_open = self.ranks.all_open({kind: len(keys) for kind, (keys, _) in earlier.items()})
-        is_on_device = False  # whether the bound is that of the device, which is read when it is needed
         for kind, (keys, toi) in earlier.items():
             if len(keys) == 0:
                 continue
             if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
-                bound = min(plan.least() if is_on_device else bound, float(toi.min()))
-                is_on_device = False
+                bound = min(bound, float(toi.min()))
                 continue
             plan.set_open_pairs(kind, keys, num_open[kind])
-            if not is_on_device:
-                plan.set_least(bound)
+            plan.counters.set_least(bound)
             plan.solve(is_second=True)
-            is_on_device = True
-        return plan.least() if is_on_device else bound
+            bound = plan.counters.least()
+        return bound

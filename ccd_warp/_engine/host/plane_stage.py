@@ -50,9 +50,9 @@ class PlaneStage:
 
     def _met(self, record: _Record | None) -> int:
         plan = self._plan
-        plan.clear_counts()
+        plan.counters.clear()
         plan.play("planes", record or self._in_narrow_phase)
-        return int(plan.counts()[PairKind.VERTEX_PLANE, FOUND])
+        return int(plan.counters.counts()[PairKind.VERTEX_PLANE, FOUND])
 
     def _in_narrow_phase(self, stages: Stages, recording: Recording) -> None:
         """Record that vertices meet planes beside the narrow phase."""
