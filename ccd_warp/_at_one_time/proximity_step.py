@@ -11,7 +11,7 @@ from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStor
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.lengths import half_rounded_up, add_rounded_up
 from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
@@ -41,9 +41,9 @@ class StepAtOneTime(Step):
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
-        plan = self.begin(1.0, half_up(distance))
+        plan = self.begin(1.0, half_rounded_up(distance))
         self.timings.setdefault("distances", 0.0)
-        plan.set_search(1.0, half_up(distance), distance)
+        plan.set_search(1.0, half_rounded_up(distance), distance)
         return plan
 
     def least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
@@ -99,7 +99,7 @@ class DisplacementStep(StepAtOneTime):
     def bounds(self, search_radius: float) -> NDArray[np.float64]:
         """For each vertex the length by which it may move."""
         kept = self.options.minimum_distance
-        distance = sum_up(search_radius, kept)
+        distance = add_rounded_up(search_radius, kept)
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):

@@ -194,7 +194,7 @@ class CollisionPipeline:
 
         return self._run(kind, frames, work, paths=paths)
 
-    def _given(
+    def _ends_and_motion(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
     ) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
         """The positions and the motion of a call; a motion that stretches bodies is one of positions alone."""
@@ -488,7 +488,7 @@ class CollisionPipeline:
 
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        vertices_t0, vertices_t1, motion = self._given(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         work = lambda step: step.candidates(inflation)  # noqa: E731
         return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
 
@@ -536,7 +536,7 @@ class CollisionPipeline:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._given(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         worlds = worlds_of(self, vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is not None:
             result = worlds.result()
@@ -585,7 +585,7 @@ class CollisionPipeline:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._given(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start)
         toi = min(least, self._options.t_max)
         if check_start:
@@ -661,7 +661,7 @@ class CollisionPipeline:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._given(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start, any_suffices=True)
         if not check_start:
             return least == np.inf
@@ -684,7 +684,7 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._given(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         frames = self.mesh.frames(vertices_t0, vertices_t1)
         paths = None if motion is None else paths_of(self.mesh, self._options, motion)
         course = course_of(self.mesh, *frames, paths, motion)

@@ -39,7 +39,7 @@ class StartDistances:
 
     def of(self, start: _Positions) -> _Positions | None:
         """How near each vertex is to anything, inf beyond the distance, shape [V]; None where that is so of all."""
-        distances = self._found(start)
+        distances = self._search(start)
         return None if self._everywhere.all(not np.isfinite(distances).any()) else distances
 
     def of_worlds_near(self, start: _Positions, ends: Ends, contacts: Contacts) -> _Positions | None:
@@ -59,11 +59,11 @@ class StartDistances:
         is_near = self._everywhere.least(np.where(near, 0.0, 1.0)) == 0.0
         if not is_near.any():
             return None
-        distances = self._found(start)
+        distances = self._search(start)
         distances[~is_near[self._vertex_world]] = np.inf
         return distances
 
-    def _found(self, start: _Positions) -> _Positions:
+    def _search(self, start: _Positions) -> _Positions:
         distance = self._distance
         return self._everywhere.least_of_vertices(
             self._on_step(lambda step: step.start_distances(distance), start, start)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ccd_warp._engine.mesh.lengths import sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ def largest_start_distance(mesh: Any, options: "Options", radius: float) -> floa
     distance = options.separation(length_scale_of(mesh, options))
     with np.errstate(over="ignore"):
         slack = _OF_DISTANCE * (distance + 2.0 * radius) + _OF_SIZE[options.precision] * mesh.length_scale
-    return sum_up(distance, min(slack, float(np.finfo(np.float64).max)))
+    return add_rounded_up(distance, min(slack, float(np.finfo(np.float64).max)))
 
 
 def keeps_start_distances(mesh: Any, options: "Options") -> bool:
