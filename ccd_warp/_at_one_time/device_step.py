@@ -18,7 +18,7 @@ from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.step import Capacities, DeviceStep
-from ccd_warp._engine.mesh.lengths import half_rounded_up, add_rounded_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.plan import Goal

@@ -11,7 +11,7 @@ from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStor
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.lengths import half_rounded_up, add_rounded_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
@@ -105,7 +105,7 @@ class DisplacementStep(StepAtOneTime):
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
-            both = measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds
+            both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
             load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))

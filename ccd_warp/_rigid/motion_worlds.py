@@ -1,6 +1,6 @@
 """A mesh of one world with a motion of many: its bodies stand in memory once.
 
-Of large bodies only the parts are searched that may touch in a world (`near_worlds`). Other worlds go in batches: a
+Of large bodies only the parts are searched that may touch in a world (`parts.worlds`). Other worlds go in batches: a
 batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
 once. A further world costs its rows of the motion, and what is found in it.
 """
@@ -26,9 +26,9 @@ from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.near_parts import NearParts
-from ccd_warp._rigid.near_worlds import NearWorlds
-from ccd_warp._rigid.part_mesh import PartMesh, rows_within, world_alone
+from ccd_warp._rigid.parts.mesh import PartMesh, rows_within, world_alone
+from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
@@ -82,7 +82,7 @@ class MotionWorlds:
         self.timings: dict[str, float] = {}
         self._given, self._turn = (start, end), given.largest_turn
 
-    def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
+    def _in_batches(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
         It gets a pipeline of the copies, positions and paths.
@@ -136,14 +136,14 @@ class MotionWorlds:
                     break
             return least
 
-        parts, pipeline = self._near, self._pipeline
+        parts, pipeline = self._parts, self._pipeline
         if parts is not None:
             of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
-            least = least_of(toi for *_, toi in parts.each(self._on_parts(LeastToiStep, of_parts)))
+            least = least_of(toi for *_, toi in parts.search(self._on_parts(LeastToiStep, of_parts)))
             if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
                 return least
         call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
-        return least_of(toi for _, toi in self._each(call))
+        return least_of(toi for _, toi in self._in_batches(call))
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
@@ -160,39 +160,39 @@ class MotionWorlds:
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
-        parts = self._near
+        parts = self._parts
         if parts is None:
             call = partial(type(self._pipeline)._contacts, is_ordered=False)
-            for worlds, result in self._each(call):
+            for worlds, result in self._in_batches(call):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
         of_step = partial(ContactStep.contacts, is_ordered=False)
-        for worlds, of_parts, result in parts.each(self._on_parts(ContactStep, of_step)):
+        for worlds, of_parts, result in parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
     @property
     def is_sparse(self) -> bool:
         """Whether parts are looked for, and few of the primitives are in those that may touch."""
         num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
-        return self._near is not None and self._near.num_primitives < _FEW * num_primitives
+        return self._parts is not None and self._parts.num_primitives < _FEW * num_primitives
 
     @lazy_property
-    def _near(self) -> NearWorlds | None:
+    def _parts(self) -> WorldsOfParts | None:
         """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
         mesh, pipeline = self._mesh, self._pipeline
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
         if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
-        parts, options, device = self._near_parts(), pipeline._options, pipeline._topology.device
+        parts, options, device = self._body_parts(), pipeline._options, pipeline._topology.device
         if parts is None:
             return None
         # a Euclidean distance beyond which parts do not come within the separation of a pair
         reach = 2.0 * options.separation(length_scale_of(mesh, options))
         execution = Execution(device, options.threads, StopFlag(device))
-        return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+        return WorldsOfParts(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
 
-    def _near_parts(self) -> NearParts | None:
+    def _body_parts(self) -> BodyParts | None:
         """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
         mesh, kept, (start, end) = self._mesh, MeshCache.of(self._mesh).parts, self._given
         # radii may be others on the device than those of the mesh
@@ -202,7 +202,7 @@ class MotionWorlds:
         positions, parts = kept.get("parts", (None, None))
         if positions is not start and (positions is None or not np.array_equal(positions, start)):
             world = world_alone(mesh, start)
-            parts = None if world is None else NearParts(world, world.vertices)
+            parts = None if world is None else BodyParts(world, world.vertices)
             kept["parts"] = start if start is mesh.vertices else start.copy(), parts
         return parts
 

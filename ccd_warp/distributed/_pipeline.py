@@ -27,7 +27,7 @@ from ccd_warp._engine.host.line_search import (
 from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.lengths import half_rounded_up, add_rounded_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._engine.motion import moved

@@ -3,29 +3,39 @@
 With the sink `NEAR` the pairs within the distance are listed, and with `DISPLACEMENT` the bounds of the vertices of all
 are lowered (`proximity`); with `HOLD` the holds of the vertices of those within the distance (`pair.hold`), which are
 all that is asked for in the maximum norm.
+
+Euclidean distances are measured in lanes, a pair in each; what follows is done pair by pair.
 """
 
 import warp as wp
 
-from ..atomics import atomic_min_int64
+from ..atomics import atomic_min_int64, claim_int, claim_ints
+from ..boxes.lanes import lowest_bit, number_of_bits
 from ..boxes.thickness import distance_of
 from ..interrupts import is_stopped
+from ..narrow_phase.lane_rows import points_of_vertices, rows_from, vertices_of_pairs
 from ..narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
 from ..pair.norm import is_ball
+from ..pair.simd import fingerprint
 from ..pair.single_points import points_of
 from ..pair_key import pair_of
 from ..pair_kind import EDGE_EDGE, POINT_POINT
-from ..parameters import norm
+from ..parameters import norm, width
 from ..step.minima import FOUND, Minima
+from ..template import specialised
 from .box_distance import box_distance
 from .pair_distance import PairDistance, measured
-from .proximity import ProximityList, Reach, bound_pair, record_proximity
+from .proximity import Proximity, ProximityList, Reach, bound_pair, record_proximity
 
 _ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.uint32(1))
 
 is_euclidean = is_ball(norm)
-module = wp.get_module(f"ccd_warp.measure_pairs.{'ball' if is_euclidean else 'box'}")
-wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+simd = specialised("pair.simd", width=width)
+lanes = wp.constant(width)
+of_width = f".{width}.{fingerprint()}" if is_euclidean else ""
+module = wp.get_module(f"ccd_warp.measure_pairs.{'ball' if is_euclidean else 'box'}{of_width}")
+wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 
 
 @wp.func
@@ -44,6 +54,18 @@ def hold_pair(kind: int, a: wp.vec3i, b: wp.vec3i, least: wp.float64, minima: Mi
     lower_hold(a, bits, minima)
     if kind == EDGE_EDGE or kind == POINT_POINT:
         lower_hold(b, bits, minima)
+
+
+@wp.func
+def of_lane(found: PairDistance, lane: int) -> Proximity:
+    """What is listed of the pair in a lane."""
+    r = Proximity()
+    r.parameters = wp.vec2d(simd.lane_of(found.u, lane), simd.lane_of(found.v, lane))
+    r.distance = simd.lane_of(found.distance, lane)
+    d = found.direction
+    r.direction = wp.vec3d(simd.lane_of(d.x, lane), simd.lane_of(d.y, lane), simd.lane_of(d.z, lane))
+    r.features = wp.int32(simd.lane_of(found.features, lane))
+    return r
 
 
 @wp.kernel(module=module)
@@ -71,27 +93,49 @@ def measure_pairs(
     while first < count:
         if is_stopped(reach.stop):
             return
-        for k in range(first, wp.min(first + chunk, count)):
-            pair = pair_of(pairs[k])
-            a = first_corners[pair[0]]
-            b = second_corners[pair[1]]
-            p = points_of(kind, a, b, x)
+        end = wp.min(first + chunk, count)
+        block = wp.int32(first)
+        while block < end:
+            num = wp.min(lanes, end - block)
             found = PairDistance()
+            place = int(0)  # in the list
             if wp.static(is_euclidean):
-                found = measured(kind, p, sink != NEAR)
-            else:
-                found.least = box_distance(kind, p)
-            least = found.least
-            if sink == DISPLACEMENT:
-                if not (least >= _ZERO):
-                    least = _ZERO  # a coordinate that is not finite
-                bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
-            else:
-                distance = distance_of(reach.distance, reach.radius, a, b)
-                if sink == HOLD and not (least > distance):
-                    hold_pair(kind, a, b, least, minima)
-                if sink == NEAR and least <= distance:  # a NaN is not
-                    record_proximity(kind, pair, a[0], found, minima, proximities)
+                i = vertices_of_pairs(kind, pairs, rows_from(block, num), first_corners, second_corners)
+                found = measured(kind, points_of_vertices(x, i.i0, i.i1, i.i2, i.i3), sink != NEAR)
+            left = (_ONE << wp.uint32(num)) - _ONE
+            if wp.static(is_euclidean):
+                # of pairs without radii those beyond the distance are left out at once, in the list a NaN as well
+                if sink == NEAR and reach.radius.shape[0] == 0:
+                    left = left & simd.bits_of(simd.is_at_most(found.least, reach.distance))
+                    place = claim_ints(proximities.count, 0, number_of_bits(left))
+                elif sink == HOLD and reach.radius.shape[0] == 0:
+                    left = left & ~simd.bits_of(simd.is_less(reach.distance, found.least))
+            while left != wp.uint32(0):
+                lane = lowest_bit(left)
+                left = left & (left - _ONE)
+                pair = pair_of(pairs[block + lane])
+                a = first_corners[pair[0]]
+                b = second_corners[pair[1]]
+                least = _ZERO
+                if wp.static(is_euclidean):
+                    least = simd.lane_of(found.least, lane)
+                else:
+                    least = box_distance(kind, points_of(kind, a, b, x))
+                if sink == DISPLACEMENT:
+                    if not (least >= _ZERO):
+                        least = _ZERO  # a coordinate that is not finite
+                    bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
+                elif sink == HOLD:
+                    if not (least > distance_of(reach.distance, reach.radius, a, b)):
+                        hold_pair(kind, a, b, least, minima)
+                else:
+                    if reach.radius.shape[0] > 0:
+                        if not (least <= distance_of(reach.distance, reach.radius, a, b)):
+                            continue
+                        place = claim_int(proximities.count, 0)
+                    record_proximity(place, kind, pair, a[0], of_lane(found, lane), minima, proximities)
+                    place += 1
+            block += lanes
         if first > 2147483647 - num_solvers * chunk:
             return
         first += num_solvers * chunk
