@@ -464,7 +464,7 @@ class Stages:
         Args:
             launcher: Where to launch, or to record.
             sink: Where what is found goes: with `NEAR` near pairs are listed; with `DISPLACEMENT` the bounds of the
-                vertices are lowered, with `HOLD` their holds, which are both the minima of the vertices.
+                vertices are lowered, with `HOLD` their start distances, which are both the minima of the vertices.
             norm: That of the distance; `HOLD` alone knows others than the Euclidean.
         """
         from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
