@@ -15,7 +15,7 @@ _FILES = [
     *("boxes.half_warp_tree", "boxes.box_groups", "boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
     *("step.contacts", "step.device_step", "step.contact_place", "rigid.place_bodies", "rigid.shorten_paths"),
     *("gradients.toi_slope", "gradients.attained", "gradients.toi_adjoint", "gradients.ordered_sums"),
-    *("gradients.regularity", "rigid.near_parts"),
+    *("gradients.regularity", "rigid.part_overlap"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
     *("at_one_time.device_hold", "at_one_time.start_holds"),
 ]
