@@ -12,7 +12,7 @@ from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import corners_by_kind
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
@@ -21,7 +21,7 @@ from ccd_warp._results.results import Contacts
 from ccd_warp._runtime.launch import Execution, load_all
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
-from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
+from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
 from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -41,9 +41,9 @@ class StepAtOneTime(Step):
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
-        plan = self.begin(1.0, half_up(distance))
+        plan = self.begin(1.0, half_rounded_up(distance))
         self.timings.setdefault("distances", 0.0)
-        plan.set_search(1.0, half_up(distance), distance)
+        plan.set_search(1.0, half_rounded_up(distance), distance)
         return plan
 
     def _least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
@@ -99,7 +99,7 @@ class DisplacementStep(StepAtOneTime):
     def bounds(self, search_radius: float) -> NDArray[np.float64]:
         """For each vertex the length by which it may move."""
         kept = self.options.minimum_distance
-        distance = sum_up(search_radius, kept)
+        distance = add_rounded_up(search_radius, kept)
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
@@ -125,15 +125,15 @@ class HoldStep(StepAtOneTime):
 
     def find_holds(self, distance: float) -> NDArray[np.float64]:
         """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
-        from ccd_warp.kernels.at_one_time import start_holds as kernels  # few programs need it
+        from ccd_warp.kernels.at_one_time import start_distances as kernels  # few programs need it
 
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
-            self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
+            self.execution.launch(kernels.reset_start_distances, self.mesh.num_vertices, inputs=[], outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
             batches = plan.batches(self.capacity())
-        return self._least_of_vertices(plan, batches, HOLD)
+        return self._least_of_vertices(plan, batches, START_DISTANCE)
 
     def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
@@ -155,7 +155,7 @@ class HoldStep(StepAtOneTime):
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             self.execution.launch(
                 specialised(
-                    "at_one_time.start_holds", norm=shape_of(norm_of(self.mesh, self.options))
+                    "at_one_time.start_distances", norm=shape_of(norm_of(self.mesh, self.options))
                 ).note_near_contacts,
                 len(contacts),
                 inputs=[count, *listed, *corners_by_kind(topology), x, x_t1, reach, self.workspace.contacts.minima],

@@ -29,7 +29,7 @@ from ccd_warp._engine.host.line_search import (
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import Contacts, MeshResult
@@ -294,7 +294,7 @@ class DistributedPipeline:
             with naming("find_proximity"):
                 distance = validated_distance(distance)
             self._check_same_length("distance", distance)
-            return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
+            return self._collectively(positions, positions, half_rounded_up(distance), work, name_t0="positions")
 
     @text_completed_by(mesh_ccd)
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
@@ -327,7 +327,7 @@ class DistributedPipeline:
             with naming("displacement_bounds"):
                 search_radius = validated_search_radius(search_radius, self._options)
             self._check_same_length("search_radius", search_radius)
-            inflation = half_up(sum_up(search_radius, self._options.minimum_distance))
+            inflation = half_rounded_up(add_rounded_up(search_radius, self._options.minimum_distance))
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
     @text_completed_by(mesh_ccd)
@@ -489,7 +489,7 @@ class DistributedPipeline:
         """That of the boxes of calls that let what starts within its distance part and slide."""
         if not self._holds_pairs:
             return self._inflation
-        return half_up(self._hold_distance)
+        return half_rounded_up(self._hold_distance)
 
     def _together(self, call: str) -> AbstractContextManager[None]:
         return self._ranks.together(self._named(call))
@@ -507,7 +507,7 @@ class DistributedPipeline:
 
     @property
     def _inflation(self) -> float:
-        return half_up(self._options.separation(length_scale_of(self.mesh, self._options)))  # type: ignore[arg-type]
+        return half_rounded_up(self._options.separation(length_scale_of(self.mesh, self._options)))  # type: ignore[arg-type]
 
     @property
     def _planned(self) -> Plan:
@@ -537,7 +537,7 @@ class DistributedPipeline:
             check_options_on_arcs(self._options)
             self._local = LocalPaths(self.mesh, motion, start, end)
             self._paths = self._local.paths
-            inflation = sum_up(inflation, self._local.reach())
+            inflation = add_rounded_up(inflation, self._local.reach())
             start, end = self._local.at(0.0), self._local.at(1.0)
         if plan is not None and not self._wants_plan:
             is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in (start, end))

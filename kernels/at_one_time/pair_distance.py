@@ -251,12 +251,12 @@ def turned(d: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec
 
 
 @wp.func
-def measured(kind: int, given: Points, only_least: bool) -> PairDistance:
+def measured(kind: int, points: Points, only_least: bool) -> PairDistance:
     """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15).
 
     With ``only_least`` the distance and the direction are left out.
     """
-    p = given
+    p = points
     c = corners(kind, p)
     restored = _ONE
     t = total(c)

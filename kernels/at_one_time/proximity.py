@@ -45,7 +45,7 @@ class ProximityList:
 
 @wp.func
 def record_proximity(
-    kind: int, pair: wp.vec2i, vertex: int, found: PairDistance, minima: Minima, proximities: ProximityList
+    kind: int, pair: wp.vec2i, vertex: int, pair_distance: PairDistance, minima: Minima, proximities: ProximityList
 ):
     """Append a pair to the list; ``vertex`` is one of its vertices, whose world is flagged if the list is full."""
     n = claim_int(proximities.count, 0)
@@ -54,10 +54,10 @@ def record_proximity(
         return
     proximities.kind[n] = kind
     proximities.primitives[n] = pair
-    proximities.parameters[n] = found.parameters
-    proximities.distance[n] = found.distance
-    proximities.direction[n] = found.direction
-    proximities.features[n] = found.features
+    proximities.parameters[n] = pair_distance.parameters
+    proximities.distance[n] = pair_distance.distance
+    proximities.direction[n] = pair_distance.direction
+    proximities.features[n] = pair_distance.features
 
 
 @wp.func

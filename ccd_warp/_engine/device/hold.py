@@ -16,8 +16,8 @@ from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.at_one_time import device_hold as kernels
-from ccd_warp.kernels.narrow_phase.sinks import HOLD
+from ccd_warp.kernels.at_one_time import device_start_distances as kernels
+from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -80,7 +80,7 @@ class DeviceHold:
 
     def record_begin(self, recording: Recording) -> None:
         """Record that nothing is held."""
-        recording.launch(kernels.clear_holds, len(self.hold), inputs=[], outputs=[self.hold])
+        recording.launch(kernels.clear_start_distances, len(self.hold), inputs=[], outputs=[self.hold])
         near = [self._near, self._world_near, self.is_near]
         recording.launch(kernels.clear_near, max(map(len, near)), inputs=[], outputs=near)
 
@@ -92,7 +92,7 @@ class DeviceHold:
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(
-            specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
+            specialised("at_one_time.start_distances", norm=self._norm).note_near_contacts,
             len(contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), start, end, self._of_start["reach"], minima],
             outputs=[self._world_near],
@@ -107,5 +107,5 @@ class DeviceHold:
         start = stages.step.vertices_t0
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
-        of_start.measure_pairs(recording, HOLD, self._norm)
-        recording.launch(kernels.keep_holds, len(self.hold), inputs=[stages.step.minima], outputs=[self.hold])
+        of_start.measure_pairs(recording, START_DISTANCE, self._norm)
+        recording.launch(kernels.keep_start_distances, len(self.hold), inputs=[stages.step.minima], outputs=[self.hold])

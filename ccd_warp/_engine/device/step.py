@@ -17,7 +17,7 @@ from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
 from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, KEY_BYTES
-from ccd_warp._engine.mesh.lengths import half_up
+from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, plane_query
 from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
@@ -139,7 +139,7 @@ class DeviceStep(Plan):
         is_cuda, max_pairs = self.execution.is_cuda, capacities.max_pairs
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
-        inflation = half_up(separation)
+        inflation = half_rounded_up(separation)
         radii = self._both_radii
         minima = new_minima(
             topology,

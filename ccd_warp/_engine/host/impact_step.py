@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.host.step import Step
-from ccd_warp._engine.mesh.lengths import half_up
+from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
 
@@ -49,7 +49,7 @@ class ImpactStep(Step):
         x, rings = self.positions[0], self.mesh.exclusion_rings
         self.far_distance = DistanceInEdges.of(self.topology, x, self.separation, rings=rings)
         self.oddities.distance = self.oddities.distance or self.far_distance
-        return half_up(self.separation)
+        return half_rounded_up(self.separation)
 
     def is_idle(self) -> bool:
         """Whether there is nothing to search; the memory limit and the stages are then those of any other slice."""

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
-from ccd_warp._engine.mesh.lengths import sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 
 if TYPE_CHECKING:
     from ccd_warp._scene.input.options import Options
 
 # What starts beyond its distance by no more than rounding is held, too: these shares of the distance and of the size of
-# the mesh are far above the margin of a pair (`kernels.pair.hold`), unless its motion is far larger than the mesh.
+# the mesh are far above the margin of a pair (`kernels.pair.start_distance`), unless it moves far more than that size.
 # A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice that is held there, and with it
 # solved in float64.
 _OF_DISTANCE = 2.0**-20
@@ -21,7 +21,7 @@ _OF_SIZE = {"float64": 2.0**-40, "float32": 2.0**-16}
 
 def hold_distance(mesh: Any, options: "Options", radius: float) -> float:
     """The distance up to which pairs are held, radii besides, of which this is the largest."""
-    return sum_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
+    return add_rounded_up(options.separation(length_scale_of(mesh, options)), _slack(mesh, options, radius))
 
 
 def corners_by_kind(topology: Any) -> list[wp.array]:

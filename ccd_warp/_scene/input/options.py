@@ -196,7 +196,7 @@ class Options:
         if radius is not None:
             packed.radius = radius
         if hold is not None:
-            packed.hold = hold
+            packed.start_distance = hold
         if turns is not None:
             packed.turns = turns
         return packed
