@@ -105,7 +105,7 @@ class DisplacementStep(StepAtOneTime):
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
-            both = measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds
+            both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
             load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))

@@ -61,8 +61,8 @@ if TYPE_CHECKING:
     from ccd_warp._gradients.toi_tape import TapedLaunch
     from ccd_warp._rigid.arc_step import DeviceArcStep
     from ccd_warp._rigid.motion_worlds import MotionWorlds
-    from ccd_warp._rigid.near_parts import NearParts
-    from ccd_warp._rigid.part_mesh import PartMesh
+    from ccd_warp._rigid.parts.mesh import PartMesh
+    from ccd_warp._rigid.parts.overlap import BodyParts
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
@@ -797,10 +797,10 @@ class CollisionPipeline:
         kept["is later"] = True
         return self.mesh.num_faces >= _LARGE_SCENE and (is_later or self.mesh._is_of_instances)
 
-    def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
+    def _body_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> BodyParts | None:
         """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
-        from ccd_warp._rigid.near_parts import NearParts  # few programs need them
-        from ccd_warp._rigid.part_mesh import world_alone
+        from ccd_warp._rigid.parts.mesh import world_alone
+        from ccd_warp._rigid.parts.overlap import BodyParts  # few programs need them
 
         # radii may be others on the device than those of the mesh
         mesh, kept = self.mesh, MeshCache.of(self.mesh).parts
@@ -810,9 +810,9 @@ class CollisionPipeline:
         positions, parts = kept.get("parts", (None, None))
         if positions is not start and (positions is None or not np.array_equal(positions, start)):
             world = world_alone(mesh, start)
-            parts = None if world is None else NearParts(world, world.vertices)
+            parts = None if world is None else BodyParts(world, world.vertices)
             kept["parts"] = start if start is mesh.vertices else start.copy(), parts
-        found: NearParts | None = parts
+        found: BodyParts | None = parts
         return found
 
     @property

@@ -22,7 +22,7 @@ import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp._cli.demo import cloth_scene
-from ccd_warp._cli.process import make_folder, start_quietly, teller, waiting
+from ccd_warp._cli.process import make_folder, start_quietly, teller
 from ccd_warp._cli.report import format_table
 
 SIDE = 1024  # of the primitives, which is the unit of the tolerance
@@ -169,9 +169,8 @@ def query_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[d
 def step_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[tuple[str, str, float]]:
     """Seconds of a whole step of a cloth over a sphere: scene, call and median of some rounds."""
     for cells in (71,) if is_quick else (71, 223):
-        bodies = cloth_scene(cells).bodies
-        mesh = ccd.CollisionMesh.from_arrays([(body.vertices_t0, body.faces) for body in bodies], static=[1])
-        frames = [np.concatenate([getattr(body, f"vertices_t{k}") for body in bodies]) for k in (0, 1)]
+        scene = cloth_scene(cells).frames
+        mesh, frames = scene.mesh, (scene.vertices_t0, scene.vertices_t1)
         calls: dict[str, Callable[[], Any]] = {}
         for device, name in product(devices, ("collision_free_step", "mesh_ccd")):
             calls[f"{name}, {device}"] = partial(getattr(ccd.CollisionPipeline(mesh, device=device), name), *frames)
@@ -231,9 +230,9 @@ def run(arguments: argparse.Namespace) -> int:
     has_peer, has_picture = (find_spec(name) is not None for name in ("ipctk", "matplotlib"))
     title = f"ccd-warp {ccd.__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
     tell(title := f"{title}; {', '.join(wp.get_device(name).name for name in devices)}, one thread of a CPU")
-    with waiting("measuring queries and steps", is_quiet=arguments.quiet):
-        rows = list(query_rows(arguments.quick, devices, has_peer))
-        of_steps = list(step_rows(arguments.quick, devices, has_peer))
+    tell("measuring queries and steps, which takes a minute or more" if not arguments.quick else "measuring")
+    rows = list(query_rows(arguments.quick, devices, has_peer))
+    of_steps = list(step_rows(arguments.quick, devices, has_peer))
     with (folder / "bench.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([rows[0].keys(), *(row.values() for row in rows)])
     tell("\n".join(table_of(rows, of_steps)))

@@ -11,14 +11,14 @@ from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, range_of_warps, search_range
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._runtime.lanes import queued_pairs_in, search_on
+from ccd_warp._runtime.lanes import lanes_of, queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
-from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.pair.norm import is_ball, shape_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.search.search_types import CULL, LIST
 from ccd_warp.kernels.step import contacts, device_step
@@ -93,9 +93,10 @@ class LeastFields(StructFields):
     open_toi: Any
 
 
-def measure_pairs_in(norm: str) -> Any:
+def measure_pairs_in(norm: str, device: Any) -> Any:
     """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
-    return specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+    parameters = {"width": lanes_of(device)} if is_ball(norm) else {}
+    return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
 
 
 @dataclass(frozen=True)
@@ -494,7 +495,7 @@ class Stages:
         """
         from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
 
-        kernel = measure_pairs_in(norm)
+        kernel = measure_pairs_in(norm, launcher.device)
         chunk = 1 if launcher.is_cuda else _CHUNK
         body_static = self.topology.body_static if sink == DISPLACEMENT else None
         outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]

@@ -32,12 +32,6 @@ def series_name(paths: Sequence[Path]) -> str:
     return name or paths[0].absolute().parent.name or paths[0].name
 
 
-def are_swapped(start: Path, end: Path) -> bool:
-    """Whether the numbers in the names of two frames say that the second comes before the first."""
-    is_numbered = pattern_of(start) == pattern_of(end) and "#" in pattern_of(start)
-    return is_numbered and _last_number(start) > _last_number(end)
-
-
 def grouped_frames(paths: Sequence[Path]) -> list[list[Path]]:
     """Divide mesh files into the frames of each body, in natural order.
 

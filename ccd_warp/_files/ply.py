@@ -1,5 +1,6 @@
-"""Read ASCII and binary PLY files: exactly as many elements as the header says."""
+"""Read ASCII and binary PLY files, exactly as many elements as the header says, and write them in double precision."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -169,3 +170,16 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
     if found < element.num_rows:
         element.refuse_count(found)
     return columns, start + size * element.num_rows
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Write a binary PLY file in double precision (trimesh writes single)."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+    rows["count"] = 3
+    rows["indices"] = faces
+    path.write_bytes(header.encode() + np.ascontiguousarray(vertices, dtype="<f8").tobytes() + rows.tobytes())

@@ -1,6 +1,6 @@
 """A mesh of one world with a motion of many: its bodies stand in memory once.
 
-Of large bodies only the parts are searched that may touch in a world (`near_worlds`). Other worlds go in batches: a
+Of large bodies only the parts are searched that may touch in a world (`parts.worlds`). Other worlds go in batches: a
 batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
 once. A further world costs its rows of the motion, and what is found in it.
 """
@@ -23,8 +23,8 @@ from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.near_worlds import NearWorlds
-from ccd_warp._rigid.part_mesh import PartMesh, rows_within
+from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
+from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind, primitives_of
@@ -76,7 +76,7 @@ class MotionWorlds:
         self.timings: dict[str, float] = {}
         self._given, self._turn = (start, end), given.largest_turn
 
-    def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
+    def _in_batches(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
         It gets a pipeline of the copies, positions and paths.
@@ -130,19 +130,19 @@ class MotionWorlds:
                     break
             return least
 
-        parts, pipeline = self._near, self._pipeline
+        parts, pipeline = self._parts, self._pipeline
         if parts is not None:
             holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
 
             def of_parts(step: LeastToiStep) -> float:
                 return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
 
-            found = parts.each(self._on_parts(LeastToiStep, of_parts))
+            found = parts.search(self._on_parts(LeastToiStep, of_parts))
             least = least_of(toi for *_, toi in found)
             if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
                 return least
         call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
-        return least_of(toi for _, toi in self._each(call))
+        return least_of(toi for _, toi in self._in_batches(call))
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
@@ -159,36 +159,36 @@ class MotionWorlds:
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
-        parts = self._near
+        parts = self._parts
         if parts is None:
             call = partial(type(self._pipeline)._contacts, is_ordered=False)
-            for worlds, result in self._each(call):
+            for worlds, result in self._in_batches(call):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
         of_step = partial(ContactStep.contacts, is_ordered=False)
-        for worlds, of_parts, result in parts.each(self._on_parts(ContactStep, of_step)):
+        for worlds, of_parts, result in parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
     @property
     def is_sparse(self) -> bool:
         """Whether parts are looked for, and few of the primitives are in those that may touch."""
         num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
-        return self._near is not None and self._near.num_primitives < _FEW * num_primitives
+        return self._parts is not None and self._parts.num_primitives < _FEW * num_primitives
 
     @lazy_property
-    def _near(self) -> NearWorlds | None:
+    def _parts(self) -> WorldsOfParts | None:
         """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
         mesh, pipeline = self._mesh, self._pipeline
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
         if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
-        parts = pipeline._near_parts(*self._given)
+        parts = pipeline._body_parts(*self._given)
         if parts is None:
             return None
         options = pipeline._options
         reach, execution = pipeline._reach_of_parts, pipeline._execution
-        return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+        return WorldsOfParts(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

@@ -10,36 +10,16 @@ import warp as wp
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
+from .lane_scale import inverse_power_of_two
 from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .patch import Corners
 from .points import Points, corners, largest, longest_side, total
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, header, spread, vec
+from .simd import Lanes, Vec3, spread, vec
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
-
-
-def _power_of_two(width: int) -> str:
-    """C++ of `inverse_power_of_two` of `rounding` on lanes."""
-    vector = "" if width == 1 else f" __attribute__((ext_vector_type({width})))"
-    return (
-        header(wp.float64, width)
-        + f"    typedef long long Bits64{vector};\n"
-        + """
-    const Lanes a = lanes(x);
-    Bits64 bits;
-    memcpy(&bits, &a, sizeof(bits));
-    const Bits64 mirrored = 2045 - ((bits >> 52) & 0x7FF);
-    const Bits64 one = (Bits64)1;
-    const Bits64 power = (mirrored < one ? one : mirrored) << 52;
-    Lanes r;
-    memcpy(&r, &power, sizeof(r));
-    return of_lanes(r);
-"""
-    )
-
 
 is_euclidean = is_ball(norm)
 by_pair = is_by_pair(norm)
@@ -50,13 +30,6 @@ Corners64 = specialised("pair.patch", width=width).Corners
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 tiny = wp.constant(real(TINY[real]))
-
-
-@wp.func_native(_power_of_two(width))
-def inverse_power_of_two(x: simd64.Lanes) -> simd64.Lanes:
-    """Power of two s with 1/2 <= s·x < 1, as in `rounding`."""
-    ...
-
 
 if real == wp.float64:
 

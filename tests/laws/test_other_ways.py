@@ -386,10 +386,11 @@ def test_the_lane_of_a_pair_and_its_neighbours_change_no_bit(kind, options, prec
 
 
 def digest_of_lanes():
-    """A hash of the bits of pairs of all kinds and of steps."""
+    """A hash of the bits of pairs of all kinds, of steps, and of what is near."""
     found = hashlib.sha256()
     for precision in PRECISIONS:
         results = [CALLS["steps"](case_of(scene), precision) for scene in (*range(8), "kinds")]
+        results += [CALLS["at_one_time"](case_of(scene), precision) for scene in range(4)]
         for kind in KINDS:
             name, *points = points_of(kind, 8)
             for options in ("default", "separation", "distance")[

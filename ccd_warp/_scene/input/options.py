@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -201,6 +201,15 @@ class Options:
             packed.turns = turns
         return packed
 
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, without what is kept with them."""
+        return {name: value for name, value in vars(self).items() if name != "of_first_round"}
+
+    @cached_property
+    def of_first_round(self) -> Any:
+        """The struct of :meth:`for_kernel` for the first round of the pair functions, kept with the options."""
+        return self.for_kernel(self.length_scale, max_iterations=self.first_iterations)
+
     @property
     def threads(self) -> int:
         """Threads on the CPU."""
@@ -226,9 +235,11 @@ def options_of(
     if not given.keys() <= names:
         name = next(name for name in given if name not in names)
         raise TypeError(_why_not_taken(function, name, {*names, *others}))
-    make = _made_once if all(type(value) in _PLAIN for value in given.values()) else _made
-    with naming(function):
+    make = _made_once if not given or all(type(value) in _PLAIN for value in given.values()) else _made
+    try:
         return make(**given)
+    except ValueError as error:
+        raise ValueError(f"{function}: {error}") from error.__cause__
 
 
 @contextmanager

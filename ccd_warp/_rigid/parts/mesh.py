@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contact_place import ContactPlace
 from ccd_warp._results.contacts import Contacts
-from ccd_warp._rigid.near_parts import NearParts
+from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._scene.half_space import Planes
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
@@ -112,8 +112,8 @@ class PartMesh:
     rank: NDArray[np.intp]
 
     @classmethod
-    def of(cls, parts: NearParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
-        """The mesh of primitives, as ``NearParts.primitives`` has them, in so many worlds, ascending."""
+    def of(cls, parts: BodyParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
+        """The mesh of primitives, as ``BodyParts.primitives`` has them, in so many worlds, ascending."""
         one = parts.mesh
         size = one.num_vertices
         corners, kind, number = parts.primitives(row)

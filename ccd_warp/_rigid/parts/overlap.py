@@ -1,7 +1,7 @@
 """Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
-A part has a sphere and a box in the frame of its body, which go with it (`part_trees`). Two parts cannot touch in a
-slice if in the middle of it they are farther apart than their points can come nearer in half of it (`_body_sweeps`).
+A part has a sphere and a box in the frame of its body, which go with it (`trees`). Two parts cannot touch in a
+slice if in the middle of it they are farther apart than their points can come nearer in half of it (`bounds`).
 Trees of the parts of two bodies are tested from the top (`kernels.rigid.part_overlap`).
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.body_sweeps import BodySweeps
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.part_trees import PartTrees, distinct, ranges
+from ccd_warp._rigid.parts.bounds import SweptBounds
+from ccd_warp._rigid.parts.trees import PartTrees, distinct, ranges
 from ccd_warp._rigid.rotations import EPS, rotated
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
@@ -36,7 +36,7 @@ def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArr
     return world, begin, np.where(number + 1 == each[world], t_max, end)
 
 
-class NearParts:
+class BodyParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
     Attributes:
@@ -79,7 +79,7 @@ class NearParts:
         keys = distinct(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
-    def near(
+    def overlapping(
         self,
         motion: RigidMotion,
         world: NDArray[np.intp],
@@ -112,7 +112,7 @@ class NearParts:
             capacity = _CAPACITY
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
-                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
+                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
                 near, capacity = self._near(swept, reach, execution, capacity)
                 found.append((near[0] + first, *near[1:]))
         if len(self.mesh.planes):
@@ -120,14 +120,14 @@ class NearParts:
             each = max(1, _MOST_POSES // motion.num_bodies)
             for first in range(0, len(world), each):
                 some = slice(first, first + each)
-                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
+                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
                 row, part = self._near_planes(swept, rigid, reach)
                 found.append((first + row, *2 * [part.astype(np.int32)]))
         of_slice, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
         return of_slice, a, b
 
     def _near_planes(
-        self, swept: BodySweeps, rigid: NDArray[np.intp], reach: float
+        self, swept: SweptBounds, rigid: NDArray[np.intp], reach: float
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Slices, and parts of rigid bodies that may meet a half-space in them: bodies first, then their parts."""
         trees = self._trees
@@ -144,7 +144,7 @@ class NearParts:
         return row[near], part[near]
 
     def _meets_plane(
-        self, swept: BodySweeps, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
+        self, swept: SweptBounds, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
     ) -> NDArray[np.bool_]:
         """Whether nodes of rigid bodies may come within a distance of the solid of a half-space in slices."""
         nodes, found = self._trees.nodes, np.zeros(len(row), dtype=bool)
@@ -165,7 +165,7 @@ class NearParts:
         return found
 
     def _near(
-        self, swept: BodySweeps, reach: float, execution: Execution, capacity: int
+        self, swept: SweptBounds, reach: float, execution: Execution, capacity: int
     ) -> tuple[list[NDArray[Any]], int]:
         """The pairs in some slices, and the capacity for them from now on."""
         from ccd_warp.kernels.rigid import part_overlap as kernels  # few programs need it
@@ -206,7 +206,7 @@ class NearParts:
                 return [x.numpy()[:count].copy() for x in (pairs.row, pairs.a, pairs.b)], capacity
             capacity = count + count // 8
 
-    def _meet(self, swept: BodySweeps, reach: float) -> NDArray[np.bool_]:
+    def _meet(self, swept: SweptBounds, reach: float) -> NDArray[np.bool_]:
         """Which pairs of bodies meet by the boxes around them in all slices."""
         trees, count = self._trees, self.mesh.num_bodies
         root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]

@@ -27,7 +27,7 @@ def distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 class PartNodes(NamedTuple):
-    """Nodes of trees of parts (`near_parts`), those of a tree one after another.
+    """Nodes of trees of parts (`overlap`), those of a tree one after another.
 
     Attributes:
         centre: Centre of a sphere around each node, in the frame of its body, shape [N, 3].
@@ -98,7 +98,7 @@ class PartTrees:
     def primitives(
         self, body: NDArray[np.intp], number: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Primitives of bodies, by their numbers in the order of the parts of their bodies (`NearParts.primitives`)."""
+        """Primitives of bodies, by their numbers in the order of the parts of their bodies (`BodyParts.primitives`)."""
         tree = self.of_body[body]
         row = self._first_row[tree] + number
         corners = self._corners[row] + (self._first_vertex[body] - self._origin[tree])[:, None]
