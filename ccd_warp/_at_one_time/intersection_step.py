@@ -88,7 +88,7 @@ class IntersectionStep(Step):
     def intersections(self) -> Intersections:
         """All pairs that touch or pass through each other."""
         with self.timed("input"):
-            execution = HostPlan.of(self.workspace, self.options, self.goal, self.motion).execution
+            execution = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion).execution
             fill = self.points.fill_positions
             execution.run([lambda k=k, at=at: fill(self.x, at, k) for k, at in enumerate(self.positions)])  # type: ignore[misc]
         plan = self.begin(1.0, inflation=0.0)

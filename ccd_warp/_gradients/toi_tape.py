@@ -11,6 +11,7 @@ from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._gradients.attaining import Attaining, all_attaining, as_flags, ratings_of
 from ccd_warp._gradients.given import Given
 from ccd_warp._gradients.kept_check import KeptCheck
+from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS, LaunchResult
 from ccd_warp._runtime.parts import new_parts
 from ccd_warp._runtime.tape import active_tape
@@ -30,7 +31,7 @@ class TapedLaunch:
         self._step, self._radius = step, radius
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
         self._given = Given.of(given, radius, prepared.form, rows)
-        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
+        _ = TapeMemory.of(step), step.contact_arrays.moving_row("gradients")  # made now, not in a capture
 
     def launch(self, prepared: PreparedLaunch) -> LaunchResult:
         """Launch, keep what was found, and record the backward pass on the active tape.

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.line_search import Course, Ends
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.one_process import OneProcess
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion

@@ -6,7 +6,7 @@ once. A further world costs its rows of the motion, and what is found in it.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from functools import partial
 from typing import Any, TypeVar
 
@@ -16,18 +16,24 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._results.contact_place import ContactPlace, MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
+from ccd_warp._rigid.parts.mesh import PartMesh, rows_within, world_alone
+from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind, primitives_of
+from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.pair.norm import is_ball
 
 _T = TypeVar("_T")
@@ -132,14 +138,9 @@ class MotionWorlds:
 
         parts, pipeline = self._parts, self._pipeline
         if parts is not None:
-            holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
-
-            def of_parts(step: LeastToiStep) -> float:
-                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
-
-            found = parts.search(self._on_parts(LeastToiStep, of_parts))
-            least = least_of(toi for *_, toi in found)
-            if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
+            of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
+            least = least_of(toi for *_, toi in parts.search(self._on_parts(LeastToiStep, of_parts)))
+            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
                 return least
         call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
         return least_of(toi for _, toi in self._in_batches(call))
@@ -183,19 +184,39 @@ class MotionWorlds:
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
         if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
-        parts = pipeline._body_parts(*self._given)
+        parts, options, device = self._body_parts(), pipeline._options, pipeline._topology.device
         if parts is None:
             return None
-        options = pipeline._options
-        reach, execution = pipeline._reach_of_parts, pipeline._execution
+        # a Euclidean distance beyond which parts do not come within the separation of a pair
+        reach = 2.0 * options.separation(length_scale_of(mesh, options))
+        execution = Execution(device, options.threads, StopFlag(device))
         return WorldsOfParts(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+
+    def _body_parts(self) -> BodyParts | None:
+        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
+        mesh, kept, (start, end) = self._mesh, MeshCache.of(self._mesh).parts, self._given
+        # radii may be others on the device than those of the mesh
+        is_plain = mesh.radius is None or np.array_equal(self._pipeline._topology.radius.numpy(), mesh.radius)
+        if not is_plain or not (start is end or np.array_equal(start, end)):
+            return None
+        positions, parts = kept.get("parts", (None, None))
+        if positions is not start and (positions is None or not np.array_equal(positions, start)):
+            world = world_alone(mesh, start)
+            parts = None if world is None else BodyParts(world, world.vertices)
+            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
+        return parts
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""
 
         def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
-            step: _StepT
-            with self._pipeline._step_of(kind, parts, paths) as step:
+            pipeline, mesh = self._pipeline, self._mesh
+            options = replace(pipeline._options, length_scale=length_scale_of(mesh, pipeline._options))
+            pipeline._check_no_capture()
+            workspace = Workspace(parts.mesh, pipeline._topology.device, beside=pipeline._workspace)
+            workspace.topology.vertex_rank = parts.rank
+            workspace.progress.show = pipeline._show_progress
+            with kind(workspace, (parts.mesh.vertices, parts.mesh.vertices), options, paths) as step:
                 found = work(step)
             self._add(step.counts, step.timings)
             return found

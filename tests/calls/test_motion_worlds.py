@@ -6,7 +6,7 @@ import trimesh
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp._calls import pipeline
+from ccd_warp._calls import motions
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.parts import mesh as parts_mesh
 from ccd_warp._rigid.parts import worlds as parts_worlds
@@ -98,7 +98,7 @@ def throw(spacing):
 @pytest.fixture
 def parts_alone(monkeypatch):
     """Whether parts are looked for in small scenes, too; which is to be compared with what whole bodies find."""
-    return lambda wanted: monkeypatch.setattr(pipeline, "_LARGE_SCENE", 1 if wanted else 1 << 60)
+    return lambda wanted: monkeypatch.setattr(motions, "_LARGE_SCENE", 1 if wanted else 1 << 60)
 
 
 @pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])

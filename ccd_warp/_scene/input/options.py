@@ -38,7 +38,7 @@ _FIELDS = (
     "max_work",
     "method",
 )
-# The value of ``start_gap_fraction`` with which what starts within its distance may part and slide.
+# The value of ``start_gap_fraction`` with which what starts within its distance keeps its start distance.
 HOLD = "hold"
 # Values of these types are immutable; others may change, or be readable only once.
 _PLAIN = frozenset((float, int, str, type(None)))
@@ -118,14 +118,14 @@ class Options:
         return _PRECISIONS[self.precision]
 
     @property
-    def holds(self) -> bool:
+    def keeps_start_distances(self) -> bool:
         """Whether what starts within its distance may part and slide, in the calls that shorten a step."""
         return self.start_gap_fraction == HOLD
 
     @property
     def start_gap_share(self) -> float:
         """The fraction of its gap at the start that a pair keeps at most; 0 where it keeps its separation."""
-        return 0.0 if self.start_gap_fraction is None or self.holds else float(self.start_gap_fraction)
+        return 0.0 if self.start_gap_fraction is None or self.keeps_start_distances else float(self.start_gap_fraction)
 
     @property
     def norm(self) -> str:
@@ -162,7 +162,7 @@ class Options:
         max_iterations: int | None = None,
         stop: wp.array | None = None,
         radius: wp.array | None = None,
-        hold: wp.array | None = None,
+        start_distances: wp.array | None = None,
         turns: Any = None,
     ) -> Any:
         """The options as the struct that the kernels take.
@@ -172,11 +172,11 @@ class Options:
             max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
             radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
-            hold: How near each vertex was to anything at the start, on the device, where pairs are held.
+            start_distances: How near each vertex was to anything at the start, on the device, where that matters.
             turns: How vertices turn in a slice of the step, as the struct of the kernels.
         """
         separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
-        if (hold is not None or turns is not None) and length_scale is not None:
+        if (start_distances is not None or turns is not None) and length_scale is not None:
             separation = self.separation(length_scale)  # each pair has a length of its own
         values = (
             self.tolerance,
@@ -195,8 +195,8 @@ class Options:
         packed = _packed(self.real, values, stop)
         if radius is not None:
             packed.radius = radius
-        if hold is not None:
-            packed.start_distance = hold
+        if start_distances is not None:
+            packed.start_distance = start_distances
         if turns is not None:
             packed.turns = turns
         return packed
