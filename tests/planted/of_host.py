@@ -198,7 +198,7 @@ PLANTED = [
           ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",)),
     Fault("a least toi without start distances", "ccd_warp/_engine/host/least_toi_step.py",
           "self.parting(start_distances)", "self.parting(None)",
-          ("kernels/pair/test_hold.py::test_triangle_at_its_distance_parts_and_slides_and_does_not_approach",)),
+          ("kernels/pair/test_start_distance.py::test_triangle_at_its_distance_parts_and_slides_and_does_not_approach",)),
     Fault("a line search up to the contact", "ccd_warp/_engine/host/line_search.py",
           "fraction[touched] *= safety * bound[touched]", "fraction[touched] *= bound[touched]",
           ("engine/test_line_search.py::test_one_body_falls_on_another",)),
