@@ -1,4 +1,4 @@
-"""How near vertices are to anything at the start of a step, and in which worlds that matters (`kernels.pair.hold`)."""
+"""How near vertices are to anything at the start of a step, and in which worlds it matters."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from ccd_warp._engine.mesh.start_distances import corners_by_kind
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._results.results import Contacts
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels.narrow_phase.sinks import HOLD
+from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -34,15 +34,15 @@ class StartDistanceStep(StepAtOneTime):
 
     def start_distances(self, distance: float) -> NDArray[np.float64]:
         """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
-        from ccd_warp.kernels.at_one_time import start_holds as kernels  # few programs need it
+        from ccd_warp.kernels.at_one_time import start_distances as kernels  # few programs need it
 
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
-            self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
+            self.execution.launch(kernels.reset_start_distances, self.mesh.num_vertices, inputs=[], outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
             batches = plan.batches(self.capacity())
-        return self.least_of_vertices(plan, batches, HOLD)
+        return self.least_of_vertices(plan, batches, START_DISTANCE)
 
     def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
@@ -62,7 +62,7 @@ class StartDistanceStep(StepAtOneTime):
             kept = self.options.separation(length_scale_of(self.mesh, self.options))
             reach = reach_of(topology.radius, distance, self.workspace.flag.array, kept)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
-            kernels = specialised("at_one_time.start_holds", norm=shape_of(self.norm()))
+            kernels = specialised("at_one_time.start_distances", norm=shape_of(self.norm()))
             self.execution.launch(
                 kernels.note_near_contacts,
                 len(contacts),

@@ -344,7 +344,7 @@ def _launch(
     outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
-        inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]
+        inputs = [*table_inputs(kind, packed, count, counts), new_queue(count, device)]
         launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)
@@ -352,7 +352,7 @@ def _launch(
     execution.launch(
         kernel,
         -(-count // chunk),
-        inputs=[MANY_SOLVERS, chunk, int(kind), TABLE, *table_inputs(packed, count)],
+        inputs=[MANY_SOLVERS, chunk, TABLE, *table_inputs(kind, packed, count)],
         outputs=outputs,
         grain=max(1, _WORTH_A_THREAD // chunk) if is_first else 1,
         is_long=lambda: is_long,

@@ -20,6 +20,7 @@ from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import StopFlag, run
 from ccd_warp.kernels.narrow_phase.sinks import TABLE, Table
 from ccd_warp.kernels.step.minima import Minima
+from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import ContactList
 
 CAPACITY = 1 << 13  # pairs, some 240 bytes each; beyond it, solving takes many times as long as packing a launch
@@ -28,7 +29,7 @@ _MOST_PARTS = 8  # for as many threads, if each has a thousand pairs
 _MOST_IDLE = 16  # kept for each kind and precision, however many threads call at once
 OUTPUTS = dtypes_of(Table)
 # Positions among the kernel's parameters.
-_NUM_SOLVERS, _OPTIONS, _COUNT = 1, 11, 15
+_NUM_SOLVERS, _OPTIONS, _COUNT = 1, 5, 7
 # So many that each takes one chunk of the pairs.
 MANY_SOLVERS = 1 << 30
 
@@ -36,16 +37,19 @@ _Key = tuple[PairKind, Any, str]  # kind, precision and norm
 _idle: dict[_Key, list["SmallBatch"]] = {}
 
 
-def table_inputs(packed: Any, count: int, counts: wp.array | None = None) -> list[Any]:
-    """The inputs of the narrow phase from the counts on, where pairs are given by their points."""
-    of_mesh = [None] * 5  # keys, corners and vertices
-    return [counts, *of_mesh, packed, 0, 0, 0.0, count]
+def table_inputs(kind: PairKind, packed: Any, count: int, counts: wp.array | None = None) -> list[Any]:
+    """The inputs of the narrow phase from the pairs on, where these are given by their points."""
+    pairs = PairList()
+    pairs.kind = int(kind)
+    if counts is not None:
+        pairs.counts = counts
+    return [pairs, packed, Round(), count]
 
 
 def table_outputs(points: Sequence[wp.array], found: Mapping[str, wp.array]) -> list[Any]:
     """Its outputs, where these arrays take what is found of pairs that have these points at both ends."""
     table = struct_of(Table, {"points_t0": points[0], "points_t1": points[1], **found})
-    return [table, Minima(), ContactList(), None, None]
+    return [table, Minima(), ContactList(), LeastToi()]
 
 
 class SmallBatch:
@@ -68,7 +72,7 @@ class SmallBatch:
         command: Any = wp.launch(
             kernel,
             dim=1,
-            inputs=[0, 1, narrow_phase.chunk_of_table, int(kind), TABLE, *table_inputs(packed, 1)],
+            inputs=[0, 1, narrow_phase.chunk_of_table, TABLE, *table_inputs(kind, packed, 1)],
             outputs=table_outputs(inputs, outputs),
             device=device,
             record_cmd=True,

@@ -32,12 +32,12 @@ def bound_along(
 
 
 @wp.func
-def box_distance(kind: int, given: Points) -> wp.float64:
+def box_distance(kind: int, points: Points) -> wp.float64:
     """A lower bound of the distance of a pair in the maximum norm, NaN where a coordinate is not finite.
 
     Invariant: no two points of the pair are closer (rounding, step 15, with Σ|d_k| in place of |d|).
     """
-    p = given
+    p = points
     c = corners(kind, p)
     restored = wp.float64(1.0)
     t = total(c)

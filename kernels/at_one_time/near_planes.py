@@ -8,7 +8,7 @@ round by less than 8u, by which the bound is lowered.
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim, claim_int
-from ..boxes.thickness import radius_of, sum_up
+from ..boxes.thickness import add_rounded_up, radius_of
 from ..narrow_phase.meet_planes import is_pair_excluded
 from ..narrow_phase.planes import Planes, end_of_planes, first_plane, is_finite, nth_plane, point_of, scale_of, value_of
 from ..narrow_phase.sinks import NEAR
@@ -49,7 +49,7 @@ def plane_distance(x: wp.vec3d, p: wp.vec3d, planes: Planes, k: int):
 @wp.func
 def distance_with(distance: wp.float64, v: int, box_radius: wp.array[wp.float64]) -> wp.float64:
     """A distance plus the radius of the thickest primitive around a vertex, rounded up."""
-    return sum_up(distance, radius_of(box_radius, wp.vec3i(v, v, v)))
+    return add_rounded_up(distance, radius_of(box_radius, wp.vec3i(v, v, v)))
 
 
 @wp.kernel
@@ -81,13 +81,13 @@ def measure_planes(
         k = nth_plane(planes, i)
         p = point_of(planes, k, x)
         if planes.meets[k, vertex_body[v]] != wp.uint8(0) and is_finite(p):
-            found, least = plane_distance(x[v], p, planes, k)
+            proximity, least = plane_distance(x[v], p, planes, k)
             if least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     if sink == NEAR:
                         n = claim_int(proximities.count, 0)
-                        record_proximity(n, VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
+                        record_proximity(n, VERTEX_PLANE, wp.vec2i(v, k), v, proximity, minima, proximities)
                         continue
                     gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
                     if not gap > _ZERO:

@@ -277,12 +277,12 @@ def turned(d: Vec3, w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3) -> Vec3:
 
 
 @simd.func
-def measured(kind: int, given: Points, only_least: bool) -> PairDistance:
+def measured(kind: int, points: Points, only_least: bool) -> PairDistance:
     """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15).
 
     With ``only_least`` the distance and the direction are left out.
     """
-    p = given
+    p = points
     c = corners(kind, p)
     restored = spread(one)
     of_sizes = total(c)

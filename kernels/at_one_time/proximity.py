@@ -55,7 +55,7 @@ class Proximity:
 
 @wp.func
 def record_proximity(
-    n: int, kind: int, pair: wp.vec2i, vertex: int, found: Proximity, minima: Minima, proximities: ProximityList
+    n: int, kind: int, pair: wp.vec2i, vertex: int, proximity: Proximity, minima: Minima, proximities: ProximityList
 ):
     """Write a pair at the place ``n`` that was claimed for it; if the list is full, flag the world of its vertex."""
     if n >= proximities.kind.shape[0]:
@@ -63,10 +63,10 @@ def record_proximity(
         return
     proximities.kind[n] = kind
     proximities.primitives[n] = pair
-    proximities.parameters[n] = found.parameters
-    proximities.distance[n] = found.distance
-    proximities.direction[n] = found.direction
-    proximities.features[n] = found.features
+    proximities.parameters[n] = proximity.parameters
+    proximities.distance[n] = proximity.distance
+    proximities.direction[n] = proximity.direction
+    proximities.features[n] = proximity.features
 
 
 @wp.func

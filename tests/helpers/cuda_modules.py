@@ -15,9 +15,9 @@ _FILES = [
     *("boxes.half_warp_tree", "boxes.box_groups", "boxes.hash_grid", "boxes.thickness", "narrow_phase.meet_planes"),
     *("step.contacts", "step.device_step", "step.contact_place", "rigid.place_bodies", "rigid.shorten_paths"),
     *("gradients.toi_slope", "gradients.attained", "gradients.toi_adjoint", "gradients.ordered_sums"),
-    *("gradients.regularity", "rigid.near_parts"),
+    *("gradients.regularity", "rigid.part_overlap"),
     *("at_one_time.intersections", "at_one_time.near_planes", "at_one_time.proximity"),
-    *("at_one_time.device_hold", "at_one_time.start_holds"),
+    *("at_one_time.device_start_distances", "at_one_time.start_distances"),
 ]
 
 
@@ -68,7 +68,7 @@ def cuda_modules(with_distances: bool = False, reals: tuple[type, ...] = (wp.flo
     if with_distances:
         modules["candidate_cull thick"] = specialised("search.candidate_cull", is_thick=True).cull_candidates.module
         for shape, norm in shapes.items():
-            of_start = specialised("at_one_time.start_holds", norm=norm)
+            of_start = specialised("at_one_time.start_distances", norm=norm)
             modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for end, with_lists, is_thick in product((BOXES, LIST, CULL), (False, True), (False, with_distances)):
         if is_thick and end == LIST:

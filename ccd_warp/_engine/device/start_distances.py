@@ -16,8 +16,8 @@ from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.at_one_time import device_hold as kernels
-from ccd_warp.kernels.narrow_phase.sinks import HOLD
+from ccd_warp.kernels.at_one_time import device_start_distances as kernels
+from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -81,7 +81,7 @@ class DeviceStartDistances:
 
     def record_begin(self, recording: Recording) -> None:
         """Record that nothing keeps a start distance."""
-        recording.launch(kernels.clear_holds, len(self.of_vertex), inputs=[], outputs=[self.of_vertex])
+        recording.launch(kernels.clear_start_distances, len(self.of_vertex), inputs=[], outputs=[self.of_vertex])
         near = [self._near, self._world_near, self.is_near]
         recording.launch(kernels.clear_near, max(map(len, near)), inputs=[], outputs=near)
 
@@ -93,7 +93,7 @@ class DeviceStartDistances:
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(
-            specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
+            specialised("at_one_time.start_distances", norm=self._norm).note_near_contacts,
             len(contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), start, end, self._of_start["reach"], minima],
             outputs=[self._world_near],
@@ -108,6 +108,8 @@ class DeviceStartDistances:
         start = stages.step.vertices_t0
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
-        of_start.measure_pairs(recording, HOLD, self._norm)
+        of_start.measure_pairs(recording, START_DISTANCE, self._norm)
         outputs = [self.of_vertex]
-        recording.launch(kernels.keep_holds, len(self.of_vertex), inputs=[stages.step.minima], outputs=outputs)
+        recording.launch(
+            kernels.keep_start_distances, len(self.of_vertex), inputs=[stages.step.minima], outputs=outputs
+        )

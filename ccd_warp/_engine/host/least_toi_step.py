@@ -12,8 +12,8 @@ from ccd_warp._runtime.status import PairKind
 
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
-# Where pairs that keep their start distances press (`kernels.pair.hold`), a step below the first fraction is none if
-# its motion is below the second fraction of the size of the scene.
+# Where pairs that keep their start distances press (`kernels.pair.start_distance`), a step below the first
+# fraction is none if its motion is below the second fraction of the size of the scene.
 _LOST_TOI, _LOST = 2.0**-20, 2.0**-30
 # Marked keys of open pairs and their toi so far, of each kind in batches.
 _OpenPairs = dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]

@@ -142,7 +142,7 @@ def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, 
     if separation > 0.0 and not is_euclidean:  # a product of two numbers
         query.distance = next_above(separation)
     query.start_gap_fraction = options.start_gap_share
-    query.holds = int(lets_part)
+    query.keeps_start_distance = int(lets_part)
     query.t_max = options.t_max
     query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
     return query

@@ -12,9 +12,9 @@ if TYPE_CHECKING:
     from ccd_warp._scene.input.options import Options
 
 # What starts beyond its distance by no more than rounding keeps its start distance, too: these shares of the distance
-# and of the size of the mesh are far above the margin of a pair (`kernels.pair.hold`), unless its motion is far larger
-# than the mesh. A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice that keeps it there,
-# and with it is solved in float64.
+# and of the size of the mesh are far above the margin of a pair (`kernels.pair.start_distance`), unless its
+# motion is far larger than the mesh. A gap of 7.6e-6 of the size would be lost in float32, so what starts within twice
+# that keeps it there, and with it is solved in float64.
 _OF_DISTANCE = 2.0**-20
 _OF_SIZE = {"float64": 2.0**-40, "float32": 2.0**-16}
 

@@ -2,7 +2,7 @@
 
 A part has a sphere and a box in the frame of its body, which go with it (`trees`). Two parts cannot touch in a
 slice if in the middle of it they are farther apart than their points can come nearer in half of it (`bounds`).
-Trees of the parts of two bodies are tested from the top (`kernels.rigid.near_parts`).
+Trees of the parts of two bodies are tested from the top (`kernels.rigid.part_overlap`).
 """
 
 from __future__ import annotations
@@ -168,45 +168,43 @@ class BodyParts:
         self, swept: SweptBounds, reach: float, execution: Execution, capacity: int
     ) -> tuple[list[NDArray[Any]], int]:
         """The pairs in some slices, and the capacity for them from now on."""
-        from ccd_warp.kernels.rigid import near_parts as kernels  # few programs need it
+        from ccd_warp.kernels.rigid import part_overlap as kernels  # few programs need it
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=execution.device, copy=execution.is_cuda)
 
         num_slices = len(swept.position)
-        part_motion = kernels.PartMotion()  # slices are not halved, and nothing is known of bodies against each other
-        part_motion.num_links, part_motion.num_halvings = swept.position.shape[1], 0
-        part_motion.position, part_motion.velocity, part_motion.omega = (
+        motion = kernels.PartMotion()
+        motion.position, motion.velocity, motion.omega = (
             on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
         )
-        part_motion.rotation = on_device(swept.rotation, wp.vec4d)
-        part_motion.reach = on_device(swept.reach, kernels.vec6d)
-        part_motion.relative_reach = wp.zeros((num_slices, 0), dtype=kernels.vec6d, device=execution.device)
-        body_pairs = self.pairs
-        if len(body_pairs) > _MANY:
-            body_pairs = body_pairs[self._meet(swept, reach)]
-        pair_rows = np.column_stack([body_pairs, np.full(len(body_pairs), -1)])
-        pairs: wp.array = wp.array(pair_rows, dtype=wp.vec3i, device=execution.device)
-        num_items, trees, stop = num_slices * len(body_pairs), self._trees_on(execution.device), execution.flag
+        motion.rotation = on_device(swept.rotation, wp.vec4d)
+        motion.reach = on_device(swept.reach, kernels.vec6d)
+        of_bodies = self.pairs
+        if len(of_bodies) > _MANY:
+            of_bodies = of_bodies[self._meet(swept, reach)]
+        body_pairs: wp.array = wp.array(of_bodies, dtype=wp.vec2i, device=execution.device)
+        num_items, trees, stop = num_slices * len(of_bodies), self._trees_on(execution.device), execution.flag
         assert stop is not None
         while True:
-            near = kernels.NearPairs()
-            near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
-            near.window = wp.empty(capacity, dtype=wp.int64, device=execution.device)
-            near.a, near.b = (wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(2))
+            pairs = kernels.PartPairs()
+            pairs.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
+            pairs.row, pairs.a, pairs.b = (
+                wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(3)
+            )
             execution.launch(
-                kernels.find_near_parts,
+                kernels.find_overlapping_parts,
                 num_items,
-                inputs=[pairs, trees, part_motion, reach, stop.array],
-                outputs=[near],
+                inputs=[body_pairs, trees, motion, reach, stop.array],
+                outputs=[pairs],
                 grain=256,
                 parts_per_thread=8,
                 is_long=lambda: num_items > _LONG,
             )
-            num_near = int(near.count.numpy()[0, 0])
-            if num_near <= capacity:
-                return [x.numpy()[:num_near].copy() for x in (near.window, near.a, near.b)], capacity
-            capacity = num_near + num_near // 8
+            count = int(pairs.count.numpy()[0, 0])
+            if count <= capacity:
+                return [x.numpy()[:count].copy() for x in (pairs.row, pairs.a, pairs.b)], capacity
+            capacity = count + count // 8
 
     def _meet(self, swept: SweptBounds, reach: float) -> NDArray[np.bool_]:
         """Which pairs of bodies meet by the boxes around them in all slices."""
@@ -236,7 +234,7 @@ class BodyParts:
     def _trees_on(self, device: Any) -> Any:
         """The trees on a device."""
         if str(device) not in self._on_device:
-            from ccd_warp.kernels.rigid import near_parts as kernels
+            from ccd_warp.kernels.rigid import part_overlap as kernels
 
             trees = self._trees
             arrays = {

@@ -196,7 +196,7 @@ class Options:
         if radius is not None:
             packed.radius = radius
         if start_distances is not None:
-            packed.hold = start_distances
+            packed.start_distance = start_distances
         if turns is not None:
             packed.turns = turns
         return packed
