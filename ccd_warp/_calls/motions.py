@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +19,7 @@ from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
 if TYPE_CHECKING:
-    from ccd_warp._rigid.motion_worlds import MotionWorlds
+    from ccd_warp._rigid.motion_worlds import MotionWorlds, Pipeline
 
 # Faces from which the parts of rigid bodies that may touch are looked for in one world.
 _LARGE_SCENE = 1 << 15
@@ -95,7 +95,7 @@ def course_of(
 
 
 def worlds_of(
-    pipeline: Any, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None, *, check_start: bool
+    pipeline: Pipeline, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None, *, check_start: bool
 ) -> MotionWorlds | None:
     """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
     mesh = pipeline.mesh

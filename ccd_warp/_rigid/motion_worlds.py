@@ -6,9 +6,10 @@ once. A further world costs its rows of the motion, and what is found in it.
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import MISSING, fields, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.contact_place import ContactPlace, MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
@@ -32,10 +34,14 @@ from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 
+Array = NDArray[np.float64]
 _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
@@ -44,6 +50,28 @@ _PRIMITIVES = 1 << 19
 _LARGE, _MOST_BODIES = 2000, 64
 # Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
 _MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
+
+
+class Pipeline(Protocol):
+    """What the worlds of a motion take of the pipeline of their mesh, and of others for copies of it."""
+
+    mesh: CollisionMesh
+    counts: Counts
+    timings: dict[str, float]
+    _options: Options
+    _topology: Topology
+    _workspace: Workspace | None
+    _show_progress: Callable[[Progress], None] | None
+
+    @classmethod
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
+        """A pipeline for one call."""
+
+    def _check_no_capture(self) -> None: ...
+
+    def _contacts(self, start: Array, end: Array, motion: MeshPaths, *, is_ordered: bool) -> MeshResult: ...
+
+    def _least_toi(self, start: Array, end: Array, motion: MeshPaths, *, any_suffices: bool) -> float: ...
 
 
 class MotionWorlds:
@@ -56,14 +84,12 @@ class MotionWorlds:
 
     def __init__(
         self,
-        pipeline: Any,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
+        pipeline: Pipeline,
+        start: Array,
+        end: Array,
         motion: RigidMotion,
     ) -> None:
         """Begin a search; ``start`` and ``end`` are the positions of all vertices, the same in every world.
-
-        Batches are calls of the pipelines of such a class as ``pipeline``, a ``CollisionPipeline``.
 
         Raises:
             ValueError: If the motion has not a row for each rigid body of the mesh in every world, moves a static one,
@@ -82,7 +108,9 @@ class MotionWorlds:
         self.timings: dict[str, float] = {}
         self._ends, self._turn = (start, end), paths.largest_turn
 
-    def _in_batches(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
+    def _in_batches(
+        self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T]
+    ) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
         It gets a pipeline of the copies, positions and paths.
@@ -142,8 +170,8 @@ class MotionWorlds:
             least = least_of(toi for *_, toi in parts.search(self._on_parts(LeastToiStep, of_parts)))
             if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
                 return least
-        call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
-        return least_of(toi for _, toi in self._in_batches(call))
+        batches = self._in_batches(lambda copies, *step: copies._least_toi(*step, any_suffices=any_suffices))
+        return least_of(toi for _, toi in batches)
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
@@ -162,8 +190,7 @@ class MotionWorlds:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
         parts = self._parts
         if parts is None:
-            call = partial(type(self._pipeline)._contacts, is_ordered=False)
-            for worlds, result in self._in_batches(call):
+            for worlds, result in self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False)):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
