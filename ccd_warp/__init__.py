@@ -33,12 +33,11 @@ from ccd_warp._calls.pair_ccd import PairResult, edge_edge_ccd, point_point_ccd,
 from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._calls.pose_sequence import PoseSequence, read_poses
 from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._engine.host.line_search import LineSearchResult
-from ccd_warp._files.mesh_frames import Frames, read_frames
-from ccd_warp._files.sequence import FrameSequence, read_sequence
+from ccd_warp._files.sequence import Frames, FrameSequence, read_frames, read_sequence
 from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
 from ccd_warp._results.toi_gradient import ToiGradient

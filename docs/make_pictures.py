@@ -9,8 +9,6 @@ import re
 import sys
 from pathlib import Path
 
-import numpy as np
-
 import ccd_warp as ccd
 from ccd_warp import viz
 from ccd_warp._cli.demo import DemoScene, cloth_scene
@@ -20,17 +18,9 @@ FIGURES = ROOT / "docs" / "figures"
 
 
 def draw_scene(scene: DemoScene, path: Path) -> None:
-    mesh = ccd.CollisionMesh.from_arrays(
-        [(body.vertices_t0, body.faces) for body in scene.bodies],
-        static=[k for k, body in enumerate(scene.bodies) if body.is_static],
-        self_collision=scene.self_collision,
-        names=[body.name for body in scene.bodies],
-    )
-    vertices_t0, vertices_t1 = (
-        np.vstack([getattr(body, frame) for body in scene.bodies]) for frame in ("vertices_t0", "vertices_t1")
-    )
-    result = ccd.mesh_ccd(mesh, vertices_t0, vertices_t1)
-    viz.render_step(mesh, vertices_t0, vertices_t1, result, path)
+    frames = scene.frames
+    result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
+    viz.render_step(frames.mesh, frames.vertices_t0, frames.vertices_t1, result, path)
 
 
 def draw_first_block(page: Path, path: Path) -> None:

@@ -42,23 +42,23 @@ def _modules(name: str, level: int, imported: str, wanted: Iterable[str]) -> dic
     folder = name.split(".")[:-1]
     path = [*folder[: len(folder) - level + 1], *filter(None, imported.split("."))]
     if (_FOLDER / Path(*path)).is_dir():
-        return {each: ".".join([*path, each]) for each in wanted}
+        return {module: ".".join([*path, module]) for module in wanted}
     return {"": ".".join(path)}
 
 
 @cache
 def _parameters_of(name: str) -> frozenset[str]:
     """The parameters on which a file depends: those that it imports and those of what it imports, if it imports any."""
-    found: set[str] = set()
+    used: set[str] = set()
     modules: set[str] = set()
     for dots, imported, names in _IMPORT.findall(_read(name)[2]):
         wanted = _NAME.findall(names)
         from_here = _modules(name, len(dots), imported, wanted)
         modules.update(from_here.values())
-        found.update(wanted if from_here.get("") == "parameters" else ())
-    if found:
-        found.update(*map(_parameters_of, modules - {"parameters"}))
-    return frozenset(found)
+        used.update(wanted if from_here.get("") == "parameters" else ())
+    if used:
+        used.update(*map(_parameters_of, modules - {"parameters"}))
+    return frozenset(used)
 
 
 @once
@@ -73,7 +73,7 @@ def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
             return builtins.__import__(imported, scope, local, wanted, level)
         modules = _modules(name, level, imported, wanted)
         if "" not in modules:
-            return SimpleNamespace(**{each: specialised(module, **alike) for each, module in modules.items()})
+            return SimpleNamespace(**{name: specialised(module, **alike) for name, module in modules.items()})
         return SimpleNamespace(**alike) if modules[""] == "parameters" else specialised(modules[""], **alike)
 
     path, code, _ = _read(name)
@@ -100,11 +100,12 @@ def specialised(name: str, **values: Any) -> Any:
     plain = vars(parameters)
     if not values.keys() <= plain.keys():
         raise ValueError(f"{name} is asked for with {', '.join(values)}; expected parameters of kernels/parameters.py")
-    given = tuple((each, values.get(each, plain[each])) for each in sorted(_parameters_of(name)))
-    if all(value == plain[each] for each, value in given):
+    wanted = sorted(_parameters_of(name))
+    settings = tuple((parameter, values.get(parameter, plain[parameter])) for parameter in wanted)
+    if all(value == plain[parameter] for parameter, value in settings):
         module = sys.modules.get(f"{__package__}.{name}")
         if module is not None and not getattr(module.__spec__, "_initializing", False):
             return module
         with building, uncollected():  # before the locks of imports: a thread that specialises imports with it locked
             return importlib.import_module(f"{__package__}.{name}")
-    return _specialise(name, given)
+    return _specialise(name, settings)

@@ -18,7 +18,7 @@ from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.step import Capacities, DeviceStep
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.plan import Goal
@@ -96,7 +96,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
         key = (distance, largest)
         if key not in self._values:
             self._values.clear()
-            inflation, radii = half_up(distance), (self._radii, self._input.box_radius)
+            inflation, radii = half_rounded_up(distance), (self._radii, self._input.box_radius)
             searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
             reach = reach_of(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
@@ -193,7 +193,7 @@ class DeviceDisplacementStep(DeviceAtOneTime):
 
     def values(self, length: float) -> _Values:
         kept = self._options.minimum_distance
-        return self._values_of(sum_up(length, kept), kept, largest_bound(length, self._is_alone))
+        return self._values_of(add_rounded_up(length, kept), kept, largest_bound(length, self._is_alone))
 
     def _record_input(self, recording: Recording, form: Form, stages: Stages, is_first: bool) -> None:
         super()._record_input(recording, form, stages, is_first)

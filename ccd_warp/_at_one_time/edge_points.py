@@ -195,8 +195,8 @@ class EdgePointTopology(Topology):
         key = f"{device} edge points"
         if key not in cache:
             cache.setdefault(key, EdgePointTopology(MeshWithEdgePoints(mesh), device))  # type: ignore[arg-type]
-        found: EdgePointTopology = cache[key]
-        return found
+        topology: EdgePointTopology = cache[key]
+        return topology
 
     @property
     def slender(self) -> None:
@@ -242,13 +242,13 @@ class EdgePointTopology(Topology):
     def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
         mesh, array = self.mesh, _ARRAYS.get(kind, kind)
         corners = self._corners_host(array)
-        chosen = {
+        primitives = {
             "codimensional_point": mesh.codimensional_points,
             "codimensional_edge": mesh.codimensional_edges,
             "edge_without_face": mesh.tested_edges,
             "vertex": mesh._surface_vertices,
         }.get(kind, np.arange(len(corners), dtype=np.int32))
-        body = mesh.vertex_body[corners[chosen, 0]] if len(chosen) else np.zeros(0, dtype=np.int32)
-        ids = chosen[self.bodies_of(role)[body]].astype(np.int32)
+        body = mesh.vertex_body[corners[primitives, 0]] if len(primitives) else np.zeros(0, dtype=np.int32)
+        ids = primitives[self.bodies_of(role)[body]].astype(np.int32)
         of_set = self.corners[array] if len(ids) == len(corners) else self.array(corners[ids], wp.vec3i)
         return PrimitiveSet(f"{role} {kind}", role, _NUM_CORNERS[array], self.array(ids), of_set)

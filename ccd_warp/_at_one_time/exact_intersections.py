@@ -19,13 +19,13 @@ _MANTISSA = 53
 
 def integer_points(x: NDArray[np.float64], vertices: NDArray[np.int32]) -> dict[int, Point]:
     """The positions of vertices as integers of one unit, by vertex."""
-    chosen = np.unique(vertices)
-    mantissa, exponent = np.frexp(x[chosen])
+    used_vertices = np.unique(vertices)
+    mantissa, exponent = np.frexp(x[used_vertices])
     integer = np.ldexp(mantissa, _MANTISSA).astype(np.int64)
     least = int(exponent[integer != 0].min(initial=exponent.max(initial=0)))
     shift = np.where(integer != 0, exponent - least, 0)
     rows = ([m << s for m, s in zip(*row, strict=True)] for row in zip(integer.tolist(), shift.tolist(), strict=True))
-    return {v: (a, b, c) for v, (a, b, c) in zip(chosen.tolist(), rows, strict=True)}
+    return {v: (a, b, c) for v, (a, b, c) in zip(used_vertices.tolist(), rows, strict=True)}
 
 
 def _minus(a: Point, b: Point) -> Point:
@@ -116,14 +116,14 @@ def edges_meet(p: Point, q: Point, r: Point, s: Point) -> Parameters | None:
 def _parallel_edges_meet(p: Point, q: Point, r: Point, s: Point) -> Parameters | None:
     """The middle of the segment in which two parallel edges, or edges without length, overlap; its ends are theirs."""
     ends = [
-        (found[0], v) if of_first else (v, found[0])
-        for of_first, v, found in (
+        (place[0], v) if of_first else (v, place[0])
+        for of_first, v, place in (
             (True, 0.0, point_on_segment(r, p, q)),
             (True, 1.0, point_on_segment(s, p, q)),
             (False, 0.0, point_on_segment(p, r, s)),
             (False, 1.0, point_on_segment(q, r, s)),
         )
-        if found is not None
+        if place is not None
     ]
     if not ends:
         return None
@@ -153,8 +153,8 @@ def decide(
     """Apply a test to pairs with these vertices, [n, k]: whether each passes, and its parameters, shape [n, 3]."""
     points = integer_points(x, corners)
     of_pairs: list[Sequence[Point]] = [[points[v] for v in row] for row in corners.tolist()]
-    found = list(starmap(test, of_pairs))
-    is_found = np.array([each is not None for each in found], dtype=bool)
-    parameters = np.zeros((len(found), 3))
-    parameters[is_found] = np.array([each for each in found if each is not None], dtype=np.float64).reshape(-1, 3)
-    return is_found, parameters
+    rows = list(starmap(test, of_pairs))
+    passes = np.array([row is not None for row in rows], dtype=bool)
+    parameters = np.zeros((len(rows), 3))
+    parameters[passes] = np.array([row for row in rows if row is not None], dtype=np.float64).reshape(-1, 3)
+    return passes, parameters

@@ -64,7 +64,7 @@ class IntersectionStep(Step):
         self.original = self.points.original
         self.x = positions[0]
         super().__init__(of_edges, of_edges.own_positions, *arguments)
-        self._found: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
+        self._decided: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
         self._open: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
 
     def with_edge_points(self, topology: Topology) -> EdgePointTopology:
@@ -83,12 +83,12 @@ class IntersectionStep(Step):
     @property
     def fixed_bytes(self) -> int:
         """Bytes of the topology and the boxes, and of the positions with those of the points of the edges."""
-        return super().fixed_bytes + sum(each.nbytes for each in self.positions)
+        return super().fixed_bytes + sum(array.nbytes for array in self.positions)
 
     def intersections(self) -> Intersections:
         """All pairs that touch or pass through each other."""
         with self.timed("input"):
-            execution = HostPlan.of(self.workspace, self.options, self.goal, self.motion).execution
+            execution = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion).execution
             fill = self.points.fill_positions
             execution.run([lambda k=k, at=at: fill(self.x, at, k) for k, at in enumerate(self.positions)])  # type: ignore[misc]
         plan = self.begin(1.0, inflation=0.0)
@@ -111,7 +111,7 @@ class IntersectionStep(Step):
 
     def _take(self, kind: PairKind, keys: wp.array, corner_arrays: tuple[str, str]) -> None:
         """Test pairs, given by keys on the device, and keep those that are not apart."""
-        found = self.workspace.buffers.get("pair codes", len(keys), wp.int32)
+        pair_codes = self.workspace.buffers.get("pair codes", len(keys), wp.int32)
         self.execution.launch(
             kernels.test_pairs,
             len(keys),
@@ -123,11 +123,11 @@ class IntersectionStep(Step):
                 self.original.num_vertices,
                 self.vertices_t0,
             ],
-            outputs=[found],
+            outputs=[pair_codes],
         )
-        codes = found[: len(keys)].numpy()
-        chosen = np.flatnonzero(codes != _APART)
-        host_keys, codes = keys.numpy()[chosen], codes[chosen]
+        codes = pair_codes[: len(keys)].numpy()
+        kept = np.flatnonzero(codes != _APART)
+        host_keys, codes = keys.numpy()[kept], codes[kept]
         if kind != PairKind.VERTEX_FACE or corner_arrays[0] == "vertex":
             self._keep(IntersectionKind(int(kind)), host_keys, codes)
             return
@@ -139,7 +139,7 @@ class IntersectionStep(Step):
             self._take_parts(host_keys[is_edge & (codes != _FOUND)])
 
     def _keep(self, kind: IntersectionKind, keys: Keys, codes: NDArray[np.int32]) -> None:
-        self._found[kind].append(keys[codes == _FOUND])
+        self._decided[kind].append(keys[codes == _FOUND])
         self._open[kind].append(keys[codes == _OPEN])
 
     def _take_parts(self, keys: Keys) -> None:
@@ -165,19 +165,19 @@ class IntersectionStep(Step):
         if kind == IntersectionKind.VERTEX_PLANE and len(self.original.planes):
             pairs = _pairs_of(self.own_keys(kind, _keys_of(vertices_in_half_spaces(self.original, self.x))))
             return np.full(len(pairs), int(kind), dtype=np.int32), pairs, np.zeros((len(pairs), 3))
-        found, is_open = (self.own_keys(kind, _distinct(keys)) for keys in (self._found[kind], self._open[kind]))
-        if len(found) + len(is_open) == 0:
+        decided, is_open = (self.own_keys(kind, _distinct(keys)) for keys in (self._decided[kind], self._open[kind]))
+        if len(decided) + len(is_open) == 0:
             return np.zeros(0, dtype=np.int32), np.zeros((0, 2), dtype=np.int32), np.zeros((0, 3))
         listed = _keys_of(self.original.exclude_pairs.get(kind.name.lower(), np.zeros((0, 2), dtype=np.int32)))
         if len(listed):
-            found, is_open = (keys[~np.isin(keys, listed)] for keys in (found, is_open))
+            decided, is_open = (keys[~np.isin(keys, listed)] for keys in (decided, is_open))
         tests = _TESTS[kind]
         if kind == IntersectionKind.EDGE_EDGE and self.original.dimension == 2:
             tests = _CROSSING_IN_PLANE
-        parameters, is_accurate = points.approximate(tests.approximate, self.x, self._corners(kind, found))
-        is_open = np.concatenate([is_open, found[~is_accurate]])
+        parameters, is_accurate = points.approximate(tests.approximate, self.x, self._corners(kind, decided))
+        is_open = np.concatenate([is_open, decided[~is_accurate]])
         passes, exactly = exact.decide(tests.exact, self.x, self._corners(kind, is_open))
-        keys = np.concatenate([found[is_accurate], is_open[passes]])
+        keys = np.concatenate([decided[is_accurate], is_open[passes]])
         parameters = np.concatenate([parameters[is_accurate], exactly[passes]])
         order = np.argsort(keys)
         keys = keys[order]

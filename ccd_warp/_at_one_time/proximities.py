@@ -3,6 +3,7 @@
 from functools import partial
 from typing import Any
 
+import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
@@ -55,7 +56,7 @@ class ProximityStore:
     def gather(self) -> dict[str, NDArray[Any]]:
         """All pairs, sorted by kind and pair, in new arrays."""
         device, count = self._execution.device, self.total
-        arrays = {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in PROXIMITY_DTYPES.items()}
+        arrays = {name: self._new(count, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
         if count > 0:
             keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
             order: wp.array = wp.empty(count, dtype=wp.int32, device=device)
@@ -65,3 +66,12 @@ class ProximityStore:
             ordered = new_proximity_list({"count": self._count, **arrays})
             launch(kernels.order_proximities, count, inputs=[order, self._list], outputs=[ordered])
         return {name: array.numpy() for name, array in arrays.items()}
+
+    def _new(self, count: int, dtype: Any) -> wp.array:
+        """A new array; on the CPU from NumPy, which asks for large pages, so that they are not cleared one by one."""
+        device = self._execution.device
+        if device.is_cuda:
+            return wp.empty(count, dtype=dtype, device=device)
+        shape = (count, *getattr(dtype, "_shape_", ()))
+        array = np.empty(shape, wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
+        return wp.array(array, dtype=dtype, device=device, copy=False)

@@ -11,19 +11,16 @@ from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStor
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.hold_distance import corners_by_kind
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
+from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._results.proximities import Proximities
-from ccd_warp._results.results import Contacts
-from ccd_warp._runtime.launch import Execution, load_all
+from ccd_warp._runtime.launch import load_all
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
-from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, HOLD, NEAR
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, shape_of
-from ccd_warp.kernels.template import specialised
+from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
+from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 
 # Pairs of vertices and planes for which a call begins with capacity.
 _FEW = 1 << 10
@@ -37,16 +34,19 @@ class StepAtOneTime(Step):
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the other arguments are those of every step."""
         super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
-        self._end = positions[1]
+
+    def norm(self) -> str:
+        """The norm of distances."""
+        return EUCLIDEAN_NORM
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
-        plan = self.begin(1.0, half_up(distance))
+        plan = self.begin(1.0, half_rounded_up(distance))
         self.timings.setdefault("distances", 0.0)
-        plan.set_search(1.0, half_up(distance), distance)
+        plan.set_search(1.0, half_rounded_up(distance), distance)
         return plan
 
-    def _least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
+    def least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
         """Measure the pairs, end the call, and return the minima of the vertices."""
         for _ in self.batches(batches):
             with self.timed("distances"):
@@ -99,13 +99,13 @@ class DisplacementStep(StepAtOneTime):
     def bounds(self, search_radius: float) -> NDArray[np.float64]:
         """For each vertex the length by which it may move."""
         kept = self.options.minimum_distance
-        distance = sum_up(search_radius, kept)
+        distance = add_rounded_up(search_radius, kept)
         plan = self.search(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)
             inputs = [largest, self.topology.body_static]
-            both = measure_pairs_in(EUCLIDEAN_NORM), kernels.reset_bounds
+            both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
             load_all(both, self.topology.device, self.execution.progress)  # side by side
             self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
@@ -113,52 +113,6 @@ class DisplacementStep(StepAtOneTime):
         if self.planes is not None:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = self.planes.meet(Stages.bound_by_half_spaces)
-        bounds = self._least_of_vertices(plan, batches, DISPLACEMENT)
+        bounds = self.least_of_vertices(plan, batches, DISPLACEMENT)
         bounds[self.mesh.unused_vertices] = np.inf
         return bounds
-
-
-class HoldStep(StepAtOneTime):
-    """The hold of each vertex."""
-
-    goal = "holds"
-
-    def find_holds(self, distance: float) -> NDArray[np.float64]:
-        """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
-        from ccd_warp.kernels.at_one_time import start_holds as kernels  # few programs need it
-
-        plan = self.search(distance)
-        minima = self.workspace.contacts.minima
-        with self.timed("pairs"):
-            self.execution.launch(kernels.reset_holds, self.mesh.num_vertices, inputs=[], outputs=[minima])
-            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
-            batches = plan.batches(self.capacity())
-        return self._least_of_vertices(plan, batches, HOLD)
-
-    def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
-        """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
-
-        Or passes by on a straight way to the second of the positions.
-        """
-        topology, device = self.topology, self.topology.device
-        near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
-        if len(contacts):
-            values = {"kind": wp.int32, "primitives": wp.vec2i}
-            listed: list[wp.array] = [
-                wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
-            ]
-            count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
-            x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
-            x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
-            kept = self.options.separation(length_scale_of(self.mesh, self.options))
-            reach = reach_of(topology.radius, distance, self.workspace.flag.array, kept)
-            self.execution = Execution(device, self.options.threads, self.workspace.flag)
-            self.execution.launch(
-                specialised(
-                    "at_one_time.start_holds", norm=shape_of(norm_of(self.mesh, self.options))
-                ).note_near_contacts,
-                len(contacts),
-                inputs=[count, *listed, *corners_by_kind(topology), x, x_t1, reach, self.workspace.contacts.minima],
-                outputs=[near],
-            )
-        return near.numpy() != 0

@@ -9,8 +9,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY, LineSearchResult
+from ccd_warp._engine.host.line_search import DEFAULT_MAX_ROUNDS, DEFAULT_SAFETY
 from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import MeshResult
 from ccd_warp._rigid.motion import Motion, RigidMotion

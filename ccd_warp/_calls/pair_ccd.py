@@ -9,7 +9,15 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from ccd_warp._calls.small_batch import CAPACITY, MANY_SOLVERS, OUTPUTS, borrowed_batch, table_inputs, table_outputs
+from ccd_warp._calls.small_batch import (
+    CAPACITY,
+    MANY_SOLVERS,
+    OUTPUTS,
+    borrowed_batch,
+    give_back,
+    table_inputs,
+    table_outputs,
+)
 from ccd_warp._results.placed import Placed
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.display import counted
@@ -20,7 +28,7 @@ from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._scene.input.arrays import as_array, as_float64, check_finite, is_device_array
+from ccd_warp._scene.input.arrays import as_array, as_float64, check_both_finite, is_device_array
 from ccd_warp._scene.input.interop import as_warp
 from ccd_warp._scene.input.option_types import PairOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
@@ -102,6 +110,7 @@ class PairResult(Placed):
                 raise ValueError(
                     f"points_t{k} has shape {end.shape}; expected those of the call, {len(self.toi)} pairs"
                 )
+        check_both_finite(ends[0], ends[1], ("points_t0", "points_t1"), row_name="pair")
         query = _touch(options).query(is_planar=ends[0].shape[2] == 2)
         return of_pairs(query, kind, (ends[0], ends[1]), self.toi, self.status)
 
@@ -185,9 +194,9 @@ def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpac
 
 _STATUS = 1  # position of the status among the outputs
 _LIMIT = int(CCDStatus.ITERATION_LIMIT)
-# A part of more pairs than this may take long: some 0.2 s if all of them reach the limit of the first round.
-_LONG_PART = 1 << 10
-_WORTH_A_THREAD = 1 << 10
+# A thread with more pairs than this may take long: some 0.4 s if all of them reach the limit of the first round.
+_LONG_PART = 1 << 11
+_WORTH_A_THREAD = 1000
 # Points of a pair, and the dimensions in which a kind is defined.
 _POINTS = {
     PairKind.VERTEX_FACE: (4, (3,)),
@@ -206,43 +215,49 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptio
             f"points_t1 is a {type(points_t1).__name__}; expected a {type(points_t0).__name__} like points_t0"
         )
     if on_device:
-        points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
-        with naming(function):
-            device = resolve_device(options.device, points_t0.device)
-        device_t0 = _as_points(kind, points_t0, "points_t0")
-        device_t1 = _as_points(kind, points_t1, "points_t1")
-        if points_t1.device != device:
-            raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
-        if points_t1.shape != points_t0.shape:
-            raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
-    else:
-        device = resolve_device(options.device)
-        if device.is_capturing:
-            raise RuntimeError(
-                "a graph is being captured, and the results of NumPy arrays would be read before it is replayed; "
-                "pass Warp arrays, and keep the result as long as the graph"
-            )
-        a = _validated_points(kind, points_t0, "points_t0")
-        b = _validated_points(kind, points_t1, "points_t1")
-        if b.shape != a.shape:
-            raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
-        a, b = _in_3d(a), _in_3d(b)
-        if device.is_cpu and 0 < len(a) <= CAPACITY:
-            return PairResult(*_solve_few(kind, a, b, options, device))._of((kind, options))
-        device_t0, device_t1 = (
-            wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
+        return _device_arrays_ccd(function, kind, points_t0, points_t1, options)
+    device = resolve_device(options.device)
+    if device.is_capturing:
+        raise RuntimeError(
+            "a graph is being captured, and the results of NumPy arrays would be read before it is replayed; "
+            "pass Warp arrays, and keep the result as long as the graph"
         )
+    a = _validated_points(kind, points_t0, "points_t0")
+    b = _validated_points(kind, points_t1, "points_t1")
+    if b.shape != a.shape:
+        raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
+    check_both_finite(a, b, ("points_t0", "points_t1"), row_name="pair")
+    a, b = _in_3d(a), _in_3d(b)
+    if device.is_cpu and 0 < len(a) <= CAPACITY:
+        results = _solve_few(kind, a, b, options, device)
+    else:
+        arrays: list[wp.array] = [
+            wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
+        ]
+        results = [array.numpy() for array in vars(_solve(kind, arrays[0], arrays[1], options, device)).values()]
+    return PairResult(*results)._of((kind, options))
 
-    out = _solve(kind, device_t0, device_t1, options, device)
-    if on_device:
-        if wants_gradient(points_t0, points_t1):
-            from ccd_warp._gradients.pair_tape import record_pairs  # its kernels are loaded where they are needed
 
-            execution = Execution(device, options.threads)
-            arrays, solved = [points_t0, points_t1], [device_t0, device_t1]
-            record_pairs(execution, _touch(options), kind, arrays, solved, out)
-        return out
-    return PairResult(**{name: array.numpy() for name, array in vars(out).items()})._of((kind, options))
+def _device_arrays_ccd(function: str, kind: PairKind, points_t0: Any, points_t1: Any, options: Options) -> PairResult:
+    """The result of pairs in arrays on a device, which are read in place."""
+    points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
+    with naming(function):
+        device = resolve_device(options.device, points_t0.device)
+    a, b = _as_points(kind, points_t0, "points_t0"), _as_points(kind, points_t1, "points_t1")
+    if points_t1.device != device:
+        raise ValueError(f"points_t1 is on {points_t1.device.alias}; expected {device.alias} like points_t0")
+    if points_t1.shape != points_t0.shape:
+        raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
+    if device.is_cpu and not device.is_capturing and 0 < a.shape[0] <= CAPACITY:
+        results = _solve_few(kind, a.numpy(), b.numpy(), options, device)
+        out = PairResult(*map(_shared, results, OUTPUTS.values()))
+    else:
+        out = _solve(kind, a, b, options, device)
+    if wants_gradient(points_t0, points_t1):
+        from ccd_warp._gradients.pair_tape import record_pairs  # its kernels are loaded where they are needed
+
+        record_pairs(Execution(device, options.threads), _touch(options), kind, [points_t0, points_t1], [a, b], out)
+    return out
 
 
 def _touch(options: Options) -> Touch:
@@ -253,10 +268,20 @@ def _touch(options: Options) -> Touch:
 def _solve_few(
     kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
 ) -> list[np.ndarray]:
-    """Solve so few pairs on the CPU that packing the launch would take longer than solving them."""
-    packed = options.for_kernel(options.length_scale, max_iterations=options.first_iterations)
-    with borrowed_batch(kind, options.real, options.norm, device, points_t0.shape[1], packed) as batch:
-        results = batch.solve(points_t0, points_t1, packed)
+    """Solve so few pairs on the CPU that packing the launch would take a good part of the time."""
+    count = len(points_t0)
+    parts = 1 if count < 2 * _WORTH_A_THREAD else min(options.threads, count // _WORTH_A_THREAD)
+    is_long = count > _LONG_PART * parts
+    stop = StopFlag(device) if is_long else None
+    packed = (
+        options.of_first_round
+        if stop is None
+        else options.for_kernel(options.length_scale, max_iterations=options.first_iterations, stop=stop.array)
+    )
+    key = (kind, options.real, options.norm)
+    batch = borrowed_batch(key, device, points_t0.shape[1], packed, count)
+    results = batch.solve(points_t0, points_t1, packed, parts, stop)
+    give_back(batch)
     is_open = _open_pairs(results[_STATUS], options)
     if is_open is not None:
         _solve_open(kind, points_t0, points_t1, results, is_open, options, device)
@@ -280,7 +305,7 @@ def _open_pairs(status: np.ndarray, options: Options) -> np.ndarray | None:
     if options.first_iterations == options.max_iterations:
         return None
     is_open = status == _LIMIT
-    return is_open if is_open.any() else None
+    return is_open if np.count_nonzero(is_open) else None
 
 
 def _solve_open(
@@ -319,7 +344,7 @@ def _launch(
     outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
-        inputs = [int(kind), *table_inputs(packed, count, counts), new_queue(count, device)]
+        inputs = [*table_inputs(kind, packed, count, counts), new_queue(count, device)]
         launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)
@@ -327,12 +352,19 @@ def _launch(
     execution.launch(
         kernel,
         -(-count // chunk),
-        inputs=[MANY_SOLVERS, chunk, int(kind), TABLE, *table_inputs(packed, count)],
+        inputs=[MANY_SOLVERS, chunk, TABLE, *table_inputs(kind, packed, count)],
         outputs=outputs,
         grain=max(1, _WORTH_A_THREAD // chunk) if is_first else 1,
         is_long=lambda: is_long,
     )
     return out
+
+
+def _shared(array: np.ndarray, dtype: Any) -> wp.array:
+    """A Warp array on the CPU in the memory of a NumPy array; from the array itself it takes twice as long to make."""
+    shared: wp.array = wp.array(ptr=array.ctypes.data, dtype=dtype, shape=array.shape[:1], device="cpu", copy=False)
+    shared._ref = array  # type: ignore[assignment]  # keeps the memory alive
+    return shared
 
 
 def _in_3d(points: np.ndarray) -> np.ndarray:
@@ -348,13 +380,12 @@ def _expected_shapes(kind: PairKind) -> str:
 
 
 def _validated_points(kind: PairKind, points: Any, name: str) -> np.ndarray:
+    """Pairs of a kind as a C-ordered float64 array, whose values may still not be finite."""
     count, dimensions = _POINTS[kind]
-    array = as_array(points, name, f"shape {_expected_shapes(kind)}")
+    array = points if type(points) is np.ndarray else as_array(points, name, f"shape {_expected_shapes(kind)}")
     if array.ndim != 3 or array.shape[1] != count or array.shape[2] not in dimensions:
         raise ValueError(f"{name} has shape {array.shape}; expected {_expected_shapes(kind)}")
-    array = as_float64(array, name, row_name="pair")
-    check_finite(array, name, row_name="pair")
-    return array
+    return as_float64(array, name, row_name="pair")
 
 
 def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:

@@ -14,65 +14,50 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._engine.device.input import LineSearch, PreparedLaunch
-from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
+from ccd_warp._calls.motions import course_of, paths_of, start_of, straight_sentence, straightened, worlds_of
+from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.host.candidates import Candidates, validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.course import Ends
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
-    Course,
-    Ends,
-    LineSearchResult,
-    Solver,
     check_step_is_whole,
     search_step,
     validated_line_search,
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
+from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._results.intersections import Intersections
+from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
-from ccd_warp._results.results import Contacts, Counts, MeshResult
-from ccd_warp._rigid.affine_motion import AffineMotion
-from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames, check_rows
+from ccd_warp._results.results import Counts, MeshResult
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
 from ccd_warp._rigid.motion import Motion, RigidMotion
-from ccd_warp._runtime.display import listed
-from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.tape import wants_gradient
-from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
-from ccd_warp._scene.input.interop import check_writable, without_worlds
-from ccd_warp._scene.input.names import body_label
+from ccd_warp._scene.input.interop import check_writable
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
 from ccd_warp._scene.mesh import CollisionMesh
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.device.line_search import DeviceLineSearch
-    from ccd_warp._gradients.line_search_tape import TapedLineSearch
-    from ccd_warp._gradients.toi_tape import TapedLaunch
-    from ccd_warp._rigid.arc_step import DeviceArcStep
-    from ccd_warp._rigid.motion_worlds import MotionWorlds
-    from ccd_warp._rigid.near_parts import NearParts
-    from ccd_warp._rigid.part_mesh import PartMesh
+    from ccd_warp._calls.launches import Launches
 
 DEFAULT_NUM_ROUNDS = 8
 _MOST_ROUNDS = 100
-# Faces from which the parts of rigid bodies that may touch are looked for in one world.
-_LARGE_SCENE = 1 << 15
 
 
 _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
-_DeviceStepT = TypeVar("_DeviceStepT", bound=Any)
 
 
 class CollisionPipeline:
@@ -115,8 +100,9 @@ class CollisionPipeline:
         chosen = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
         check_instance("mesh", mesh, CollisionMesh)
         self._set_up(chosen, Workspace(mesh, resolve_device(chosen.device)))
-        with naming("CollisionPipeline"):
-            self._capacities = self._with_capacities(max_pairs, max_contacts)
+        if max_pairs is not None or max_contacts is not None:
+            with naming("CollisionPipeline"):
+                self._launches.set_capacities(max_pairs, max_contacts)
 
     def _set_up(self, options: Options, workspace: Workspace) -> None:
         self.mesh = workspace.topology.mesh
@@ -124,21 +110,11 @@ class CollisionPipeline:
         self.timings: dict[str, float] = {}
         self._options = options
         self._topology = workspace.topology
-        # A call takes these two out while it uses them and puts them back only if it succeeds, so that no inconsistent
-        # state is used again.
+        # A call takes it out while it uses it and puts it back only if it succeeds, so that no inconsistent state is
+        # used again.
         self._workspace: Workspace | None = workspace
-        self._device_step: DeviceLineSearch | None = None
-        self._arc_step: DeviceArcStep | None = None  # of launches with a motion
         self._show_progress: Callable[[Progress], None] | None = None  # the command line has a line of its own
         self._lock = threading.Lock()
-        self._capacities = Capacities.default(self.mesh)
-        self._layout = self.mesh._vertices_in_space
-        self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
-        self._is_placing = False  # whether that launch may have moved some of the static bodies
-        self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
-        self._radius: wp.array | None = None
-        self._at_one_time: dict[type, Any] = {}  # the steps on the device at one time, taken out while they run
-        self._is_distance_checked = False  # at the positions of a launch
         norm_of(self.mesh, options)
 
     @property
@@ -151,9 +127,19 @@ class CollisionPipeline:
         Where all radii and the minimum distance are 0, launches use the kernels for distances all the same, and calls
         with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open.
         """
-        if self._radius is None and self.mesh.radius is not None:
-            self._radius = self._topology.array(self.mesh.radius, wp.float64)
-        return self._radius
+        return self._launches.radius
+
+    @lazy_property
+    def _launches(self) -> Launches:
+        """The steps on the device, with capacities and radii of their own."""
+        from ccd_warp._calls.launches import Launches  # programs on the host have no use for it
+
+        return Launches(self._topology, self._options)
+
+    def _warn_of_distance(self, message: Callable[[], str]) -> None:
+        """Say once, where launches begin, that the distance of pairs is many edges long."""
+        self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
+        self._workspace.warn_once("distance", message)
 
     @classmethod
     @contextmanager
@@ -198,7 +184,7 @@ class CollisionPipeline:
         motion: RigidMotion | MeshPaths | None = None,
     ) -> _T:
         """Run ``work`` on a step of a kind and return its result."""
-        paths = None if motion is None else self._paths_of(motion)
+        paths = None if motion is None else paths_of(self.mesh, self._options, motion)
 
         def frames() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             start, end = self.mesh.frames(vertices_t0, vertices_t1)
@@ -208,46 +194,18 @@ class CollisionPipeline:
 
         return self._run(kind, frames, work, paths=paths)
 
-    def _straightened(
+    def _ends_and_motion(
         self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
     ) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
-        """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
-        mesh = self.mesh
+        """The positions and the motion of a call; a motion that stretches bodies is one of positions alone."""
         if motion is None:
             self._warn_of_straight_motion()
-        if not isinstance(motion, AffineMotion):
-            return vertices_t0, vertices_t1, motion
-        bodies = np.flatnonzero(mesh.rigid)
-        check_rows(mesh, bodies, len(motion._affine_t0))
-        start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
-        rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
-        first = np.searchsorted(mesh.vertex_body[rows], bodies)
-        with np.errstate(invalid="ignore"):  # of vertices that take no part
-            start[rows], end[rows] = motion._ends(start[rows], first)
-        return start, end, None
+        return straightened(self.mesh, vertices_t0, vertices_t1, motion)
 
     def _warn_of_straight_motion(self) -> None:
         """Say once, in a call without a motion, that rigid bodies then move as others do."""
-        mesh = self.mesh
-
-        def described() -> str:
-            names = [body_label(body, mesh.names) for body in mesh._moving_rigid.tolist()]
-            return (
-                f"motion is None, and {listed(names)} {'is' if len(names) == 1 else 'are'} rigid: vertices move on "
-                f"straight lines, not on arcs; pass a RigidMotion as motion, and vertices in the frames of their "
-                f"bodies, or leave out rigid= where the mesh is built"
-            )
-
-        if len(mesh._moving_rigid) and self._workspace is not None:
-            self._workspace.warn_once("no motion", described)
-
-    def _paths_of(self, motion: RigidMotion | MeshPaths) -> MeshPaths:
-        """The paths of the rigid bodies."""
-        if isinstance(motion, MeshPaths):
-            return motion
-        check_instance("motion", motion, RigidMotion)
-        check_options_on_arcs(self._options)
-        return MeshPaths.of(self.mesh, motion._body_paths)
+        if len(self.mesh._moving_rigid) and self._workspace is not None:
+            self._workspace.warn_once("no motion", lambda: straight_sentence(self.mesh))
 
     def _run(
         self,
@@ -279,14 +237,6 @@ class CollisionPipeline:
         if self._topology.device.is_capturing:
             raise RuntimeError("a graph is being captured, and this call waits for the device; launch() does not")
 
-    def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
-        capacities = self._capacities
-        if max_pairs is not None:
-            capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
-        if max_contacts is not None:
-            capacities = replace(capacities, max_contacts=check_count("max_contacts", max_contacts, MOST_CONTACTS))
-        return capacities
-
     def reserve(
         self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
     ) -> LaunchResult:
@@ -317,67 +267,7 @@ class CollisionPipeline:
             MemoryError: If the device has not as much memory; the pipeline stays as it was.
         """
         with self._lock:
-            if self._topology.device.is_capturing:
-                raise RuntimeError("a graph is being captured; call reserve() before the capture")
-            with naming("reserve"):
-                capacities = self._with_capacities(max_pairs, max_contacts)
-            layout = None
-            if vertices is not None:
-                layout = self.mesh._in_space(self.mesh._placed(self.mesh.frame(vertices, "vertices").copy()))
-            self._check_distance(lambda: self._layout if layout is None else layout)
-            self._reserve(capacities, layout)
-            assert self._device_step
-            return self._device_step.result
-
-    def _check_distance(self, start: Callable[[], NDArray[np.float64]]) -> None:
-        """Warn once of a distance of pairs that is many edges long at the start positions of launches."""
-        separation = self._options.separation(length_scale_of(self.mesh, self._options))
-        if not separation > 0.0 and self.mesh.radius is None:
-            return
-        radius = None if self._radius is None else self._radius.numpy()
-        distance = DistanceInEdges.of(self._topology, start(), separation, radius, self.mesh.exclusion_rings)
-        if distance is not None:
-            self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
-            self._workspace.warn_once("distance", distance.described)
-
-    def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
-        """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
-        if not self._topology.device.is_capturing:
-            self._check_distance(lambda: step.start_of(prepared))
-            self._is_distance_checked = True
-
-    def _reserve(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> None:
-        """Make the device step, laid out for other positions if they are given."""
-        from ccd_warp._engine.device.line_search import DeviceLineSearch  # programs on the host have no use for it
-
-        before = self._device_step or self._interrupted
-        placed = self._layout if before is None else before.static_positions()
-        is_new_layout = layout is not None
-        if layout is not None:
-            placed = layout
-        layout = self._layout if layout is None else layout
-        try:
-            arguments = self._topology, self._options, capacities, layout, placed, self.radius
-            step = _made(DeviceLineSearch, *arguments)
-        except RuntimeError as error:  # of Warp; what it has allocated so far is freed
-            if "allocate" not in str(error):
-                raise
-            num_kinds = len(possible_kinds(self.mesh, self._options))
-            least = capacities.num_bytes(num_kinds, is_cuda=self._topology.device.is_cuda)
-            raise MemoryError(
-                f"max_pairs is {capacities.max_pairs:,} and max_contacts is {capacities.max_contacts:,}, which take "
-                f"{least:,} bytes on {self._topology.device.alias} besides the boxes; expected capacities for which "
-                f"it has memory"
-            ) from error
-        if placed is layout:
-            self._is_placing = False
-        if is_new_layout:
-            self._placed_by = None
-        elif self._placed_by is not None and not self._placed_by.on_arcs:
-            self._placed_by = step
-        self._capacities, self._layout, self._device_step = capacities, layout, step
-        self._at_one_time.clear()
-        self._arc_step = None
+            return self._launches.reserve(max_pairs, max_contacts, vertices, self._warn_of_distance)
 
     def launch(
         self,
@@ -519,94 +409,13 @@ class CollisionPipeline:
         search = LineSearch.of(per, num_rounds)
         return self._launch(vertices_t0, vertices_t1, motion, line_search=search, safety=safety)
 
-    def _launch_on_arcs(
-        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, **arguments: Any
-    ) -> LaunchResult:
-        """Launch on the device step of bodies that turn, which the first such launch makes."""
-        from ccd_warp._rigid.arc_step import DeviceArcStep  # few programs need it
-
-        if isinstance(motion, AffineMotion):
-            raise ValueError(
-                f"motion is {shown(motion)}; expected a RigidMotion for a launch, or vertices_t0 and vertices_t1 at "
-                f"motion.positions_t0 and motion.positions_t1, between which they move straight, and no motion"
-            )
-        paths, mesh = self._paths_of(motion), self.mesh
-        step, self._arc_step = self._arc_step, None
-        if step is None:
-            if self._topology.device.is_capturing:
-                raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
-            layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
-            of_step = self._topology, self._options, self._capacities, layout, self._layout, self.radius
-            step = _made(DeviceArcStep, *of_step)
-        prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
-        if not self._is_distance_checked:
-            self._check_first_distance(step, prepared)
-        self._check_places(step, prepared)
-        step.launch_on_paths(prepared, motion, paths)
-        self._arc_step = step
-        return step.result
-
-    def _check_places(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
-        """Check that a step knows where static bodies stand; launches with and without a motion keep places apart."""
-        if prepared.places_static:
-            self._placed_by = step
-        elif self._placed_by is not None and self._placed_by is not step:
-            raise RuntimeError(
-                "static bodies were placed by a launch with a motion, and now there is none, or the other way round; "
-                "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
-            )
-
     def _launch(
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
     ) -> LaunchResult:
-        """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
-        given = vertices_t0, vertices_t1
-        is_taped = wants_gradient(*given, self._radius)
-        if is_taped and motion is not None:
-            raise ValueError(
-                "a launch with a motion is not recorded, and an array on the tape requires a gradient; expected none "
-                "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
-                "motion.gradient_by_poses() and gradient_by_twist() take"
-            )
         with self._lock:
-            name_t1 = arguments.get("name_t1", "vertices_t1")
-            vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self.mesh.rows_by_world, self.mesh.dimension)
-            vertices_t1 = without_worlds(vertices_t1, name_t1, self.mesh.rows_by_world, self.mesh.dimension)
             if motion is None:
                 self._warn_of_straight_motion()
-            else:
-                return self._launch_on_arcs(vertices_t0, vertices_t1, motion, **arguments)
-            if self._device_step is None:
-                if self._topology.device.is_capturing:
-                    raise RuntimeError("nothing is reserved; call reserve() before the capture")
-                self._reserve(self._capacities, None)
-            step = self._device_step
-            assert step
-            prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
-            if not self._is_distance_checked:
-                self._check_first_distance(step, prepared)
-            taped = self._taped(step, prepared, given) if is_taped else None
-            if self._is_placing and not prepared.places_static:
-                raise RuntimeError(
-                    "a launch was interrupted while it placed static bodies; "
-                    "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
-                )
-            self._check_places(step, prepared)
-            self._interrupted, self._is_placing = step, prepared.places_static
-            self._device_step = None
-            result = (step if taped is None else taped).launch(prepared)
-            self._device_step = step
-            self._interrupted, self._is_placing = None, False
-            return step.result if result is None else result
-
-    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> TapedLaunch | TapedLineSearch:
-        """A launch, or a line search, that is recorded on the active tape."""
-        taped: Any
-        if prepared.form.line_search is None:
-            from ccd_warp._gradients.toi_tape import TapedLaunch as taped  # few programs need them
-        else:
-            from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
-        return taped(step, prepared, given, self._radius)
+            return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_of_distance, **arguments)
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
         """Find what is near at one time on the device, without waiting for the result.
@@ -633,7 +442,8 @@ class CollisionPipeline:
 
         with naming("launch_proximity"):
             distance = validated_distance(distance)
-        return self._launch_at_one_time(DeviceProximityStep, positions, distance)
+        with self._lock:
+            return self._launches.launch_at_one_time(DeviceProximityStep, positions, distance)
 
     def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
         """For each vertex a length by which it may move, on the device, without waiting for the result.
@@ -657,28 +467,8 @@ class CollisionPipeline:
 
         with naming("launch_displacement_bounds"):
             search_radius = validated_search_radius(search_radius, self._options)
-        return self._launch_at_one_time(DeviceDisplacementStep, positions, search_radius)
-
-    def _launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
-        """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
-        for name, array in (("positions", positions), ("radius", self._radius)):
-            if wants_gradient(array):
-                raise ValueError(
-                    f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
-                    "which alone have gradients; expected an array that requires none, or no tape"
-                )
         with self._lock:
-            step = self._at_one_time.get(kind)
-            if step is None:
-                if self._topology.device.is_capturing:
-                    raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
-                of_step = self._topology, self._options, self._capacities, self._layout, self.radius
-                step = _made(kind, *of_step)
-            prepared = step.prepare_positions(positions)
-            self._at_one_time.pop(kind, None)
-            step.launch_within(prepared, step.values(length))
-            self._at_one_time[kind] = step
-            return step.arrays
+            return self._launches.launch_at_one_time(DeviceDisplacementStep, positions, search_radius)
 
     @property
     def num_allocations(self) -> int:
@@ -698,7 +488,7 @@ class CollisionPipeline:
 
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         work = lambda step: step.candidates(inflation)  # noqa: E731
         return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
 
@@ -746,8 +536,8 @@ class CollisionPipeline:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        worlds = worlds_of(self, vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is not None:
             result = worlds.result()
             self.counts, self.timings = result.counts, result.timings
@@ -767,84 +557,10 @@ class CollisionPipeline:
         contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
         return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
 
-    def _worlds_of(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Any, *, check_start: bool
-    ) -> MotionWorlds | None:
-        """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
-        if not isinstance(motion, RigidMotion) or self.mesh.num_worlds > 1:
-            return None
-        is_one = motion.num_worlds == 1
-        if is_one and not self._looks_for_parts():
-            return None
-        from ccd_warp._rigid.motion_worlds import MotionWorlds  # few programs need it
-
-        check_options_on_arcs(self._options)
-        if check_start and not is_one:
-            raise ValueError(
-                f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
-                f"mesh.replicate({motion.num_worlds}), or False"
-            )
-        worlds = MotionWorlds(self, *self.mesh._both_placed(*self.mesh.frames(vertices_t0, vertices_t1)), motion)
-        return worlds if not is_one or worlds.is_sparse else None
-
-    def _looks_for_parts(self) -> bool:
-        """Whether it may pay to divide rigid bodies of one world: not in a first step, which takes less time itself.
-
-        Bodies that are copies are divided once.
-        """
-        kept = MeshCache.of(self.mesh).parts
-        is_later = kept.get("is later", False)
-        kept["is later"] = True
-        return self.mesh.num_faces >= _LARGE_SCENE and (is_later or self.mesh._is_of_instances)
-
-    def _near_parts(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> NearParts | None:
-        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
-        from ccd_warp._rigid.near_parts import NearParts  # few programs need them
-        from ccd_warp._rigid.part_mesh import world_alone
-
-        # radii may be others on the device than those of the mesh
-        mesh, kept = self.mesh, MeshCache.of(self.mesh).parts
-        is_plain = mesh.radius is None or np.array_equal(self._topology.radius.numpy(), mesh.radius)
-        if not is_plain or not (start is end or np.array_equal(start, end)):
-            return None
-        positions, parts = kept.get("parts", (None, None))
-        if positions is not start and (positions is None or not np.array_equal(positions, start)):
-            world = world_alone(mesh, start)
-            parts = None if world is None else NearParts(world, world.vertices)
-            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
-        found: NearParts | None = parts
-        return found
-
-    @property
-    def _execution(self) -> Execution:
-        device = self._topology.device
-        return Execution(device, self._options.threads, StopFlag(device))
-
-    @property
-    def _reach_of_parts(self) -> float:
-        """A Euclidean distance beyond which parts do not come within the separation of a pair."""
-        return 2.0 * self._options.separation(length_scale_of(self.mesh, self._options))
-
-    def _step_of(self, kind: type[_StepT], parts: PartMesh, paths: MeshPaths) -> _StepT:
-        """A step of a kind of a mesh of parts along paths."""
-        options = replace(self._options, length_scale=length_scale_of(self.mesh, self._options))
-        self._check_no_capture()
-        workspace = Workspace(parts.mesh, self._topology.device, beside=self._workspace)
-        workspace.topology.vertex_rank = parts.rank
-        workspace.progress.show = self._show_progress
-        x = parts.mesh.vertices
-        return kind(workspace, (x, x), options, paths)
-
-    def _at_start(self, vertices_t0: ArrayLike, motion: RigidMotion | MeshPaths | None) -> ArrayLike:
-        """The positions of all vertices in the world at the start of a step."""
-        if motion is None:
-            return vertices_t0
-        start = self.mesh.frame(vertices_t0)
-        return self._paths_of(motion).at(self.mesh, start, start, 0.0)
-
     def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:
         """What intersects at the start of the step of the last call, with a warning where surfaces cross."""
-        vertices_t0 = self._at_start(vertices_t0, motion)
+        if motion is not None:
+            vertices_t0 = start_of(self.mesh, self._options, vertices_t0, motion)
         counts, timings = self.counts, self.timings
         start = self.find_intersections(vertices_t0)
         timings["intersections at start"] = self.timings["total"]
@@ -869,7 +585,7 @@ class CollisionPipeline:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start)
         toi = min(least, self._options.t_max)
         if check_start:
@@ -886,7 +602,7 @@ class CollisionPipeline:
         any_suffices: bool = False,
     ) -> float:
         """The earliest toi of a step, also where a motion has many worlds; inf if it is free."""
-        worlds = self._worlds_of(vertices_t0, vertices_t1, motion, check_start=check_start)
+        worlds = worlds_of(self, vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is None:
             return self._least_toi(vertices_t0, vertices_t1, motion, any_suffices=any_suffices)
         least = worlds.least_toi(any_suffices=any_suffices)
@@ -901,48 +617,38 @@ class CollisionPipeline:
         *,
         any_suffices: bool = False,
     ) -> float:
-        """The earliest toi of a step in which, unless the options say otherwise, what starts close is held.
+        """The earliest toi of a step in which, unless the options say otherwise, what starts close may part.
 
         Where any toi suffices, what starts close is a contact.
         """
-        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1)
-        if any_suffices:
-            return on_step(lambda step: step.least_toi(any_suffices=True), motion)
-        if not self._options.holds:
-            return on_step(LeastToiStep.least_toi, motion)
-        toi = on_step(lambda step: step.holding().least_toi(), motion)
-        if toi <= 0.0 and self._holds_pairs:
+        on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1, motion=motion)
+        toi = on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
+        near = None if toi > 0.0 or any_suffices else self._start_distances
+        if near is not None:
             # something may start within its distance: then it has toi 0, whichever way it moves
-            holds = self._holds(self._at_start(vertices_t0, motion))
-            if np.isfinite(holds).any():
-                toi = on_step(lambda step: step.holding(holds).held_toi(), motion)
+            distances = near.of(start_of(self.mesh, self._options, vertices_t0, motion))
+            if distances is not None:
+                toi = on_step(work=lambda step: step.least_toi(distances))
         return toi
 
     @property
-    def _holds_pairs(self) -> bool:
-        """Whether pairs keep a distance within which they may start."""
-        return holds_pairs(self.mesh, self._options)
+    def _start_distances(self) -> StartDistances | None:
+        """What finds how near vertices are at the start; None where pairs keep no distance within which they may."""
+        mesh = self.mesh
+        if not keeps_start_distances(mesh, self._options):
+            return None
 
-    def _holds(self, positions: ArrayLike) -> NDArray[np.float64]:
-        """How near each vertex is to anything at one time, as far as it is within its distance."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep  # few programs need it
+        def on_step(work: Callable[[Any], _T], start: NDArray[np.float64], end: NDArray[np.float64]) -> _T:
+            from ccd_warp._at_one_time.start_distance_step import StartDistanceStep  # few programs need it
 
-        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
-        return self._run(HoldStep, lambda: self._one_frame(positions), lambda step: step.find_holds(distance))
+            of_call = self.counts, self.timings
+            result = self._run(StartDistanceStep, lambda: (start, end), work)
+            self.counts, self.timings = of_call
+            return result
 
-    def _worlds_near(self, start: NDArray[np.float64], ends: Ends, contacts: Contacts) -> NDArray[np.bool_]:
-        """Which worlds have a contact that starts within its distance, or passes by at it."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep
-
-        distance = hold_distance(self.mesh, self._options, self.mesh._largest_radius)
-        of_search = self.counts, self.timings
-        is_straight = ends.paths is None
-        frames = start, ends.end if is_straight else start
-        near = self._run(
-            HoldStep, lambda: frames, lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)
+        return StartDistances(
+            largest_start_distance(mesh, self._options, mesh._largest_radius), mesh.vertex_world, on_step
         )
-        self.counts, self.timings = of_search
-        return near
 
     def is_step_collision_free(
         self,
@@ -955,7 +661,7 @@ class CollisionPipeline:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start, any_suffices=True)
         if not check_start:
             return least == np.inf
@@ -978,23 +684,25 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._straightened(vertices_t0, vertices_t1, motion)
-        course = Course(*self.mesh.frames(vertices_t0, vertices_t1))
-        if motion is not None:
-            from ccd_warp._rigid.arc_course import ArcCourse  # few programs need it
-
-            paths = self._paths_of(motion)
-            check_own_frames(self.mesh, course.start, course.end)
-            course = ArcCourse(self.mesh, course.start, course.end, paths, motion)
+        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        frames = self.mesh.frames(vertices_t0, vertices_t1)
+        paths = None if motion is None else paths_of(self.mesh, self._options, motion)
+        course = course_of(self.mesh, *frames, paths, motion)
 
         def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
-        worlds_near = self._worlds_near if self._holds_pairs else None
-        solver = Solver(on_step, worlds_near, self._holds, holds=self._options.holds)
-        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-        found = search_step(self.mesh, course, solver, **how, begins_at_rest=self._reaches_neighbours(course.start))
-        return replace(found, start=self._checked_start(vertices_t0, motion)) if check_start else found
+        result = search_step(
+            self.mesh,
+            course,
+            on_step,
+            self._start_distances,
+            per=per,
+            safety=safety,
+            max_rounds=max_rounds,
+            begins_at_rest=self._reaches_neighbours(course.start),
+        )
+        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""
@@ -1003,23 +711,6 @@ class CollisionPipeline:
             return False  # what is within its distance may come closer, or there is none
         start = self.mesh._in_space(self.mesh.frame(vertices_t0))
         return DistanceInEdges.of(self._topology, start, separation) is not None
-
-
-def _made(kind: Callable[..., _DeviceStepT], *arguments: Any) -> _DeviceStepT:
-    """A step on the device whose arrays are filled already: the stream that reads them first may be another one."""
-    step = kind(*arguments)
-    wp.synchronize_device(step.topology.device)
-    return step
-
-
-def check_options_on_arcs(options: Options) -> None:
-    """Check that the options are those that arcs have: clips of time, and no fraction of the gap at the start."""
-    if not options.is_clipping:
-        raise ValueError(f"method is {shown(options.method)}; expected 'clipping' where motion is given")
-    if options.start_gap_share > 0.0:
-        raise ValueError(
-            f"start_gap_fraction is {options.start_gap_fraction}; expected 'hold' or None where motion is given"
-        )
 
 
 def validated_distance(distance: float) -> float:

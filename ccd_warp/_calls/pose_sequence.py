@@ -9,13 +9,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.frames import Body, read_static
-from ccd_warp._files.mesh_frames import checked_static, mesh_of, static_bodies
-from ccd_warp._files.parts import Split, check_split
+from ccd_warp._files.bodies import file_bodies, mesh_of, static_bodies
+from ccd_warp._files.poses import read_poses as read_table
+from ccd_warp._files.sequence import Frames, checked_static
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arguments import check_choice, check_count, check_items, check_path
+from ccd_warp._scene.input.arguments import check_choice, check_flag, check_items, check_path
 from ccd_warp._scene.input.messages import printable
 from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.mesh import CollisionMesh
@@ -43,22 +42,18 @@ class PoseSequence:
         static: list[Any],
         make_mesh: Callable[..., CollisionMesh],
         *,
-        max_bytes: int,
         surface: bool = False,
-        split: Split = False,
+        split: bool = False,
     ) -> None:
         """Of the files; ``make_mesh`` joins bodies, with the rigid ones as ``rigid=``."""
-        from ccd_warp._files.poses import bodies_of, read_poses  # few programs need them
-
-        how: dict[str, Any] = {"max_bytes": max_bytes, "surface": surface, "split": split}
-        bodies = read_static(mesh_path, needs_field=True, **how).split(split)
-        table = read_poses(poses_path, max_bytes)
-        chosen = bodies_of(poses_path, table.bodies, distinct_names([body.name for body in bodies]))
-        self._first_bodies = [*(replace(body, is_static=k not in chosen) for k, body in enumerate(bodies)), *static]
-        self.times, self.poses, self.path = table.times, table.poses[:, np.argsort(chosen)], path
+        bodies = file_bodies(mesh_path, surface=surface, split=split)
+        self.times, rigid, self.poses = read_table(poses_path, distinct_names([body.name for body in bodies]))
+        self._bodies = [*(replace(body, is_static=k not in rigid) for k, body in enumerate(bodies)), *static]
+        self._vertices = np.concatenate([body.vertices for body in self._bodies])
         self.poses.flags.writeable = False
+        self.path = path
         self.labels = [f"t = {t!r}" for t in self.times.tolist()]
-        self.mesh = make_mesh(self._first_bodies, rigid=sorted(chosen))
+        self.mesh = make_mesh(self._bodies, rigid=rigid)
         self._name = f"{printable(mesh_path.name)} at {printable(poses_path.name)}"
 
     def __repr__(self) -> str:
@@ -91,16 +86,9 @@ class PoseSequence:
         """All motions, one after the other."""
         return map(self.step, range(len(self) - 1))
 
-    # what the command line asks of a sequence, as of a `FrameSequence`
-
-    def _bodies(self, k: int) -> list[Body]:
-        return self._first_bodies
-
-    def _mesh_of(self, bodies: list[Body]) -> CollisionMesh:
-        return self.mesh
-
-    def _motion(self, k: int) -> RigidMotion:
-        return self.step(k)
+    def _step(self, k: int) -> tuple[Frames, RigidMotion]:
+        """The positions of all vertices, in the frames of their bodies, and the motion, as of a `FrameSequence`."""
+        return Frames._of(self.mesh, self._bodies, self._vertices, self._vertices), self.step(k)
 
 
 def read_poses(
@@ -110,8 +98,7 @@ def read_poses(
     path: Literal["linear", "screw"] = "linear",
     static: Iterable[str | Path | HalfSpace] = (),
     kinematic: Iterable[int | str] = (),
-    split: bool | str = False,
-    max_bytes: int = MAX_BYTES,
+    split: bool = False,
 ) -> PoseSequence:
     """Read rigid bodies and their poses at several times, as ``ccd-warp run`` and ``sequence`` do with ``--poses``.
 
@@ -123,8 +110,7 @@ def read_poses(
         path: How bodies move from one pose to the next, as of :class:`ccd_warp.RigidMotion`.
         static: Mesh files of bodies that do not move, or half-spaces.
         kinematic: Indices or names of the bodies that move as they are told.
-        split: How a file of several parts is divided into bodies, as of :func:`ccd_warp.read_frames`.
-        max_bytes: Limit on the unpacked size of an archive.
+        split: Whether bodies of files are divided into their connected components, as of :func:`ccd_warp.read_frames`.
 
     Returns:
         The sequence, whose steps are motions for ``mesh_ccd``.
@@ -135,8 +121,6 @@ def read_poses(
     """
     files = check_path("mesh_path", mesh_path), check_path("poses_path", poses_path)
     check_choice("path", path, ("linear", "screw"))
-    obstacles, scripted = checked_static(static), check_items("kinematic", kinematic, "a list of body indices")
-    limit = check_count("max_bytes", max_bytes, 2**63 - 1)
-    split = check_split(split)
-    bodies = static_bodies(obstacles, max_bytes=limit, surface=False, split=split)
-    return PoseSequence(*files, path, bodies, partial(mesh_of, kinematic=scripted), max_bytes=limit, split=split)
+    scripted, split = check_items("kinematic", kinematic, "a list of body indices"), check_flag("split", split)
+    obstacles = static_bodies(checked_static(static), split=split)
+    return PoseSequence(*files, path, obstacles, partial(mesh_of, kinematic=scripted), split=split)

@@ -8,7 +8,6 @@ from typing import Any, NoReturn, get_args
 
 from ccd_warp._cli.compile import add_compile
 from ccd_warp._cli.doctor import add_doctor
-from ccd_warp._files.archive import MAX_BYTES
 from ccd_warp._runtime.version import __version__
 from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp._scene.input.options import Options
@@ -79,10 +78,8 @@ def make_parser() -> argparse.ArgumentParser:
     ):
         command = commands.add_parser(name, help=text, description=description)
         add_arguments(_adder(command))
+        _adder(command)("--quiet", "print nothing but errors", **_FLAG)
         if name != "bench":
-            verbosity = _adder(command.add_mutually_exclusive_group())
-            verbosity("--verbose", "print what each stage counted, too", **_FLAG)
-            verbosity("--quiet", "print nothing but errors", **_FLAG)
             _add_options(_adder(command.add_argument_group("options of the collision detection")))
     add_compile(commands)
     add_doctor(commands)
@@ -102,8 +99,8 @@ def _adder(parser: Any) -> _Add:
 
 
 def _add_run(add: _Add) -> None:
-    add("start", "mesh at the start of the step: PLY, OBJ, STL, OFF, GLB or an archive", metavar="START")
-    add("end", "mesh at its end, with the same faces; none with --poses", metavar="END", nargs="?")
+    add("start", "mesh at the start of the step: PLY, OBJ, STL, OFF, GLB, VTU, ...", **_file("START"))
+    add("end", "mesh at its end, with the same faces; none with --poses", **_file("END", nargs="?"))
     text = "write contacts and the toi of every vertex as .npz or .json; - writes JSON to standard output"
     add("--output", f"{text}, and the report to stderr", **_file())
     add("--picture", "draw the step at its start, toi and end as .png (extra 'viz')", **_file())
@@ -112,14 +109,12 @@ def _add_run(add: _Add) -> None:
 
 def _add_sequence(add: _Add) -> None:
     text = "mesh files, in the order of the numbers in their names, where files of another name are another body"
-    caches = "or folders of them, or files of many frames, a body each: .npz of positions, .pvd, .xdmf"
-    add("frames", f"{text}; {caches}", **_file("FRAME", nargs="+"))
+    others = "or folders of them, or files of many frames, a body each: .pvd, .xdmf"
+    add("frames", f"{text}; {others}", **_file("FRAME", nargs="+"))
     text = "folder of steps.csv and steps.png (ccd_warp_sequence); - writes the CSV alone, to standard output"
     add("--output", f"{text}, and the report to stderr", **_file("DIR", default=Path("ccd_warp_sequence")))
     text = "an animation as .gif or .mp4 (which needs ffmpeg), or the first step with a contact as .png (extra 'viz')"
     add("--picture", text, **_file())
-    add("--displacement", "field of a VTK or XDMF file that is added to its positions", metavar="NAME")
-    add("--faces", "mesh whose faces a .npz takes that holds positions alone", **_file())
     _add_scene(add)
 
 
@@ -133,7 +128,6 @@ def _add_bench(add: _Add) -> None:
     add("--devices", "Warp devices (the CPU and every GPU)", metavar="NAME", nargs="+")
     text = "folder of bench.csv and bench.png (ccd_warp_bench); the picture needs the extra 'bench'"
     add("--output", text, **_file("DIR", default=Path("ccd_warp_bench")))
-    add("--quiet", "print nothing but errors", **_FLAG)
 
 
 def _add_scene(add: _Add) -> None:
@@ -151,19 +145,16 @@ def _add_scene(add: _Add) -> None:
     add("--half-space", f"{text}; {again}", metavar="[NAME=]X,Y,Z,NX,NY,NZ", **_REPEATED)
     text = "half the thickness of all bodies, or of one, in the unit of the files"
     add("--radius", f"{text}; {again}", metavar="[NAME=]R", **_REPEATED)
-    add("--exclude", "pairs to leave out: rows of text KEY,A,B, as vertices,12,340 or bodies,cloth,wall", **_file())
+    add("--exclude", f"two bodies that never meet, as cloth,wall; {again}", metavar="A,B", **_REPEATED)
     text = "leave out pairs with two vertices that fewer than N edges connect (1: pairs that share a vertex)"
     add("--exclusion-rings", text, type=int, metavar="N", default=1)
     text = "leave out of every step the pairs that are in contact in the first frame, as at a clamped edge"
     add("--ignore-start-contacts", text, **_FLAG)
+    add("--displacement", "field of a VTK or XDMF file that is added to its positions", metavar="NAME")
     text = "take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF"
     add("--surface", text, **_FLAG)
-    text = "without a FIELD, each file is divided into its connected components, called NAME#0, NAME#1, ...; or by a"
-    more = "field of the cells of VTK and XDMF files, or by an array of a .npz, a value for each face"
-    add("--split", f"{text} {more}", metavar="[=FIELD]", type=lambda field: field or True, default=False)
+    add("--split", "divide each file into its connected components, called NAME#0, NAME#1, ...", **_FLAG)
     add("--no-self-collision", "leave out contacts of a body with itself", **_FLAG)
-    text = f"what an archive of meshes (ZIP, ...) may unpack to ({MAX_BYTES >> 20} MiB); a file may have 1 GiB"
-    add("--max-bytes", text, type=int, metavar="BYTES", default=MAX_BYTES)
     add("--fail-on-contact", "end with exit status 1 if there is a contact", **_FLAG)
 
 
@@ -199,7 +190,7 @@ def _add_options(add_argument: _Add) -> None:
     add("num_threads", "threads on the CPU", "all cores", type=int, metavar="N")
 
 
-def given_options(arguments: argparse.Namespace) -> dict[str, Any]:
+def command_line_options(arguments: argparse.Namespace) -> dict[str, Any]:
     """The options that the command line gives."""
     names = MeshOptions.__optional_keys__
     return {name: value for name in sorted(names) if (value := getattr(arguments, name)) is not None}

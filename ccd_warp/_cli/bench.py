@@ -22,7 +22,7 @@ import warp as wp
 
 import ccd_warp as ccd
 from ccd_warp._cli.demo import cloth_scene
-from ccd_warp._cli.process import make_folder, start_quietly, teller, waiting
+from ccd_warp._cli.process import make_folder, start_quietly, teller
 from ccd_warp._cli.report import format_table
 
 SIDE = 1024  # of the primitives, which is the unit of the tolerance
@@ -56,15 +56,15 @@ def queries_of(family: str, kind: str, count: int) -> Queries:
         start, end = (rng.integers(0, 4, size) * (SIDE // 4) + rng.integers(-1, 2, (size[0], 1, 1)) for _ in range(2))
         start[::3, 3] = start[::3, 2] + rng.integers(-1, 2, start[::3, 3].shape)  # slivers and short edges
         k = np.clip(rng.integers(0, 5, size[0]) * (denominator // 4) + rng.integers(-1, 2, size[0]), 0, None)
-    meets, is_known = _meets(kind, start * denominator + (end - start) * k[:, None, None])
-    meets, chosen = meets & (k >= 0) & (k <= denominator), np.flatnonzero(is_known)[:count]
+    meets, is_certain = _meets(kind, start * denominator + (end - start) * k[:, None, None])
+    meets, certain = meets & (k >= 0) & (k <= denominator), np.flatnonzero(is_certain)[:count]
     places, tilt = [], rng.integers(-3, 4, (size[0], 3, 3))
     tilt[np.abs(np.linalg.det(tilt)) < 0.5] = np.eye(3, dtype=int)
     is_above = np.arange(4) < (1 if kind == "vertex-face" else 2)
     for plane, height in ((start, k), (end, k - denominator)):
         points = np.concatenate([plane, (height[:, None] * is_above)[..., None]], axis=2)
-        places.append((points @ tilt + rng.integers(-common, common + 1, (size[0], 1, 3)))[chosen].astype(float))
-    return Queries(kind, places[0], places[1], np.where(meets, k / denominator, np.inf)[chosen])
+        places.append((points @ tilt + rng.integers(-common, common + 1, (size[0], 1, 3)))[certain].astype(float))
+    return Queries(kind, places[0], places[1], np.where(meets, k / denominator, np.inf)[certain])
 
 
 def _aim(kind: str, points: np.ndarray, rng: np.random.Generator) -> None:
@@ -94,13 +94,13 @@ def _meets(kind: str, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def judged(toi: np.ndarray, truth: np.ndarray) -> dict[str, Any]:
     """What is wrong with some answers, and by how much the others are early; one at nan is undecided, and left out."""
     toi, truth = toi[~np.isnan(toi)], truth[~np.isnan(toi)]
-    found, is_hit = np.isfinite(toi), np.isfinite(truth)
-    early = truth[found & is_hit] - toi[found & is_hit]
+    is_reported, is_hit = np.isfinite(toi), np.isfinite(truth)
+    early = truth[is_reported & is_hit] - toi[is_reported & is_hit]
     return {
         "queries": len(toi),
-        "missed": int((is_hit & ~found).sum()),
+        "missed": int((is_hit & ~is_reported).sum()),
         "late": int((early < 0).sum()),
-        "phantom": int((found & ~is_hit).sum()),
+        "phantom": int((is_reported & ~is_hit).sum()),
         "early_99": float(np.quantile(early, 0.99)) if len(early) else 0.0,
         "early_most": float(early.max(initial=0.0)),
     }
@@ -169,18 +169,17 @@ def query_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[d
 def step_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[tuple[str, str, float]]:
     """Seconds of a whole step of a cloth over a sphere: scene, call and median of some rounds."""
     for cells in (71,) if is_quick else (71, 223):
-        bodies = cloth_scene(cells).bodies
-        mesh = ccd.CollisionMesh.from_arrays([(body.vertices_t0, body.faces) for body in bodies], static=[1])
-        frames = [np.concatenate([getattr(body, f"vertices_t{k}") for body in bodies]) for k in (0, 1)]
+        scene = cloth_scene(cells).frames
+        mesh, frames = scene.mesh, (scene.vertices_t0, scene.vertices_t1)
         calls: dict[str, Callable[[], Any]] = {}
         for device, name in product(devices, ("collision_free_step", "mesh_ccd")):
             calls[f"{name}, {device}"] = partial(getattr(ccd.CollisionPipeline(mesh, device=device), name), *frames)
         if has_peer:
             import ipctk
 
-            theirs, found = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
-            calls["ipctk: LBVH"] = partial(found.build, theirs, *frames, broad_phase=ipctk.LBVH())
-            calls["ipctk: Tight-Inclusion"] = partial(found.compute_collision_free_stepsize, theirs, *frames)
+            peer_mesh, candidates = ipctk.CollisionMesh(frames[0], mesh.edges, mesh.faces), ipctk.Candidates()
+            calls["ipctk: LBVH"] = partial(candidates.build, peer_mesh, *frames, broad_phase=ipctk.LBVH())
+            calls["ipctk: Tight-Inclusion"] = partial(candidates.compute_collision_free_stepsize, peer_mesh, *frames)
         for name, call in calls.items():
             yield f"cloth over sphere, {len(mesh.faces):,} faces", name, timed(call, 2 if is_quick else 9)[0]
 
@@ -231,9 +230,9 @@ def run(arguments: argparse.Namespace) -> int:
     has_peer, has_picture = (find_spec(name) is not None for name in ("ipctk", "matplotlib"))
     title = f"ccd-warp {ccd.__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
     tell(title := f"{title}; {', '.join(wp.get_device(name).name for name in devices)}, one thread of a CPU")
-    with waiting("measuring queries and steps", is_quiet=arguments.quiet):
-        rows = list(query_rows(arguments.quick, devices, has_peer))
-        of_steps = list(step_rows(arguments.quick, devices, has_peer))
+    tell("measuring queries and steps, which takes a minute or more" if not arguments.quick else "measuring")
+    rows = list(query_rows(arguments.quick, devices, has_peer))
+    of_steps = list(step_rows(arguments.quick, devices, has_peer))
     with (folder / "bench.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([rows[0].keys(), *(row.values() for row in rows)])
     tell("\n".join(table_of(rows, of_steps)))

@@ -26,10 +26,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         written, with one line on stderr; 130 after Ctrl-C. A pipe whose reader has gone changes nothing.
     """
     try:
-        # argparse would take what follows an option for its value where that may be left out
-        words = ["--split=" if word == "--split" else word for word in (sys.argv[1:] if argv is None else argv)]
         try:
-            arguments = make_parser().parse_args(words)
+            arguments = make_parser().parse_args(argv)
         finally:
             write_out("", sys.stdout)  # what argparse has printed
         # a command is imported when it runs, with what it alone needs: trimesh, the extras

@@ -2,20 +2,22 @@
 
 import argparse
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 
 import numpy as np
 import trimesh
+from numpy.typing import NDArray
 
-from ccd_warp import CollisionPipeline
-from ccd_warp._cli.arguments import given_options
+from ccd_warp import CollisionMesh, CollisionPipeline
+from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.output import write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.process import make_folder, start_quietly, teller
+from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.report import format_report, format_toi
-from ccd_warp._cli.solve import SolvedStep, load_kernels, positions_of, solve_scene
-from ccd_warp._files.frames import Body, make_body, write_mesh
-from ccd_warp._files.mesh_frames import mesh_of
+from ccd_warp._cli.solve import SolvedStep, make_options, solve
+from ccd_warp._files.ply import write_ply
+from ccd_warp._files.sequence import Frames
 from ccd_warp._scene.input.messages import printable
 
 
@@ -26,32 +28,23 @@ class DemoScene:
     Attributes:
         name: Short name, also of its files.
         title: What it shows.
-        bodies: Moving and static bodies.
-        self_collision: Whether a body may touch itself.
+        frames: A body that moves and an obstacle, at both ends of the step.
     """
 
     name: str
     title: str
-    bodies: list[Body]
-    self_collision: bool
+    frames: Frames
 
 
 def bullet_scene() -> DemoScene:
     """A ball of radius 0.1 flies nine units in one step through a wall 0.02 thick."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
     wall = trimesh.creation.box(extents=(0.02, 5.0, 5.0))
-    start = ball.vertices + [0.5, 3.5, 0.0]
-    end = ball.vertices + [9.5, 3.5, 0.0]
-    return DemoScene(
-        name="bullet",
-        title="bullet through a thin wall, one step",
-        bodies=[
-            make_body("bullet", start, end, ball.faces),
-            # Off the bullet's line, so that it does not hit the diagonal between two faces of the wall.
-            make_body("wall", wall.vertices + [5.0, 3.5, 0.4], None, wall.faces, is_static=True),
-        ],
-        self_collision=False,
-    )
+    # Off the bullet's line, so that it does not hit the diagonal between two faces of the wall.
+    wall.apply_translation([5.0, 3.5, 0.4])
+    ends = ball.vertices + [0.5, 3.5, 0.0], ball.vertices + [9.5, 3.5, 0.0]
+    frames = _frames(("bullet", "wall"), ends, ball.faces, wall, self_collision=False)
+    return DemoScene("bullet", "bullet through a thin wall, one step", frames)
 
 
 def cloth_scene(cells: int = 71) -> DemoScene:
@@ -70,15 +63,24 @@ def cloth_scene(cells: int = 71) -> DemoScene:
         ]
     )
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
-    return DemoScene(
-        name="cloth",
-        title="cloth over a sphere, one step",
-        bodies=[
-            make_body("cloth", start, end, faces),
-            make_body("sphere", sphere.vertices, None, sphere.faces, is_static=True),
-        ],
-        self_collision=True,
-    )
+    frames = _frames(("cloth", "sphere"), (start, end), faces, sphere, self_collision=True)
+    return DemoScene("cloth", "cloth over a sphere, one step", frames)
+
+
+def _frames(
+    names: tuple[str, str],
+    ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+    faces: NDArray[np.integer],
+    obstacle: trimesh.Trimesh,
+    *,
+    self_collision: bool,
+) -> Frames:
+    """A body that moves, and a static one."""
+    bodies = [(ends[0], faces), (obstacle.vertices, obstacle.faces)]
+    mesh = CollisionMesh.from_arrays(bodies, static=[1], names=names, self_collision=self_collision)
+    start, end = (np.concatenate([moving, obstacle.vertices]) for moving in ends)
+    index = np.concatenate([np.arange(len(vertices)) for vertices, _ in bodies])
+    return Frames(mesh, start, end, index, np.zeros(2, dtype=np.int64))
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -91,25 +93,22 @@ def run(arguments: argparse.Namespace) -> int:
             make_folder(path, option)
     for scene in scenes if pictures is not None else ():
         check_picture(pictures / f"{scene.name}.png", "--pictures")
-    tell, options = teller(None, is_quiet=is_quiet), given_options(arguments)
-    timings = {"load kernels": load_kernels(options, is_quiet=is_quiet)}
+    tell, option_values = teller(None, is_quiet=is_quiet), command_line_options(arguments)
     for number, scene in enumerate(scenes, 1):
-        make_mesh = partial(mesh_of, self_collision=scene.self_collision)
-        step = solve_scene(scene.bodies, options, make_mesh, is_quiet=is_quiet)
-        title = f"demo {number}: {scene.title}"
-        tell(f"{format_report(title, step, timings | step.timings, is_verbose=arguments.verbose)}\n")
-        timings = {}
+        line, mesh = ProgressLine(is_quiet), scene.frames.mesh
+        try:
+            step = solve(scene.frames, make_options(option_values, mesh), line, is_quiet=is_quiet)
+        finally:
+            line.clear()
+        tell(f"{format_report(f'demo {number}: {scene.title}', step, step.timings)}\n")
         if scene.name == "bullet":
             at_start, at_end = _tests_at_both_ends(step)
             tell(f"  test at the start of the step  {at_start}\n  test at the end of the step    {at_end}")
             tell(f"  CCD over the whole step        toi = {format_toi(step.result.toi)}\n")
         if pictures is not None:
-            draw_step(pictures / f"{scene.name}.png", step, is_quiet=is_quiet)
-        for body in scene.bodies if folder is not None else ():
-            for time in (0,) if body.is_static else (0, 1):
-                positions = body.vertices_t1 if time else body.vertices_t0
-                write_mesh(folder / f"{scene.name}_{body.name}_t{time}.ply", positions, body.faces)
+            draw_step(pictures / f"{scene.name}.png", step)
         if folder is not None:
+            _write(folder, scene)
             write_result(folder / f"{scene.name}.json", step)
     for path, what in ((folder, "meshes and results"), (pictures, "pictures")):
         if path is not None:
@@ -117,8 +116,19 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _write(folder: Path, scene: DemoScene) -> None:
+    """Write both frames of the body that moves, and the obstacle."""
+    mesh = scene.frames.mesh
+    for time, positions in enumerate((scene.frames.vertices_t0, scene.frames.vertices_t1)):
+        for body, name in enumerate(mesh.names if time == 0 else mesh.names[:1]):
+            first, last = mesh.body_vertex_range[body : body + 2].tolist()
+            faces = mesh.faces[mesh.face_body == body] - first
+            write_ply(folder / f"{scene.name}_{name}_t{time}.ply", positions[first:last], faces)
+
+
 def _tests_at_both_ends(step: SolvedStep) -> list[str]:
     """What a simulation without CCD finds: whether surfaces cross at the start, and whether they do at the end."""
     with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
-        found = [pipeline.find_intersections(vertices).num_crossing for vertices in positions_of(step.bodies)]
-    return ["HIT" if count else "MISS" for count in found]
+        ends = (step.frames.vertices_t0, step.frames.vertices_t1)
+        num_crossing = [pipeline.find_intersections(vertices).num_crossing for vertices in ends]
+    return ["HIT" if count else "MISS" for count in num_crossing]

@@ -1,18 +1,31 @@
 """Pictures that the command line draws: of a step, and the animation of a sequence; checked before the work is done."""
 
+import os
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._cli.process import waiting
-from ccd_warp._cli.solve import SolvedStep, positions_of
+from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._cli.table import StepRow
-from ccd_warp._cli.terminal import closed_stderr
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._scene.input.messages import InputError
+
+
+@contextmanager
+def closed_stderr() -> Iterator[None]:
+    """Drop what native code writes to stderr, as OpenGL and VTK do."""
+    saved = os.dup(2)
+    try:
+        with open(os.devnull, "wb") as null:
+            os.dup2(null.fileno(), 2)
+        yield
+    finally:
+        os.dup2(saved, 2)
+        os.close(saved)
 
 
 def check_picture(path: Path, option: str, *, is_sequence: bool = False) -> None:
@@ -34,13 +47,13 @@ def check_picture(path: Path, option: str, *, is_sequence: bool = False) -> None
         raise InputError(f"{option}: {error}") from error
 
 
-def draw_step(path: Path, step: SolvedStep, *, is_quiet: bool) -> None:
+def draw_step(path: Path, step: SolvedStep) -> None:
     """Draw a step at its start, toi and end."""
     from ccd_warp import viz
 
-    result, t_max = replace(step.result, start=step.start), step.options.t_max
-    with waiting("drawing the picture", is_quiet=is_quiet), closed_stderr():
-        viz.render_step(step.mesh, *positions_of(step.bodies), result, path, t_max=t_max, motion=step.motion)
+    ends, result = (step.frames.vertices_t0, step.frames.vertices_t1), replace(step.result, start=step.start)
+    with closed_stderr():
+        viz.render_step(step.mesh, *ends, result, path, t_max=step.options.t_max, motion=step.motion)
 
 
 def draw_animation(
@@ -49,8 +62,7 @@ def draw_animation(
     """Draw every frame, and every step with a contact at its toi, of which ``moving`` gives each."""
     from ccd_warp.viz._animation import write_animation
 
-    with closed_stderr():
-        write_animation(path, _images(moving, rows, advance))
+    write_animation(path, _images(moving, rows, advance))
 
 
 def _images(
@@ -67,10 +79,12 @@ def _images(
     view = FrameView.of(np.concatenate(points), moved)
     for row in rows:
         step, title = moving(row.step), f"{row.start}, surfaces cross" if row.crossing else row.start
-        yield draw_frame(step.mesh, step.all_at(0.0), [], title, view, crossing=row.crossing_points), False
-        if row.hit:
-            title, at_toi = f"{row.start}, toi = {row.toi:.4g}", step.all_at(row.toi)
-            yield draw_frame(step.mesh, at_toi, row.points, title, view, sizes=row.sizes), True
-        if row is rows[-1]:
-            yield draw_frame(step.mesh, step.all_at(1.0), [], row.end, view), True
+        with closed_stderr():
+            images = [(draw_frame(step.mesh, step.all_at(0.0), [], title, view, crossing=row.crossing_points), False)]
+            if row.hit:
+                title, at_toi = f"{row.start}, toi = {row.toi:.4g}", step.all_at(row.toi)
+                images.append((draw_frame(step.mesh, at_toi, row.points, title, view, sizes=row.sizes), True))
+            if row is rows[-1]:
+                images.append((draw_frame(step.mesh, step.all_at(1.0), [], row.end, view), True))
+        yield from images
         advance()

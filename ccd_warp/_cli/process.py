@@ -1,19 +1,16 @@
-"""The process of the command line: its streams, what others write to them, and lines that say what it is doing."""
+"""The process of the command line: its streams, and what others write to them."""
 
 import logging
 import os
 import sys
-import threading
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
 
 import warp as wp
 
-from ccd_warp._cli import progress_line
-from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import resolve_device
 
@@ -25,8 +22,7 @@ INTERRUPTED = 130  # the status of a command that Ctrl-C has ended
 def say(line: str) -> None:
     """Print a line on stderr, where there is one; ``print`` would take stdout where there is none."""
     if sys.stderr is not None:
-        with suppress(OSError):
-            print(line, file=sys.stderr, flush=True)
+        print(line, file=sys.stderr, flush=True)
 
 
 def warn(line: str) -> None:
@@ -34,14 +30,12 @@ def warn(line: str) -> None:
     say(f"ccd-warp: warning: {printable(line)}")
 
 
-def write_out(text: str, stream: TextIO | None, name: Path | str = "standard output") -> None:
+def write_out(text: str, stream: TextIO, name: Path | str = "standard output") -> None:
     """Write a text at once; a reader who has gone, as that of a pipe to ``head``, changes nothing.
 
     Raises:
         InputError: If it cannot be written, as on a full disk.
     """
-    if stream is None:  # the process was started without it
-        return
     try:
         stream.write(text)
         stream.flush()
@@ -61,14 +55,11 @@ def teller(output: Path | None, *, is_quiet: bool) -> Callable[[str], None]:
 
 def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
     """Refuse a file of results that cannot be written, before the computation."""
-    if path is None:
+    if path is None or path == STDOUT:
         return
-    if path == STDOUT:
-        if sys.stdout is None:
-            raise InputError("--output -: there is no standard output; give a file, or do not close it")
-    elif path.suffix.lower() not in suffixes:
+    if path.suffix.lower() not in suffixes:
         raise InputError(f"--output {path}: the name must end in {' or '.join(suffixes)}, or be - alone")
-    elif not path.parent.is_dir():
+    if not path.parent.is_dir():
         raise InputError(f"--output {path}: the folder {path.parent} does not exist; create it first")
 
 
@@ -108,27 +99,3 @@ def warnings_on_stderr(before: Callable[[], None] = lambda: None, *, is_quiet: b
         warnings.simplefilter("always", RuntimeWarning)
         warnings.showwarning = show
         yield
-
-
-@contextmanager
-def waiting(what: str, *, is_quiet: bool) -> Iterator[None]:
-    """Show what the work inside is, once it has taken two seconds and until it is done, where no share is known."""
-    if is_quiet or not has_terminal():
-        yield
-        return
-    shown: list[str] = []
-
-    def show() -> None:
-        shown.append(f"{what} ...")
-        write_to_terminal(f"\r{shown[0]}")
-
-    timer = threading.Timer(progress_line.PATIENCE, show)
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
-        timer.join()
-        if shown:
-            write_to_terminal(f"\r{'':{len(shown[0])}}\r")

@@ -1,43 +1,35 @@
 """A line on the terminal that shows the stage of a step, a bar, and how long it will take."""
 
+import sys
 import time
 
-from ccd_warp._cli.terminal import has_terminal, write_to_terminal
 from ccd_warp._runtime.progress import Progress
 
 PATIENCE = 2.0  # seconds before a line appears
 _WIDTH = 24
+_ERASE = "\r\x1b[K"  # back to the begin of the line, and nothing behind
 
 
 class ProgressLine:
     """The stage of a run, a bar, and the estimated time left; on stderr, if that is a terminal."""
 
     def __init__(self, is_quiet: bool) -> None:
-        self._is_shown = not is_quiet and has_terminal()
+        self._is_shown = not is_quiet and sys.stderr is not None and sys.stderr.isatty()
         self._begin = self._stage_begin = time.monotonic()
         self._stage = ""
-        self._length = 0
 
     def show(self, progress: Progress) -> None:
         """Rewrite the line, once the run has taken two seconds."""
         now = time.monotonic()
         if progress.stage != self._stage:
             self._stage, self._stage_begin = progress.stage, now
-        if not self._is_shown or now - self._begin < PATIENCE:
-            return
-        self._write(line_of(progress, now - self._stage_begin))
+        if self._is_shown and now - self._begin >= PATIENCE:
+            print(end=f"{_ERASE}{line_of(progress, now - self._stage_begin)}", file=sys.stderr, flush=True)
 
     def clear(self) -> None:
         """Clear the line."""
-        if self._length:
-            self._write("")
-            write_to_terminal("\r")
-
-    def _write(self, text: str) -> None:
-        # the longer of both while an interrupt may come before the line is written or after it
-        self._length = max(self._length, len(text))
-        write_to_terminal(f"\r{text:{self._length}}")
-        self._length = len(text)
+        if self._is_shown:
+            print(end=_ERASE, file=sys.stderr, flush=True)
 
 
 def line_of(progress: Progress, seconds: float) -> str:

@@ -3,7 +3,6 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import fields
 
 import numpy as np
 import warp as wp
@@ -13,8 +12,7 @@ from ccd_warp._cli.contacts import described, earliest
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._cli.solve import SolvedStep
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.frames import Body
-from ccd_warp._results.results import Counts
+from ccd_warp._files.sequence import Frames
 from ccd_warp._runtime.display import counted, kind_name, named_counts, shown_range, start_sentence
 from ccd_warp._runtime.status import CCDStatus
 from ccd_warp._runtime.version import __version__
@@ -52,20 +50,17 @@ def format_title(title: str, options: Options) -> str:
     )
 
 
-def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is_verbose: bool) -> str:
+def format_report(title: str, step: SolvedStep, timings: dict[str, float]) -> str:
     """The report of one step, without a final newline.
 
     Args:
         title: First line.
         step: The step and its result.
         timings: Seconds of each stage, in order, as they are to be shown.
-        is_verbose: Whether to show what each stage counted.
     """
     tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
-    lines = [format_title(title, step.options), "", *body_lines(step.mesh, step.bodies, tois), "", *_outcome(step), ""]
+    lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step), ""]
     lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
-    if is_verbose:
-        lines += [*format_table(("count", ""), _count_rows(step.result.counts), align="<>"), ""]
     total = sum(timings.values())
     rows = [
         (name.replace("_", " "), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
@@ -74,19 +69,20 @@ def format_report(title: str, step: SolvedStep, timings: dict[str, float], *, is
     return "\n".join(lines + format_table(("stage", "seconds", "share"), rows, align="<>>"))
 
 
-def body_lines(mesh: CollisionMesh, bodies: Sequence[Body], tois: Sequence[str] = ()) -> list[str]:
+def body_lines(frames: Frames, tois: Sequence[str] = ()) -> list[str]:
     """The first bodies with their sizes, what was merged in reading them, and which vertices take no part."""
-    header = ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    mesh, header = frames.mesh, ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    vertices, faces = np.diff(mesh.body_vertex_range), np.bincount(mesh.face_body, minlength=mesh.num_bodies)
     rows = [
-        (name, mesh._kind_of_body(b), f"{len(body.vertices_t0):,}", f"{len(body.faces):,}", *tois[b : b + 1])
-        for b, (name, body) in enumerate(zip(mesh.names, bodies, strict=True))
+        (name, mesh._kind_of_body(b), f"{vertices[b]:,}", f"{faces[b]:,}", *tois[b : b + 1])
+        for b, name in enumerate(mesh.names)
     ]
     lines = format_table(header, rows[:_MOST_BODIES], align="<<>><"[: len(header)])
     lines += [f"  ... {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
     unused = mesh.vertex_body[np.setdiff1d(mesh.unused_vertices, mesh.inner_vertices)]
     num_unused, notes = np.bincount(unused, minlength=mesh.num_bodies).tolist(), []
-    for name, body, count in zip(mesh.names, bodies, num_unused, strict=True):
-        notes += [f"  ({body.merged:,} vertices of {name} merged by position)"] if body.merged else []
+    for name, merged, count in zip(mesh.names, frames.num_merged.tolist(), num_unused, strict=True):
+        notes += [f"  ({merged:,} vertices of {name} merged by position)"] if merged else []
         words = counted(count, f"vertex of {name} in no face takes", f"vertices of {name} in no face take")
         notes += [f"  ({words} no part)"] if count else []
     return lines + notes[:_MOST_BODIES]
@@ -176,15 +172,3 @@ def _outcome(step: SolvedStep) -> list[str]:
             "late; raise --max-iterations or --max-work to refine them"
         )
     return [*lines, *end, *scope_lines(step.mesh, step.options, step.ignored)]
-
-
-def _count_rows(counts: Counts) -> list[tuple[str, str]]:
-    """Counts by what a reader calls them; codimensional primitives only where there are any."""
-    rows: list[tuple[str, int]] = []
-    for field in fields(counts):
-        value, name = getattr(counts, field.name), field.name.removeprefix("num_").replace("_", " ")
-        if isinstance(value, dict):
-            rows += [(f"{kind_name(kind)} {name}", count) for kind, count in value.items()]
-        elif value or not name.startswith("codimensional"):
-            rows.append((name, value))
-    return [(name, f"{count:,}") for name, count in rows]

@@ -1,42 +1,51 @@
 """The scene of a command line: the bodies of its files, and the mesh that its arguments make of them."""
 
 import argparse
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._calls.pose_sequence import PoseSequence
-from ccd_warp._files.frames import Body
-from ccd_warp._files.mesh_frames import mesh_of, static_bodies
+from ccd_warp._files.bodies import Body, mesh_of, static_bodies
+from ccd_warp._files.sequence import FrameSequence
+from ccd_warp._files.series import FileSeries, find_series
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import CCDStatus
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arguments import check_count
-from ccd_warp._scene.input.excluded_pairs import KEYS, ExcludedPairs, joined_pairs, validated_excluded_pairs
+from ccd_warp._scene.input.excluded_pairs import ExcludedPairs, joined_pairs, validated_excluded_pairs
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
-_ROW = "expected rows KEY,A,B, as vertices,12,340 or bodies,cloth,wall"
+StepSequence = FrameSequence | PoseSequence
 
 
-def how_to_read(arguments: argparse.Namespace) -> dict[str, Any]:
-    """What all readers of files take."""
-    limit = check_count("max_bytes", arguments.max_bytes, 2**63 - 1)
-    return {"max_bytes": limit, "surface": arguments.surface, "split": arguments.split}
+def open_sequence(arguments: argparse.Namespace, paths: list[Path]) -> StepSequence:
+    """The frames of files, in one order if there are just two of a step, or the poses of the bodies of one file."""
+    how = {"surface": arguments.surface, "split": arguments.split}
+    obstacles, joined = _obstacles(arguments, **how), partial(make_mesh, arguments)
+    if arguments.poses is None:
+        if arguments.path is not None:
+            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
+        options = {"displacement": arguments.displacement, "surface": arguments.surface}
+        is_step = arguments.command == "run"
+        series = [FileSeries(paths[0].name, paths, **options)] if is_step else find_series(paths, **options)
+        return FrameSequence(series, obstacles, joined, split=arguments.split)
+    if len(paths) != 1 or arguments.displacement is not None:
+        surplus = "--displacement is" if arguments.displacement is not None else f"{len(paths)} files are"
+        raise InputError(f"{surplus} given with --poses; expected one mesh file, with each body in its own frame")
+    return PoseSequence(paths[0], arguments.poses, arguments.path or "linear", obstacles, joined, **how)
 
 
-def obstacles(arguments: argparse.Namespace) -> list[Body]:
+def _obstacles(arguments: argparse.Namespace, **how: bool) -> list[Body]:
     """The bodies of ``--static`` and ``--half-space``; these are called "half-space" where they have no name."""
-    bodies = static_bodies(arguments.static, **how_to_read(arguments))
+    bodies = static_bodies(arguments.static, **how)
     for text in arguments.half_space:
         name, _, numbers = text.rpartition("=")
         try:
@@ -44,27 +53,8 @@ def obstacles(arguments: argparse.Namespace) -> list[Body]:
         except ValueError:
             expected = "X,Y,Z,NX,NY,NZ, a point and a normal, or NAME=X,Y,Z,NX,NY,NZ"
             raise InputError(f"--half-space {printable(text)}: expected {expected}") from None
-        bodies.append(Body.of_half_space(name or "half-space", HalfSpace([x, y, z], [nx, ny, nz])))
+        bodies.append(Body(name or "half-space", half_space=HalfSpace([x, y, z], [nx, ny, nz])))
     return bodies
-
-
-def pose_sequence(mesh_path: str | Path, arguments: argparse.Namespace) -> PoseSequence | None:
-    """The bodies of a mesh file at the poses of ``--poses``, and obstacles; None where no poses are given."""
-    if arguments.poses is None:
-        if arguments.path is not None:
-            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
-        return None
-    for name in ("end", "displacement", "faces"):
-        if getattr(arguments, name, None) is not None:
-            raise InputError(f"{name} is given with --poses; expected one mesh file, with each body in its own frame")
-    return PoseSequence(
-        Path(mesh_path),
-        arguments.poses,
-        arguments.path or "linear",
-        obstacles(arguments),
-        partial(make_mesh, arguments),
-        **how_to_read(arguments),
-    )
 
 
 def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
@@ -74,20 +64,21 @@ def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: S
     mesh = mesh_of(
         bodies,
         self_collision=not arguments.no_self_collision,
-        kinematic=[names.index(_known("--kinematic", name, moving)) for name in arguments.kinematic],
+        kinematic=[names.index(moving[_body("--kinematic", name, moving)]) for name in arguments.kinematic],
         radius=_radii(arguments.radius, names, bodies),
         exclusion_rings=arguments.exclusion_rings,
         rigid=rigid,
     )
-    return mesh if arguments.exclude is None else _without(mesh, arguments.exclude)
+    pairs = [_body_pair(text, names) for text in arguments.exclude]
+    return mesh.excluding({"bodies": pairs}) if pairs else mesh
 
 
-def _known(option: str, name: str, names: Sequence[str]) -> str:
-    """The name, if it is one of these."""
+def _body(option: str, name: str, names: Sequence[str]) -> int:
+    """The index of the body of this name."""
     if name not in names:
-        known = ", ".join(map(printable, names[:8])) + (", ..." if len(names) > 8 else "")
-        raise InputError(f"{option} {printable(name)}: no such body; expected one of {known}")
-    return name
+        expected = ", ".join(map(printable, names[:8])) + (", ..." if len(names) > 8 else "")
+        raise InputError(f"{option} {printable(name)}: no such body; expected one of {expected}")
+    return names.index(name)
 
 
 def _radii(texts: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -> list[float] | None:
@@ -100,34 +91,19 @@ def _radii(texts: Sequence[str], names: Sequence[str], bodies: Sequence[Body]) -
         except ValueError:
             raise InputError(f"--radius {printable(text)}: expected a number, or NAME=NUMBER for one body") from None
         if is_of_body:
-            radii[names.index(_known("--radius", name, names))] = radius
+            radii[_body("--radius", name, names)] = radius
         else:
             radii = [radius if body.half_space is None else 0.0 for body in bodies]
     return radii if texts else None
 
 
-def _without(mesh: CollisionMesh, path: Path) -> CollisionMesh:
-    """The mesh without the pairs of a file: rows ``KEY,A,B``, bodies by name or index, and ``#`` before a remark."""
-    if not path.is_file():
-        raise InputError(f"--exclude {path}: no such file")
-    pairs: dict[str, list[list[int]]] = {}
-    where = ""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = csv.reader(file, skipinitialspace=True, strict=True)
-            for row in rows:
-                if not any(row) or row[0].startswith("#"):
-                    continue
-                where = f"line {rows.line_num} is {','.join(row)!r}; {_ROW}: "
-                key, *pair = (cell.strip() for cell in row)
-                names = mesh.names if key == "bodies" else ()
-                if len(pair) != 2 or key not in KEYS:
-                    raise ValueError(f"keys are {', '.join(KEYS)}")
-                pairs.setdefault(key, []).append([names.index(cell) if cell in names else int(cell) for cell in pair])
-        where = ""
-        return mesh.excluding(pairs)
-    except (ValueError, csv.Error) as error:
-        raise InputError(f"--exclude {path}: {where}{error}") from error
+def _body_pair(text: str, names: Sequence[str]) -> list[int]:
+    """Two bodies, given as ``A,B``; a name may hold a comma itself."""
+    words = text.split(",")
+    if len(words) < 2:
+        raise InputError(f"--exclude {printable(text)}: expected A,B, the names of two bodies")
+    cut = next((k for k in range(1, len(words)) if ",".join(words[:k]) in names), 1)
+    return [_body("--exclude", ",".join(part), names) for part in (words[:cut], words[cut:])]
 
 
 @dataclass(frozen=True)
@@ -151,12 +127,12 @@ class StartContacts:
             near = pipeline.find_proximity(vertices, options.minimum_distance + rounding)
             start = pipeline.find_intersections(vertices)
         touching = contacts[contacts.status == int(CCDStatus.INITIAL_CONTACT)]
-        pairs = joined_pairs(*(validated_excluded_pairs(found, mesh) for found in (touching, near)))
+        pairs = joined_pairs(*(validated_excluded_pairs(pair_list, mesh) for pair_list in (touching, near)))
         return cls(pairs, start.primitives[start.is_crossing])
 
     def others(self, start: Intersections) -> Intersections:
         """What intersects at the start of a step, without the edges that passed through the same faces at first."""
-        now, first = (each[:, 0].astype(np.int64) << 32 | each[:, 1] for each in (start.primitives, self.crossing))
+        now, first = (rows[:, 0].astype(np.int64) << 32 | rows[:, 1] for rows in (start.primitives, self.crossing))
         return start[~(start.is_crossing & np.isin(now, first))]
 
     def __str__(self) -> str:

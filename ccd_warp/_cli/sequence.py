@@ -7,26 +7,18 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from ccd_warp._calls.pose_sequence import PoseSequence
-from ccd_warp._cli.arguments import given_options
 from ccd_warp._cli.pictures import check_picture, draw_animation, draw_step
 from ccd_warp._cli.process import (
     INTERRUPTED,
     STDOUT,
-    check_output,
     make_folder,
     say,
     start_quietly,
     teller,
-    waiting,
     warn,
     warnings_on_stderr,
     write_out,
 )
-from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.report import (
     body_lines,
     crossing_sentence,
@@ -37,73 +29,14 @@ from ccd_warp._cli.report import (
     looked_at,
     scope_lines,
 )
-from ccd_warp._cli.scene import StartContacts, how_to_read, make_mesh, obstacles, pose_sequence
-from ccd_warp._cli.solve import SolvedStep, load_kernels, make_options, moving_vertices, solve
+from ccd_warp._cli.scene import open_sequence
+from ccd_warp._cli.solve import Steps
 from ccd_warp._cli.table import COLUMNS, StepRow, csv_text, draw_plot
-from ccd_warp._files.sequence import FrameSequence
-from ccd_warp._files.series import find_series
-from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._runtime.display import start_sentence
-from ccd_warp._runtime.progress import Progress
-from ccd_warp._scene.input.messages import InputError, printable
-from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.input.messages import printable
 
 CSV, PLOT = "steps.csv", "steps.png"
 _MOST_ROWS = 20  # steps whose toi the report lists; the CSV file has all
-
-
-class _Steps:
-    """The steps of a sequence, and the line that says how many are done."""
-
-    def __init__(self, arguments: argparse.Namespace, sequence: FrameSequence | PoseSequence) -> None:
-        self.sequence, self.is_quiet = sequence, arguments.quiet
-        self.at_start, given = self.moving(0).all_at(0.0), given_options(arguments)
-        self.options = make_options(given, sequence.mesh, None if arguments.poses is None else self.at_start)
-        load_kernels(
-            given,
-            is_quiet=self.is_quiet,
-            has_radius=bool(arguments.radius),
-            has_half_space=bool(arguments.half_space),
-            has_poses=arguments.poses is not None,
-        )
-        self.ignored: StartContacts | None = None
-        if arguments.ignore_start_contacts:
-            with warnings_on_stderr(is_quiet=self.is_quiet):
-                self.ignored = StartContacts.of(sequence.mesh, self.at_start, self.options)
-            sequence.mesh = sequence.mesh.excluding(self.ignored.pairs)
-        self.line, self._progress = ProgressLine(self.is_quiet), Progress()
-
-    def __len__(self) -> int:
-        return len(self.sequence) - 1
-
-    def begin(self, what: str, total: int) -> None:
-        """Begin with so many items of some name."""
-        self._progress.begin(what, total)
-        self.line.show(self._progress)
-
-    def advance(self) -> None:
-        """One more is done."""
-        self._progress.done += 1
-        self.line.show(self._progress)
-
-    def moving(self, k: int) -> MovingVertices:
-        """How all vertices move in a step."""
-        bodies = self.sequence._bodies(k)
-        return moving_vertices(self.sequence._mesh_of(bodies), bodies, self.sequence._motion(k))
-
-    def solved(self, k: int) -> SolvedStep:
-        """A step and its result; the line goes on to show how many steps are done."""
-        bodies = self.sequence._bodies(k)
-        return solve(
-            bodies,
-            self.sequence._mesh_of(bodies),
-            self.options,
-            self.line,
-            is_quiet=self.is_quiet,
-            show=lambda _: self.line.show(self._progress),
-            ignored=self.ignored,
-            motion=self.sequence._motion(k),
-        )
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -117,13 +50,11 @@ def run(arguments: argparse.Namespace) -> int:
     picture, is_quiet, output = arguments.picture, arguments.quiet, arguments.output
     if picture is not None:
         check_picture(picture, "--picture", is_sequence=True)
-    with waiting("reading the first step", is_quiet=is_quiet), warnings_on_stderr(is_quiet=is_quiet):
-        sequence = _open(arguments)
-    if output == STDOUT:
-        check_output(output, ())
-    else:
+    with warnings_on_stderr(is_quiet=is_quiet):
+        sequence = open_sequence(arguments, arguments.frames)
+    if output != STDOUT:
         make_folder(output, "--output")
-    steps = _Steps(arguments, sequence)
+    steps = Steps(arguments, sequence)
     tell = teller(output, is_quiet=is_quiet)
     rows: list[StepRow] = []
     is_complete = False
@@ -146,11 +77,8 @@ def run(arguments: argparse.Namespace) -> int:
         finally:
             steps.line.clear()
     has_plot = bool(rows) and is_file and _has_plot(output / PLOT, rows, steps.options.t_max, is_quiet)
-    odd = [row for row in rows if row.warnings and not is_quiet]
-    for sentence in odd[0].warnings if odd else ():
-        warn(f"step {odd[0].step}: {sentence}{f' (and {len(odd) - 1} more steps)' if len(odd) > 1 else ''}")
     if rows:
-        tell(_report(sequence, rows, steps.options, steps.ignored, steps.at_start))
+        tell(_report(steps, rows))
     files = {output / CSV: is_file, output / PLOT: has_plot, picture: picture is not None and is_complete}
     for path in [path for path, is_written in files.items() if is_written]:
         tell(f"wrote {printable(str(path))}")
@@ -160,19 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     return int(arguments.fail_on_contact and any(row.hit or row.crossing for row in rows))
 
 
-def _open(arguments: argparse.Namespace) -> FrameSequence | PoseSequence:
-    """The frames of the command line, with the first step read."""
-    poses = pose_sequence(arguments.frames[0], arguments)
-    if poses is not None:
-        if len(arguments.frames) != 1:
-            raise InputError(f"{len(arguments.frames)} files are given with --poses; expected one mesh file")
-        return poses
-    how = how_to_read(arguments)
-    series = find_series(arguments.frames, displacement=arguments.displacement, faces=arguments.faces, **how)
-    return FrameSequence(series, obstacles(arguments), partial(make_mesh, arguments), split=arguments.split)
-
-
-def _draw(path: Path, steps: _Steps, rows: Sequence[StepRow]) -> None:
+def _draw(path: Path, steps: Steps, rows: Sequence[StepRow]) -> None:
     """Draw the animation, or the first step that has a contact, or else one at whose start surfaces cross."""
     if path.suffix.lower() != ".png":
         steps.begin("pictures", 2 * len(rows))
@@ -181,14 +97,13 @@ def _draw(path: Path, steps: _Steps, rows: Sequence[StepRow]) -> None:
     crossing = next((row.step for row in rows if row.crossing), 0)
     step = steps.solved(next((row.step for row in rows if row.hit), crossing))
     steps.line.clear()
-    draw_step(path, step, is_quiet=steps.is_quiet)
+    draw_step(path, step)
 
 
 def _has_plot(path: Path, rows: Sequence[StepRow], t_max: float, is_quiet: bool) -> bool:
     """Draw the plot of the steps so far, where matplotlib is installed."""
     try:
-        with waiting(f"drawing {PLOT}", is_quiet=is_quiet):
-            draw_plot(path, rows, t_max)
+        draw_plot(path, rows, t_max)
         return True
     except ImportError:
         if not is_quiet:
@@ -196,17 +111,11 @@ def _has_plot(path: Path, rows: Sequence[StepRow], t_max: float, is_quiet: bool)
         return False
 
 
-def _report(
-    sequence: FrameSequence | PoseSequence,
-    rows: Sequence[StepRow],
-    options: Options,
-    ignored: StartContacts | None,
-    at_start: NDArray[np.float64],
-) -> str:
+def _report(steps: Steps, rows: Sequence[StepRow]) -> str:
     """The report of the steps that were solved, without a final newline."""
-    mesh = sequence.mesh
+    sequence, options, mesh = steps.sequence, steps.options, steps.sequence.mesh
     title = f"{len(sequence)} frames of {sequence._name}"
-    lines = [format_title(title, options), "", *body_lines(mesh, sequence._first_bodies), ""]
+    lines = [format_title(title, options), "", *body_lines(sequence._step(0)[0]), ""]
     hits, crossing = [row for row in rows if row.hit], [row for row in rows if row.crossing]
     if not hits:
         lines.append(f"steps with contacts  none of {len(rows)}   {looked_at(mesh, options)}")
@@ -226,8 +135,8 @@ def _report(
         lines.append(f"           of the first, {crossing_sentence(crossing[0].crossing)}")
     else:
         lines.append("at the start of each step  no edge passes through a face")
-    lines += [*scope_lines(mesh, options, ignored), ""]
-    return "\n".join(lines + length_lines(mesh, at_start, max(row.displacement for row in rows), options))
+    lines += [*scope_lines(mesh, options, steps.ignored), ""]
+    return "\n".join(lines + length_lines(mesh, steps.at_start, max(row.displacement for row in rows), options))
 
 
 def _numbers(some: Sequence[StepRow], rows: Sequence[StepRow], what: str = "") -> str:

@@ -1,7 +1,8 @@
-"""CCD of one step of a scene."""
+"""CCD of the steps of a scene."""
 
+import argparse
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -11,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._cli.process import waiting, warnings_on_stderr
+from ccd_warp._cli.arguments import command_line_options
+from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.progress_line import ProgressLine
-from ccd_warp._cli.scene import StartContacts
+from ccd_warp._cli.scene import StartContacts, StepSequence
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.frames import Body
-from ccd_warp._files.odd_motion import motion_warnings
+from ccd_warp._files.sequence import Frames
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.results import MeshResult
@@ -24,7 +25,6 @@ from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import kind_name
 from ccd_warp._runtime.kernel_cache import announced_compilation
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
@@ -35,8 +35,7 @@ class SolvedStep:
     """A step and its result.
 
     Attributes:
-        bodies: The scene, in the order of its vertices.
-        mesh: The bodies as one mesh.
+        frames: The mesh, and its positions at both ends.
         options: Validated options.
         result: Of ``mesh_ccd``.
         start: What touches, or passes through another, at the start.
@@ -45,14 +44,18 @@ class SolvedStep:
         motion: How rigid bodies turn, whose positions are in their own frames; None where all vertices move straight.
     """
 
-    bodies: Sequence[Body]
-    mesh: CollisionMesh
+    frames: Frames
     options: Options
     result: MeshResult
     start: Intersections
     ignored: StartContacts | None
     timings: dict[str, float]
     motion: RigidMotion | None = None
+
+    @property
+    def mesh(self) -> CollisionMesh:
+        """The mesh."""
+        return self.frames.mesh
 
     @property
     def crossing(self) -> Intersections:
@@ -62,7 +65,7 @@ class SolvedStep:
     @cached_property
     def moving(self) -> MovingVertices:
         """How the vertices move."""
-        return moving_vertices(self.mesh, self.bodies, self.motion)
+        return moving_vertices(self.frames, self.motion)
 
     @cached_property
     def displacement(self) -> float:
@@ -72,24 +75,15 @@ class SolvedStep:
             ways = [np.linalg.norm(self.moving.all_at(t) - start, axis=1) for t in self.moving.times[1:]]
         return max(float(way.max(initial=0.0)) for way in ways)
 
-    @property
-    def warnings(self) -> list[str]:
-        """What is odd about the motion, a line each."""
-        return motion_warnings(self.mesh, *positions_of(self.bodies), self.options.t_max)
 
-
-def positions_of(bodies: Sequence[Body]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Positions of the vertices of all bodies at both ends of the step."""
-    return np.vstack([body.vertices_t0 for body in bodies]), np.vstack([body.vertices_t1 for body in bodies])
-
-
-def moving_vertices(mesh: CollisionMesh, bodies: Sequence[Body], motion: RigidMotion | None) -> MovingVertices:
-    """How the vertices of all bodies move; those that take no part as others of their bodies do."""
-    places = mesh._both_placed(*positions_of(bodies))
+def moving_vertices(frames: Frames, motion: RigidMotion | None) -> MovingVertices:
+    """How all vertices move; those that take no part as others of their bodies do."""
+    mesh = frames.mesh
+    places = mesh._both_placed(frames.vertices_t0, frames.vertices_t1)
     return MovingVertices(mesh, *places) if motion is None else motion._moving(mesh, *places)
 
 
-def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
+def make_options(values: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
     """The options of the command line, with the length scale that they mean if they give none.
 
     It is that of the mesh: the longest side of the box around all bodies at the start, where ``start`` says where they
@@ -98,7 +92,7 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.f
     Raises:
         ValueError: If an option is out of its range, or the bodies cannot form a kind of pair that it names.
     """
-    options, possible = Options(**given), possible_kinds(mesh, Options())
+    options, possible = Options(**values), possible_kinds(mesh, Options())
     for kind in options.kinds if options.pair_kinds is not None else ():
         if kind not in possible:
             raise InputError(
@@ -112,8 +106,7 @@ def make_options(given: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.f
 
 
 def solve(
-    bodies: Sequence[Body],
-    mesh: CollisionMesh,
+    frames: Frames,
     options: Options,
     line: ProgressLine,
     *,
@@ -122,73 +115,67 @@ def solve(
     ignored: StartContacts | None = None,
     motion: RigidMotion | None = None,
 ) -> SolvedStep:
-    """Run ``mesh_ccd`` on a step of a mesh, whose bodies these are, with its progress on a line that stays there.
+    """Run ``mesh_ccd`` on a step, with its progress on a line that stays there, and find what intersects at its start.
 
-    What intersects at its start is found, too. ``ignored`` is what the mesh leaves out from the first frame on.
+    ``ignored`` is what the mesh leaves out from the first frame on.
     """
-    with CollisionPipeline.borrowed(mesh, options) as pipeline, warnings_on_stderr(line.clear, is_quiet=is_quiet):
+    with (
+        nullcontext() if is_quiet else announced_compilation(),
+        warnings_on_stderr(line.clear, is_quiet=is_quiet),
+        CollisionPipeline.borrowed(frames.mesh, options) as pipeline,
+    ):
         pipeline._show_progress = line.show if show is None else show
-        result = pipeline.mesh_ccd(*positions_of(bodies), motion=motion)
+        result = pipeline.mesh_ccd(frames.vertices_t0, frames.vertices_t1, motion=motion)
         timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
         begin = time.perf_counter()
-        start = pipeline.find_intersections(moving_vertices(mesh, bodies, motion).all_at(0.0))
+        start = pipeline.find_intersections(moving_vertices(frames, motion).all_at(0.0))
         timings["intersections at start"] = time.perf_counter() - begin
     start = start if ignored is None else ignored.others(start)
-    return SolvedStep(bodies, mesh, options, result, start, ignored, timings, motion)
+    return SolvedStep(frames, options, result, start, ignored, timings, motion)
 
 
-def solve_scene(
-    bodies: Sequence[Body],
-    given: dict[str, Any],
-    make_mesh: Callable[[Sequence[Body]], CollisionMesh],
-    *,
-    is_quiet: bool,
-    ignores_start: bool = False,
-    motion: RigidMotion | None = None,
-) -> SolvedStep:
-    """Make the mesh of one step and run ``mesh_ccd``."""
-    begin = time.perf_counter()
-    with waiting("making the mesh", is_quiet=is_quiet):
-        mesh = make_mesh(bodies)
-    timings, ignored = {"build mesh": time.perf_counter() - begin}, None
-    at_start = moving_vertices(mesh, bodies, motion).all_at(0.0)
-    options, line = make_options(given, mesh, None if motion is None else at_start), ProgressLine(is_quiet)
-    if ignores_start:
-        with warnings_on_stderr(is_quiet=is_quiet):
-            ignored = StartContacts.of(mesh, at_start, options)
-        mesh = mesh.excluding(ignored.pairs)
-    try:
-        step = solve(bodies, mesh, options, line, is_quiet=is_quiet, ignored=ignored, motion=motion)
-    finally:
-        line.clear()
-    return replace(step, timings={**timings, **step.timings})
+class Steps:
+    """The steps of a sequence, and the line that says how far they are.
 
+    Attributes:
+        sequence: The sequence, whose mesh leaves out what is ignored.
+        options: Validated options.
+        ignored: What is in contact in the first frame, where that is left out of every step.
+        at_start: Positions in the first frame.
+        line: The line.
+    """
 
-def load_kernels(
-    given: dict[str, Any],
-    *,
-    is_quiet: bool,
-    has_radius: bool = False,
-    has_half_space: bool = False,
-    has_poses: bool = False,
-) -> float:
-    """Compile or load every kernel on two triangles, so that no stage's time holds a compilation; the seconds."""
-    begin = time.perf_counter()
-    low = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-    start, end = (low, low) if has_poses else (low + [0.0, 0.1, 0.5], low + [0.0, 0.1, -0.5])
-    bodies = [(start, [[0, 1, 2]]), (low, [[0, 1, 2]])]
-    planes = [HalfSpace([0.0, 0.0, 0.0], [0.0, 0.0, 1.0])] * has_half_space
-    motion = RigidMotion([[0.0, 0.1, 0.5, 0, 0, 0, 1]], [[0.0, 0.1, -0.5, 0, 0, 0, 1]]) if has_poses else None
-    chosen: dict[str, Any] = {name: given[name] for name in ("precision", "device") if name in given}
-    with nullcontext() if is_quiet else announced_compilation(), waiting("loading kernels", is_quiet=is_quiet):
-        mesh = CollisionMesh.from_arrays(
-            [*bodies, *planes],
-            static=[1],
-            self_collision=False,
-            radius=[0.1, 0.1, 0.0][: 2 + len(planes)] if has_radius else None,
-            rigid=[0] if has_poses else [],
-        )
-        with CollisionPipeline.borrowed(mesh, Options(**chosen)) as pipeline:
-            pipeline.mesh_ccd(np.vstack([start, low]), np.vstack([end, low]), motion=motion)
-            pipeline.find_intersections(np.vstack([start, low]))
-    return time.perf_counter() - begin
+    def __init__(self, arguments: argparse.Namespace, sequence: StepSequence) -> None:
+        self.sequence, self.is_quiet, self.ignored = sequence, arguments.quiet, None
+        self.at_start = self.moving(0).all_at(0.0)
+        option_values, has_frames_of_bodies = command_line_options(arguments), arguments.poses is not None
+        self.options = make_options(option_values, sequence.mesh, self.at_start if has_frames_of_bodies else None)
+        if arguments.ignore_start_contacts:
+            with warnings_on_stderr(is_quiet=self.is_quiet):
+                self.ignored = StartContacts.of(sequence.mesh, self.at_start, self.options)
+            sequence.mesh = sequence.mesh.excluding(self.ignored.pairs)
+        self.line, self._progress = ProgressLine(self.is_quiet), Progress()
+
+    def __len__(self) -> int:
+        return len(self.sequence) - 1
+
+    def begin(self, what: str, total: int) -> None:
+        """Show a share of so many items of some name, in place of the stages of a step."""
+        self._progress.begin(what, total)
+        self.line.show(self._progress)
+
+    def advance(self) -> None:
+        """One more is done."""
+        self._progress.done += 1
+        self.line.show(self._progress)
+
+    def moving(self, k: int) -> MovingVertices:
+        """How all vertices move in a step."""
+        return moving_vertices(*self.sequence._step(k))
+
+    def solved(self, k: int) -> SolvedStep:
+        """A step and its result."""
+        frames, motion = self.sequence._step(k)
+        show = None if not self._progress.stage else lambda _: self.line.show(self._progress)
+        how: dict[str, Any] = {"show": show, "ignored": self.ignored, "motion": motion}
+        return solve(frames, self.options, self.line, is_quiet=self.is_quiet, **how)

@@ -43,7 +43,6 @@ class StepRow:
         sizes: Of the smaller body of the earliest contact and of its smaller primitive, 0 without one.
         crossing_points: Places where edges pass through faces at the start, shape [m, 3].
         displacement: The largest of a vertex.
-        warnings: What is odd about the motion.
     """
 
     step: int
@@ -60,7 +59,6 @@ class StepRow:
     sizes: tuple[float, float]
     crossing_points: NDArray[Any]
     displacement: float
-    warnings: list[str]
 
     @classmethod
     def of(cls, number: int, labels: Sequence[str], step: SolvedStep) -> "StepRow":
@@ -88,7 +86,6 @@ class StepRow:
             sizes=contact_sizes(mesh, step.moving.all_at(0.0), contacts, 0 if len(contacts) else -1),
             crossing_points=step.crossing.points[:_MOST_POINTS],
             displacement=step.displacement,
-            warnings=step.warnings,
         )
 
     @property

@@ -19,8 +19,8 @@ from ccd_warp.kernels.step.minima import NUM_COUNTS
 
 # What a call looks for: all contacts, the least toi alone, candidate pairs; or at one time what intersects, what
 # is near, how far vertices may move, or how near they are to anything.
-Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities", "displacements", "holds"]
-AT_ONE_TIME = ("proximities", "displacements", "holds")
+Goal = Literal["contacts", "bound", "candidates", "intersections", "proximities", "displacements", "start distances"]
+AT_ONE_TIME = ("proximities", "displacements", "start distances")
 # What finds the boxes that overlap, by the name of the option.
 _BROAD_PHASES: dict[str, type[Tree] | type[Grid]] = {"tree": Tree, "hash": Grid}
 COUNTS_SHAPE = len(PairKind), int(NUM_COUNTS)
@@ -44,6 +44,7 @@ class Plan:
         slender_trees: Those for pairs within slender bodies.
         moving_trees: The others.
         norm: The norm of separations, by its name (``kernels.pair.norm``).
+        sink: Where what the narrow phase finds goes.
     """
 
     def __init__(
@@ -77,7 +78,7 @@ class Plan:
         self.slender_trees = [tree for tree in self.trees if tree.primitives.role == "slender"]
         self.moving_trees = [tree for tree in self.trees if tree.primitives.role not in ("static", "slender")]
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
-        self._sink = int(BOUND if goal == "bound" else CONTACTS)  # of the narrow phase
+        self.sink = int(BOUND if goal == "bound" else CONTACTS)
         # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once
         self._counters: wp.array = wp.zeros(NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
         self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import partial
+from functools import cached_property, partial
 from typing import Any
 
 import warp as wp
@@ -11,18 +11,19 @@ from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, range_of_warps, search_range
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._runtime.lanes import queued_pairs_in, search_on
+from ccd_warp._runtime.lanes import lanes_of, queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
-from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.pair.norm import is_ball, shape_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.search.search_types import CULL, LIST
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
+from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import Step
 from ccd_warp.kernels.template import specialised
 
@@ -67,9 +68,35 @@ class StepFields(StructFields):
     least_bits: Any = None
 
 
-def measure_pairs_in(norm: str) -> Any:
+@dataclass(frozen=True)
+class PairFields(StructFields):
+    """The fields of ``kernels.step.pair_list.PairList``: the pairs of a kind, of which a slot may be the keys."""
+
+    struct = PairList
+
+    kind: int
+    counts: wp.array
+    keys: Any
+    first_corners: wp.array
+    second_corners: wp.array
+    vertices_t0: Any
+    vertices_t1: Any
+
+
+@dataclass(frozen=True)
+class LeastFields(StructFields):
+    """The fields of ``kernels.step.pair_list.LeastToi``."""
+
+    struct = LeastToi
+
+    bits: Any
+    open_toi: Any
+
+
+def measure_pairs_in(norm: str, device: Any) -> Any:
     """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
-    return specialised("at_one_time.measure_pairs", norm=shape_of(norm)).measure_pairs
+    parameters = {"width": lanes_of(device)} if is_ball(norm) else {}
+    return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
 
 
 @dataclass(frozen=True)
@@ -440,20 +467,20 @@ class Stages:
             gaps_moved: Number of gaps by which a pair may move if its toi is near 0.
         """
         chunk = 1 if is_second else _CHUNK  # the open pairs may be neighbours, so solvers take turns
-        step, table = self.step, Table()
+        step, table, least, of_round = self.step, Table(), LeastToi(), Round()
+        of_round.is_second, of_round.only_moving = int(is_second), int(only_moving)
+        of_round.gaps_moved = float(gaps_moved)
         with launcher.at_once():
             for kind, keys in self.keys.items():
-                # no struct of the step: with one the solver takes 3 to 8 % longer
-                inputs = [*self._pairs(kind), step.vertices_t0, step.vertices_t1, self.options]
-                inputs += [int(is_second), int(only_moving), float(gaps_moved), 0]
-                outputs = [table, step.minima, step.contacts, step.least_bits]
-                outputs += [self.open_toi[kind] if sink == BOUND else None]
+                inputs = [self.pairs[kind], self.options, of_round, 0]
+                # not the struct of the step, with which the solver takes 3 to 8 % longer: clang copies the minima in it
+                outputs = [table, step.minima, step.contacts, self._least[kind] if sink == BOUND else least]
                 if launcher.is_cuda:
                     kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
                     most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
                     launch_queued(launcher, kernels, most_pairs, [*inputs, self.queue], outputs)
                     continue
-                inputs.insert(1, sink)
+                inputs.insert(0, sink)
                 kernel = self.narrow_phase.solve_pairs
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
@@ -463,12 +490,12 @@ class Stages:
         Args:
             launcher: Where to launch, or to record.
             sink: Where what is found goes: with `NEAR` near pairs are listed; with `DISPLACEMENT` the bounds of the
-                vertices are lowered, with `HOLD` their holds, which are both the minima of the vertices.
-            norm: That of the distance; `HOLD` alone knows others than the Euclidean.
+                vertices are lowered, with `START_DISTANCE` their start distances: both are the minima of the vertices.
+            norm: That of the distance; `START_DISTANCE` alone knows others than the Euclidean.
         """
         from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
 
-        kernel = measure_pairs_in(norm)
+        kernel = measure_pairs_in(norm, launcher.device)
         chunk = 1 if launcher.is_cuda else _CHUNK
         body_static = self.topology.body_static if sink == DISPLACEMENT else None
         outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]
@@ -477,7 +504,7 @@ class Stages:
                 solvers = None
                 if launcher.is_cuda:
                     solvers = _MOST_CULLS if isinstance(keys, Slot) else max(1, min(_MOST_CULLS, len(keys)))
-                inputs = [sink, *self._pairs(kind), self.step.vertices_t0, self.reach, body_static]
+                inputs = [sink, self.pairs[kind], self.reach, body_static]
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, num_solvers=solvers)
 
     def list_near_planes(self, launcher: Launcher) -> None:
@@ -499,10 +526,20 @@ class Stages:
         outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
 
-    def _pairs(self, kind: PairKind) -> list[Any]:
-        """The pairs of a kind as kernels take them."""
-        corners = [self.topology.corners[array] for array in CORNER_ARRAYS[kind]]
-        return [int(kind), self.step.counts, self.keys[kind], *corners]
+    @cached_property
+    def pairs(self) -> dict[PairKind, PairFields]:
+        """The pairs of each kind as kernels take them: one struct for all launches."""
+        step, pairs = self.step, {}
+        for kind, keys in self.keys.items():
+            first, second = (self.topology.corners[array] for array in CORNER_ARRAYS[kind])
+            ends = step.vertices_t0, step.vertices_t1
+            pairs[kind] = PairFields(int(kind), step.counts, keys, first, second, *ends)
+        return pairs
+
+    @cached_property
+    def _least(self) -> dict[PairKind, LeastFields]:
+        """The least toi, and that of open pairs of each kind."""
+        return {kind: LeastFields(self.step.least_bits, toi) for kind, toi in self.open_toi.items()}
 
     def _launch_solvers(
         self,

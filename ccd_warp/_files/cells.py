@@ -1,14 +1,14 @@
 """The meshes of VTK and XDMF files: cells as triangles, and positions to which a field of displacements is added."""
 
 import contextlib
-import warnings
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ccd_warp._files.content import Mesh, check_part
+from ccd_warp._scene.input.cells import SHELLS, VOLUMES, by_corners, surface_of
 from ccd_warp._scene.input.messages import InputError, printable, reason_of
 
 Blocks = list[tuple[str, Any]]
@@ -16,12 +16,11 @@ _LONGEST_REASON = 200  # characters of a parser's message, which may hold bytes 
 
 
 class Grid(NamedTuple):
-    """Points, cells of one type in each block, and fields at points and of cells, which are read when called."""
+    """Points, cells of one type in each block, and the fields at points, which are read when called."""
 
     points: np.ndarray
     blocks: Blocks
     fields: Mapping[str, Callable[[], np.ndarray]]
-    cell_fields: Mapping[str, Callable[[], np.ndarray]]
 
 
 @contextlib.contextmanager
@@ -49,28 +48,19 @@ def load_meshio() -> Any:
     return meshio
 
 
-@contextlib.contextmanager
-def whole_numbers() -> Iterator[None]:
-    """Make an error of what NumPy warns of where a text of numbers holds something else behind some of them."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", message="string or file could not be read", category=DeprecationWarning)
-        yield
+def mesh_of_grid(path: Path, grid: Grid, displacement: str | None, surface: bool) -> Mesh:
+    """The surface of the cells of a file; messages call it ``path``."""
+    vertices, (faces, midsides) = _displaced(grid, displacement), _triangles(grid, surface)
+    check_part(vertices, faces)
+    is_surface, cells = surface or len(midsides) > 0, [corners for _, corners in grid.blocks]
+    return Mesh(path, vertices, faces, False, is_surface=is_surface, cells=cells, midsides=midsides)
 
 
-def grid_of(mesh: Any) -> Grid:
-    """A mesh of meshio."""
-    cells = {name: partial(np.concatenate, arrays) for name, arrays in mesh.cell_data.items()}
-    points = {name: partial(np.asarray, values) for name, values in mesh.point_data.items()}
-    return Grid(mesh.points, [(block.type, block.data) for block in mesh.cells], points, cells)
-
-
-def triangles(grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
+def _triangles(grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
     """Triangles of all cells, in their order; of volumes those of their boundary surface, before the others.
 
     And of quadratic cells, which are taken by their corners, the ends and the node of each edge.
     """
-    from ccd_warp._scene.input.cells import SHELLS, VOLUMES, by_corners, surface_of
-
     for kind, _ in grid.blocks:
         if kind not in (*SHELLS, *(VOLUMES if surface else ())):
             advice = "; --surface, in Python surface=True, takes the boundary surface" if kind in VOLUMES else ""
@@ -79,7 +69,7 @@ def triangles(grid: Grid, surface: bool) -> tuple[np.ndarray, np.ndarray]:
     return surface_of(cells, "cells", len(grid.points)), midsides
 
 
-def displaced(grid: Grid, displacement: str | None) -> np.ndarray:
+def _displaced(grid: Grid, displacement: str | None) -> np.ndarray:
     """Positions in float64, with the displacements of this name added if one is given."""
     vertices = np.array(grid.points, dtype=np.float64)
     if vertices.ndim != 2 or vertices.shape[1] != 3:
@@ -87,8 +77,8 @@ def displaced(grid: Grid, displacement: str | None) -> np.ndarray:
     if displacement is None:
         return vertices
     if displacement not in grid.fields:
-        found = ", ".join(map(repr, grid.fields)) or "none"
-        raise InputError(f"has no field {displacement!r} at its points; expected one of them: {found}")
+        field_names = ", ".join(map(repr, grid.fields)) or "none"
+        raise InputError(f"has no field {displacement!r} at its points; expected one of them: {field_names}")
     vectors = np.asarray(grid.fields[displacement](), dtype=np.float64)
     if vectors.shape != vertices.shape:
         raise InputError(f"the field {displacement!r} has shape {vectors.shape}; expected {vertices.shape}, as points")

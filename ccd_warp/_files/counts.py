@@ -3,12 +3,12 @@
 And what else would make trimesh read it in part without a word.
 """
 
+import io
 import json
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+import zipfile
 from typing import Any
 
-from ccd_warp._files.archive import unpack
 from ccd_warp._files.text import CUT, shown
 from ccd_warp._scene.input.messages import InputError
 
@@ -21,15 +21,15 @@ _HARMLESS = (
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6  # modes of primitives; others are points and lines
 
 
-def stated_triangles(suffix: str, data: bytes, max_bytes: int) -> int:
-    """Number of triangles in all instances of meshes in the scene of a file.
+def stated_triangles(suffix: str, data: bytes) -> int:
+    """The least number of triangles in the scene of a file: of its meshes, each as often as it stands there.
 
     Raises:
         InputError: If the file is cut, or holds what is not read.
     """
     match suffix:
         case ".3mf":
-            return _of_3mf(dict(unpack(data, max_bytes)))
+            return _of_3mf(data)
         case ".dae":
             return _of_collada(ET.fromstring(data))
     return _of_gltf(json.loads(_json_of_glb(data) if suffix == ".glb" else data))
@@ -64,56 +64,36 @@ def _of_gltf(tree: dict[str, Any]) -> int:
         count = int(accessors[corners]["count"])
         return count // 3 if mode == _TRIANGLES else count - 2
 
-    def of_node(node: dict[str, Any]) -> int:
-        if "EXT_mesh_gpu_instancing" in node.get("extensions", ()):
-            raise InputError("has instances by EXT_mesh_gpu_instancing, which are not read; export a node for each")
-        mesh = tree["meshes"][node["mesh"]]["primitives"] if "mesh" in node else ()
-        return sum(map(of_primitive, mesh)) + sum(of_node(tree["nodes"][k]) for k in node.get("children", ()))
-
-    scenes = tree.get("scenes") or [{}]
-    return sum(of_node(tree["nodes"][k]) for k in scenes[tree.get("scene", 0)].get("nodes", ()))
+    nodes = tree.get("nodes", ())  # each of which stands at one place of one scene
+    if any("EXT_mesh_gpu_instancing" in node.get("extensions", ()) for node in nodes):
+        raise InputError("has instances by EXT_mesh_gpu_instancing, which are not read; export a node for each")
+    meshes = [tree["meshes"][node["mesh"]]["primitives"] for node in nodes if "mesh" in node]
+    return sum(of_primitive(primitive) for mesh in meshes for primitive in mesh)
 
 
 def _of_collada(root: ET.Element) -> int:
     geometries: dict[str, int] = {}
-    for geometry in _all(root, "geometry"):
-        for array in _all(geometry, "float_array"):  # of which three numbers less are a vertex less
+    for geometry in root.iterfind(".//{*}geometry"):
+        for array in geometry.iterfind(".//{*}float_array"):  # of which three numbers less are a vertex less
             if len((array.text or "").split()) != int(array.attrib["count"]):
                 raise InputError(f"the array {array.get('id')!r} does not hold {array.get('count')} values; {CUT}")
         geometries[geometry.get("id", "")] = sum(map(_of_primitives, geometry.iter()))
-    nodes = {node.get("id", ""): node for node in _all(root, "node")}
-
-    def of_node(node: ET.Element) -> int:
-        count = 0
-        for part in node:
-            target = part.get("url", "").removeprefix("#")
-            match _name(part):
-                case "node":
-                    count += of_node(part)
-                case "instance_node":
-                    count += of_node(nodes[target])
-                case "instance_geometry":
-                    count += geometries[target]
-                case "instance_controller":
-                    raise InputError("has a mesh that a controller moves, which is not read; export it without")
-        return count
-
-    urls = {each.get("url", "").removeprefix("#") for each in _all(root, "instance_visual_scene")}
-    scenes = [scene for scene in _all(root, "visual_scene") if scene.get("id") in urls]
-    return sum(of_node(node) for scene in scenes for node in scene if _name(node) == "node")
+    if root.find(".//{*}instance_controller") is not None:
+        raise InputError("has a mesh that a controller moves, which is not read; export it without")
+    instances = root.iterfind(".//{*}instance_geometry")  # a node that is used again has more
+    return sum(geometries[instance.get("url", "").removeprefix("#")] for instance in instances)
 
 
 def _of_primitives(element: ET.Element) -> int:
-    kind, count = _name(element), int(element.get("count", "0"))
-    words = {name: [(part.text or "").split() for part in element if _name(part) == name] for name in ("vcount", "p")}
+    kind, count = element.tag.rpartition("}")[2], int(element.get("count", "0"))
     stride = 1 + max((int(part.get("offset", "0")) for part in element), default=0)
     match kind:
         case "triangles":
             return count
         case "polylist":
-            corners = [int(word) for words in words["vcount"] for word in words]
+            corners = [int(word) for part in element.iterfind("{*}vcount") for word in (part.text or "").split()]
         case "polygons":
-            corners = [len(numbers) // stride for numbers in words["p"]]
+            corners = [len((part.text or "").split()) // stride for part in element.iterfind("{*}p")]
         case "trifans" | "tristrips":
             raise InputError(f"holds {kind}, which are not read; export triangles")
         case _:
@@ -123,31 +103,8 @@ def _of_primitives(element: ET.Element) -> int:
     return sum(corners) - 2 * count
 
 
-def _of_3mf(files: Mapping[str, bytes]) -> int:
-    roots = [data for name, data in files.items() if "3d/3dmodel.model" in name.lower()]
-    if not roots:
-        raise InputError(f"holds no 3D/3dmodel.model; {CUT}")
-    root = ET.fromstring(roots[0])
-
-    def of_object(model: ET.Element, number: str) -> int:
-        (found,) = (each for each in _all(model, "object") if each.get("id") == number)
-        triangles = sum(1 for _ in _all(found, "triangle"))
-        return triangles + sum(of_component(model, each) for each in _all(found, "component"))
-
-    def of_component(model: ET.Element, part: ET.Element) -> int:
-        path = next((value.strip("/") for key, value in part.items() if _name_of(key) == "path"), None)
-        return of_object(model if path is None else ET.fromstring(files[path]), part.attrib["objectid"])
-
-    return sum(of_component(root, item) for item in _all(root, "item"))
-
-
-def _all(root: ET.Element, name: str) -> list[ET.Element]:
-    return [element for element in root.iter() if _name(element) == name]
-
-
-def _name(element: ET.Element) -> str:
-    return _name_of(str(element.tag))
-
-
-def _name_of(tag: str) -> str:
-    return tag.rpartition("}")[2]
+def _of_3mf(data: bytes) -> int:
+    """The triangles of all objects in all models of the archive."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        models = [archive.read(name) for name in archive.namelist() if name.lower().endswith(".model")]
+    return sum(1 for model in models for _ in ET.fromstring(model).iterfind(".//{*}triangle"))

@@ -19,8 +19,8 @@ def natural_key(name: str) -> list[tuple[int, int, str]]:
 def pattern_of(path: Path) -> str:
     """The name of a file with its last number replaced by ``#``, the name itself if there is none."""
     stem, suffix = path.stem, path.suffix
-    found = list(_NUMBER.finditer(stem))
-    return f"{stem[: found[-1].start()]}#{stem[found[-1].end() :]}{suffix}" if found else f"{stem}{suffix}"
+    numbers = list(_NUMBER.finditer(stem))
+    return f"{stem[: numbers[-1].start()]}#{stem[numbers[-1].end() :]}{suffix}" if numbers else f"{stem}{suffix}"
 
 
 def series_name(paths: Sequence[Path]) -> str:
@@ -30,12 +30,6 @@ def series_name(paths: Sequence[Path]) -> str:
         return paths[0].name
     name = shared.partition("#")[0].strip("_-. ")
     return name or paths[0].absolute().parent.name or paths[0].name
-
-
-def are_swapped(start: Path, end: Path) -> bool:
-    """Whether the numbers in the names of two frames say that the second comes before the first."""
-    is_numbered = pattern_of(start) == pattern_of(end) and "#" in pattern_of(start)
-    return is_numbered and _last_number(start) > _last_number(end)
 
 
 def grouped_frames(paths: Sequence[Path]) -> list[list[Path]]:

@@ -27,13 +27,13 @@ def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     if len(stated) not in (2, 3) or not all(word.isdigit() and len(word) < 19 for word in stated):
         raise InputError(f"lacks the line that counts vertices, faces and edges; {CUT}")
     num_vertices, num_faces = int(stated[0]), int(stated[1])
-    found = len(rows) - at
-    if found < num_vertices + num_faces:
+    count = len(rows) - at
+    if count < num_vertices + num_faces:
         raise InputError(
-            f"holds {min(found, num_vertices)} vertices and {max(found - num_vertices, 0)} faces, and says that it has "
+            f"holds {min(count, num_vertices)} vertices and {max(count - num_vertices, 0)} faces, and says that it has "
             f"{num_vertices} and {num_faces}; {CUT}"
         )
-    if found > num_vertices + num_faces:
+    if count > num_vertices + num_faces:
         raise InputError(f"line {rows.lines[at + num_vertices + num_faces]} is one more than its counts say; {CUT}")
     points, faces = rows.part(at, at + num_vertices), rows.part(at + num_vertices)
     length = max(int(points.counts[0]), 3) if len(points) else 3

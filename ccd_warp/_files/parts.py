@@ -1,91 +1,68 @@
-"""The parts of one mesh file, each a body of its own: groups of cells, or what hangs together."""
+"""The bodies of one mesh file: its objects, groups and nodes, or what hangs together in them."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._files.cells import Grid
-from ccd_warp._scene.input.arguments import shown
-from ccd_warp._scene.input.messages import InputError, warn
+from ccd_warp._files.content import Mesh
 
-_MOST_NAMES = 3  # of the groups of a part, in its name
-# Whether files are split by connected component, or the name of the field of cells by which.
-Split = bool | str
+_MOST_NAMES = 3  # of the groups of a body, in its name
 
 
-class Parts(NamedTuple):
-    """The parts of a file, or of a body in it.
+def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: bool) -> tuple[list[str], np.ndarray]:
+    """The names of the parts of a mesh, and to which of them each vertex belongs.
 
-    Attributes:
-        of_vertex: The part of each vertex, -1 for one of no cell, shape [n].
-        names: What each part is called.
-        is_suffix: Whether the name of the body comes before that.
-    """
-
-    of_vertex: np.ndarray
-    names: list[str]
-    is_suffix: bool = False
-
-
-def check_split(split: Any) -> Split:
-    """True, False or the name of a field, or a ValueError."""
-    if not isinstance(split, (bool, np.bool_, str)) or split == "":
-        raise ValueError(f"split is {shown(split)}; expected True, False or the name of a field of cells")
-    return split if isinstance(split, str) else bool(split)
-
-
-def components(cells: Sequence[np.ndarray], num_vertices: int) -> Parts:
-    """What hangs together, in the order of the cells, with the names #0, #1 and so on behind that of the body.
+    Objects, groups and nodes that share a vertex are one part, called by their names; a part that is alone has the name
+    of the file. A vertex of no face belongs to the part of the vertex before it.
 
     Args:
-        cells: Vertices of the cells, shape [m, k] for each of some types.
-        num_vertices: Number of vertices.
+        mesh: The mesh.
+        faces: Its faces, of vertices of which those that are one are merged.
+        count: Number of these vertices.
+        name: Name of the file.
+        split: Whether parts are divided into their connected components, with ``#0``, ``#1`` and so on behind the name.
     """
-    part, of_vertex = _numbered(cells, num_vertices)
-    return Parts(of_vertex, [f"#{k}" for k in range(int(part.max(initial=-1)) + 1)], is_suffix=True)
+    names, part = [name], np.zeros(count, dtype=np.int64)
+    if mesh.face_name is not None:
+        names, part = _groups(mesh.names, mesh.face_name, faces, count)
+        names = [part_name or name for part_name in names] if len(names) > 1 else [name]
+    if split:
+        names, part = _components(names, part, faces if mesh.cells is None else mesh.cells, count)
+    if len(names) == 1:
+        return names, np.zeros(count, dtype=np.int64)
+    last = np.maximum.accumulate(np.where(part >= 0, np.arange(count), -1))
+    return names, part[np.where(last >= 0, last, faces.min())]
 
 
-def groups(names: Sequence[str], group: np.ndarray, cells: Sequence[np.ndarray], num_vertices: int) -> Parts:
-    """Groups of cells, of which ``group`` has the index of each; those that share a vertex are one part."""
-    part, of_vertex = _numbered(cells, num_vertices, group)
-    found: list[list[str]] = [[] for _ in range(int(part.max(initial=-1)) + 1)]
-    for number, first in zip(*(each.tolist() for each in np.unique(group, return_index=True)), strict=True):
-        found[part[first]].append(names[number])
-    return Parts(of_vertex, [_joined(each) for each in found])
+def _groups(names: Sequence[str], group: np.ndarray, faces: np.ndarray, count: int) -> tuple[list[str], np.ndarray]:
+    """The parts that groups of faces make, by their first group; ``group`` has the index of that of each face."""
+    links = np.concatenate([_pairs(faces), np.stack([faces[:, 0], count + group], axis=1)])
+    root = _roots(count + len(names), links)
+    used, first = np.unique(group, return_index=True)
+    roots, by_group = np.unique(root[faces[first, 0]], return_inverse=True)
+    order = np.argsort(np.unique(by_group, return_index=True)[1])
+    number = np.full(len(root), -1)
+    number[roots[order]] = np.arange(len(order))
+    names_of_parts: list[list[str]] = [[] for _ in order]
+    for k, part in zip(used.tolist(), number[root[faces[first, 0]]].tolist(), strict=True):
+        names_of_parts[part].append(names[k])
+    return [_joined(part_names) for part_names in names_of_parts], number[root[:count]]
 
 
-def groups_of_field(field: str, values: np.ndarray, cells: Sequence[np.ndarray], num_vertices: int) -> Parts:
-    """The cells of each value of a field as a group, called by both, or by a value that is a text.
-
-    Raises:
-        InputError: If there is no number or text for each cell.
-    """
-    values, count = np.asarray(values), sum(map(len, cells))
-    is_text = values.dtype.kind == "U"
-    if values.shape != (count,) or not (is_text or (values.dtype.kind in "biuf" and np.isfinite(values).all())):
-        raise InputError(
-            f"the field {field!r} is {values.dtype} of shape {values.shape}; expected a finite number for each of the "
-            f"{count} cells"
-        )
-    distinct, group = np.unique(values, return_inverse=True)
-    style = {"U": "{value}", "f": "{field} {value:.15g}"}.get(values.dtype.kind, "{field} {value}")
-    names = [style.format(field=field, value=value) for value in distinct.tolist()]
-    parts = groups(names, group.reshape(-1), cells, num_vertices)
-    if len(parts.names) == 1 < len(names):
-        warn(f"the cells of all {len(names)} values of the field {field!r} hang together by shared vertices; one body")
-    return parts
-
-
-def parts_of(grid: Grid, split: Split, *, needs_field: bool) -> Parts | None:
-    """The parts into which the cells are to be split; None where they are not."""
-    cells = [corners for _, corners in grid.blocks]
-    if isinstance(split, str) and split in grid.cell_fields:
-        return groups_of_field(split, grid.cell_fields[split](), cells, len(grid.points))
-    if isinstance(split, str) and needs_field:
-        found = ", ".join(map(repr, grid.cell_fields)) or "none"
-        raise InputError(f"has no field {split!r} of its cells; expected one of them: {found}")
-    return components(cells, len(grid.points)) if split is True else None
+def _components(
+    names: Sequence[str], part: np.ndarray, cells: np.ndarray | Sequence[np.ndarray], count: int
+) -> tuple[list[str], np.ndarray]:
+    """The connected components of each part, in the order of its cells."""
+    blocks = [cells] if isinstance(cells, np.ndarray) else cells
+    root = _roots(count, np.concatenate([_pairs(block) for block in blocks]))
+    roots, first = np.unique(root[np.concatenate([block[:, 0] for block in blocks])], return_index=True)
+    order = np.lexsort((first, part[roots]))
+    number = np.full(count, -1)
+    number[roots[order]] = np.arange(len(order))
+    component_names: list[str] = []
+    for name, components in zip(names, np.bincount(part[roots], minlength=len(names)).tolist(), strict=True):
+        component_names += [f"{name}#{k}" for k in range(components)] if components > 1 else [name]
+    return component_names, number[root]
 
 
 def _joined(names: Sequence[str]) -> str:
@@ -97,26 +74,9 @@ def _joined(names: Sequence[str]) -> str:
     return " + ".join(shown) + (f" + {len(distinct) - len(shown)} more" if len(distinct) > len(shown) else "")
 
 
-def _numbered(
-    cells: Sequence[np.ndarray], num_vertices: int, group: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """The part of each cell and of each vertex, -1 where it has no cell; cells of one group are in one part.
-
-    Parts are numbered by the least group in them, without groups by their first cell.
-    """
-    first = np.concatenate([each[:, 0] for each in cells])
-    links = [np.stack([each[:, k], each[:, k + 1]], axis=1) for each in cells for k in range(each.shape[1] - 1)]
-    key = np.arange(len(first)) if group is None else group
-    if group is not None:
-        links.append(np.stack([first, num_vertices + group], axis=1))
-    count = num_vertices + (0 if group is None else int(group.max(initial=-1)) + 1)
-    root = _roots(count, np.concatenate(links))
-    least = np.full(count, len(first) + count)
-    np.minimum.at(least, root[first], key)
-    roots = np.unique(root[first])
-    number = np.full(count, -1)
-    number[roots[np.argsort(least[roots], kind="stable")]] = np.arange(len(roots))
-    return number[root[first]], number[root[:num_vertices]]
+def _pairs(cells: np.ndarray) -> np.ndarray:
+    """Vertices of a cell that follow one another, shape [n, 2]."""
+    return np.concatenate([cells[:, k : k + 2] for k in range(cells.shape[1] - 1)])
 
 
 def _roots(count: int, links: np.ndarray) -> np.ndarray:

@@ -1,5 +1,6 @@
-"""Read ASCII and binary PLY files: exactly as many elements as the header says."""
+"""Read ASCII and binary PLY files, exactly as many elements as the header says, and write them in double precision."""
 
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +36,9 @@ class _Element(NamedTuple):
             raise InputError("the header gives its faces no list vertex_indices of integers; export the file again")
         return names[0]
 
-    def refuse_count(self, found: int) -> None:
+    def refuse_count(self, count: int) -> None:
         """Refuse a file that ends within the element."""
-        raise InputError(f"holds {found} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
+        raise InputError(f"holds {count} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
 
 
 def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +102,7 @@ def _header(data: bytes) -> tuple[str, list[_Element], int, int]:
             case [b"format", kind, b"1.0"] if kind in _FORMATS and order is None:
                 order = _FORMATS[kind]
             case [b"element", kind, count] if count.isdigit() and len(count) < 19:
-                if kind.decode("latin-1") in [each.name for each in elements]:
+                if kind.decode("latin-1") in [other.name for other in elements]:
                     raise InputError(f"line {number} states the element {shown(kind)} a second time; {CUT}")
                 elements.append(_Element(kind.decode("latin-1"), int(count), {}, {}))
             case [b"property", kind, _] if kind in _TYPES and element and name not in element.types:
@@ -156,9 +157,9 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
         if length < 0 or start + size > len(data):
             element.refuse_count(0)
         fields.append((name, order + kind, (length,)))
-    found = min(element.num_rows, (len(data) - start) // max(size, 1))
-    rows = np.frombuffer(data, np.dtype(fields), found, start)
-    columns = {name: (rows[name].reshape(-1), np.full(found, rows[name].shape[1])) for name in element.types}
+    num_read = min(element.num_rows, (len(data) - start) // max(size, 1))
+    rows = np.frombuffer(data, np.dtype(fields), num_read, start)
+    columns = {name: (rows[name].reshape(-1), np.full(num_read, rows[name].shape[1])) for name in element.types}
     for name in element.count_types:
         lengths = rows[f"length of {name}"]
         if (lengths != lengths[:1]).any():
@@ -166,6 +167,19 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
                 f"the lists of {element.name} differ in length, {lengths[0]} and {lengths[lengths != lengths[0]][0]}, "
                 "which is read in ASCII alone; save triangles, or copy the file again if it was cut"
             )
-    if found < element.num_rows:
-        element.refuse_count(found)
+    if num_read < element.num_rows:
+        element.refuse_count(num_read)
     return columns, start + size * element.num_rows
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:
+    """Write a binary PLY file in double precision (trimesh writes single)."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\n"
+        f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
+        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("indices", "<i4", 3)])
+    rows["count"] = 3
+    rows["indices"] = faces
+    path.write_bytes(header.encode() + np.ascontiguousarray(vertices, dtype="<f8").tobytes() + rows.tobytes())

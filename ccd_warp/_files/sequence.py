@@ -1,7 +1,7 @@
-"""A sequence of frames read from files, frame by frame, and its steps."""
+"""Frames of moving bodies read from files: both ends of a step, or a sequence, frame by frame."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, overload
@@ -9,17 +9,46 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._files.archive import MAX_BYTES
-from ccd_warp._files.frames import Body, body_between, warn_of_step
-from ccd_warp._files.mesh import Mesh
-from ccd_warp._files.mesh_frames import Frames, checked_static, mesh_of, read_frames, static_bodies
-from ccd_warp._files.parts import Parts, check_split
-from ccd_warp._files.series import Series, find_series
+from ccd_warp._files.bodies import Body, FileBodies, mesh_of, static_bodies
+from ccd_warp._files.series import FileSeries, Series, find_series
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arguments import check_count, check_flag, check_items, check_path, shown
-from ccd_warp._scene.input.messages import InputError, printable
+from ccd_warp._scene.input.arguments import check_flag, check_items, check_path, shown
+from ccd_warp._scene.input.cells import warn_of_midsides
+from ccd_warp._scene.input.messages import printable
 from ccd_warp._scene.mesh import CollisionMesh
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Frames:
+    """A step read from files.
+
+    Attributes:
+        mesh: The bodies, called by the names of their files, objects or nodes: first those that move, then the static
+            ones.
+        vertices_t0: Start positions, float64, in the files' length unit, shape [V, 3].
+        vertices_t1: End positions, shape [V, 3]; static bodies are where they were.
+        source_index: Index of each vertex in its file, the first one of merged vertices, int64, shape [V].
+        num_merged: Number of vertices of each body that were merged into others, int64, shape [B].
+    """
+
+    mesh: CollisionMesh
+    vertices_t0: NDArray[np.float64]
+    vertices_t1: NDArray[np.float64]
+    source_index: NDArray[np.int64]
+    num_merged: NDArray[np.int64]
+
+    @classmethod
+    def _of(
+        cls, mesh: CollisionMesh, bodies: Sequence[Body], start: NDArray[np.float64], end: NDArray[np.float64]
+    ) -> "Frames":
+        """The step of a mesh between two positions; ``bodies`` are those of the mesh."""
+        source_index = np.concatenate([body.source_index for body in bodies]).astype(np.int64)
+        return cls(mesh, start, end, source_index, np.array([body.num_merged for body in bodies], dtype=np.int64))
+
+    def __repr__(self) -> str:
+        merged = f", {self.num_merged.sum():,} vertices merged" if self.num_merged.any() else ""
+        return f"Frames({self.mesh!r}{merged})"
 
 
 class FrameSequence:
@@ -30,7 +59,8 @@ class FrameSequence:
     that follow one another are kept in memory, so an iteration reads every file once.
 
     Attributes:
-        mesh: The bodies in the first step: those that move, then the static ones.
+        mesh: The bodies: those that move, then the static ones. Vertices that a format splits are one where they are
+            in one place in the first frame, and frames in which they part are refused.
         labels: Name of each frame, that of its file or its number in it, as of the first body.
         times: Time of each frame as the files say it (.pvd, .xdmf), else its number, float64, shape [number of frames].
     """
@@ -41,23 +71,25 @@ class FrameSequence:
         static: list[Any],
         make_mesh: Callable[[list[Any]], CollisionMesh],
         *,
-        split: bool | str = False,
+        split: bool = False,
     ) -> None:
-        """Of the series of files that move, and obstacles; ``make_mesh`` joins the bodies of a step."""
+        """Of the series of files that move, and obstacles; ``make_mesh`` joins their bodies."""
         self._series: Sequence[Series] = series
-        self._name = ", ".join(each.name for each in series)
-        self._split, self._seen = split, set[int]()
-        self._parts: list[Parts | None] = []
-        self._static = static
-        self._make_mesh = make_mesh
-        self._read: dict[int, list[Mesh]] = {}
+        self._name = ", ".join(frames.name for frames in series)
         self.labels = [printable(label) for label in series[0].labels]
-        found = [each.times for each in series if each.times is not None]
-        self.times = np.array(found[0] if found else range(len(self.labels)), dtype=np.float64)
-        self._first_bodies = self._bodies(0)
-        for start, end in zip(*self._read.values(), strict=True):
-            warn_of_step(start, end)
-        self.mesh = make_mesh(self._first_bodies)
+        times = [frames.times for frames in series if frames.times is not None]
+        self.times = np.array(times[0] if times else range(len(self.labels)), dtype=np.float64)
+        self._files, ends = [], []
+        for frames in series:
+            first, second = frames.read(0), frames.read(1)
+            self._files.append(of := FileBodies(first, frames.name, split=split))
+            ends.append([of.positions(first), of.positions(second)])
+            label = f"cells of {first.path.name}"
+            warn_of_midsides(label, first.midsides, first.faces, first.vertices, second.vertices)
+        self._bodies = [*(body for file in self._files for body in file.bodies), *static]
+        self._static = [body.vertices for body in static]
+        self._read = {k: np.concatenate([*(of_file[k] for of_file in ends), *self._static]) for k in (0, 1)}
+        self.mesh = make_mesh(self._bodies)
 
     def __repr__(self) -> str:
         return f"FrameSequence({len(self)} frames of {self.mesh!r})"
@@ -74,18 +106,16 @@ class FrameSequence:
 
         Raises:
             IndexError: If there is no such frame.
-            ValueError: If a file is damaged, or its format splits vertices, and others are one than in the first step.
+            ValueError: If a file is damaged, or differs from the first in its topology.
         """
         if isinstance(k, slice):
             return [self[n] for n in range(len(self))[k]]
         number = range(len(self))[k]
-        step = self.step(max(number - 1, 0))
-        if step.mesh is not self.mesh:
-            raise InputError(
-                f"{self.labels[number]} has other vertices in common than the first frames; take each step with its "
-                "own mesh, by steps(), or save the frames in a format that says which vertices are one, such as PLY"
-            )
-        return step.vertices_t1 if number else step.vertices_t0
+        if number not in self._read:
+            self._read = {n: frame for n, frame in self._read.items() if abs(n - number) == 1}
+            moving = [of.positions(frames.read(number)) for of, frames in zip(self._files, self._series, strict=True)]
+            self._read[number] = np.concatenate([*moving, *self._static])
+        return self._read[number].copy()
 
     def __iter__(self) -> Iterator[NDArray[np.float64]]:
         return (self[k] for k in range(len(self)))
@@ -93,52 +123,75 @@ class FrameSequence:
     def step(self, k: int) -> Frames:
         """The step from frame ``k`` to the next.
 
-        Its mesh is that of the sequence, but where a format splits vertices, and other ones coincide in this step.
-
         Raises:
             IndexError: If there is no such step.
             ValueError: If a file is damaged, or its topology differs.
         """
         number = range(len(self) - 1)[k]
-        bodies = self._bodies(number)
-        frames = Frames._of(self._mesh_of(bodies), bodies)
-        if number not in self._seen:
-            self._seen.add(number)
-            frames._warn()
-        return frames
+        return Frames._of(self.mesh, self._bodies, self[number], self[number + 1])
 
     def steps(self) -> Iterator[Frames]:
         """All steps, one after the other."""
         return map(self.step, range(len(self) - 1))
 
-    def _bodies(self, k: int) -> list[Body]:
-        """The bodies in the step from frame ``k`` to the next; what both have in common is kept."""
-        self._read = {n: self._read.get(n) or [each.read(n) for each in self._series] for n in (k, k + 1)}
-        starts, ends = self._read.values()
-        if k == 0:
-            self._parts = [start.parts for start in starts]
-        moving = [
-            body
-            for each, parts, start, end in zip(self._series, self._parts, starts, ends, strict=True)
-            for body in replace(body_between(start, end), name=each.name, parts=parts).split(self._split)
-        ]
-        return moving + self._static
+    def _step(self, k: int) -> tuple[Frames, None]:
+        """A step, and that no body turns in it, as of a `PoseSequence`."""
+        return self.step(k), None
 
-    def _motion(self, k: int) -> None:
-        """How bodies turn in the step: vertices move straight from frame to frame."""
 
-    def _mesh_of(self, bodies: list[Body]) -> CollisionMesh:
-        """The mesh of these bodies: that of the first step, unless vertices are merged in another way."""
-        same = len(bodies) == len(self._first_bodies) and all(
-            len(a.vertices_t0) == len(b.vertices_t0) and np.array_equal(a.faces, b.faces)
-            for a, b in zip(bodies, self._first_bodies, strict=False)
-        )
-        if not same and self.mesh.exclude_pairs.keys() - {"bodies"}:
-            raise InputError(
-                "pairs of vertices or primitives are left out, which need the same numbers in each frame; save the "
-                "frames in a format that says which vertices are one, such as PLY"
-            )
-        return self.mesh if same else self._make_mesh(bodies)
+def read_frames(
+    start_path: str | Path,
+    end_path: str | Path,
+    *,
+    static: Iterable[str | Path | HalfSpace] = (),
+    kinematic: Iterable[int | str] = (),
+    self_collision: bool | Sequence[bool] = True,
+    surface: bool = False,
+    split: bool = False,
+) -> Frames:
+    """Read both ends of a step from mesh files, in full precision, completely or not at all.
+
+    The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF and DAE where trimesh has what it needs for them), VTU, legacy
+    VTK and XDMF (with the extra ``formats``). Numbers are double precision where the format holds it. The corners of an
+    STL file, and the copies of a vertex that GLB and DAE make at a seam, are merged by their positions in
+    ``start_path``, which ``end_path`` must agree with.
+
+    Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
+    share a vertex are one. A file that holds one body gives it its own name.
+
+    Args:
+        start_path: Mesh file of the start positions.
+        end_path: Mesh file of the end positions, with the same faces in the same order.
+        static: Mesh files of bodies that do not move, or half-spaces.
+        kinematic: Indices or names of the bodies that move as they are told, as of
+            :meth:`ccd_warp.CollisionMesh.from_arrays`.
+        self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
+        surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
+            :func:`ccd_warp.read_sequence`.
+        split: Whether a file, or a body in it, is divided into its connected components, bodies called ``NAME#0``,
+            ``NAME#1`` and so on.
+
+    Returns:
+        The mesh and its positions at both ends, as all functions on meshes take them.
+
+    Raises:
+        ValueError: If a file is missing, damaged, cut short or not finite, the two frames differ in topology, or
+            another argument is not as described.
+
+    Guarantee: every coordinate is the number in the file, rounded to nearest where the file holds decimals.
+    """
+    files = [check_path("start_path", start_path), check_path("end_path", end_path)]
+    how: dict[str, Any] = {"surface": check_flag("surface", surface)}
+    bodies = static_bodies(checked_static(static), split=check_flag("split", split), **how)
+    make_mesh = partial(mesh_of, kinematic=kinematic, self_collision=self_collision)
+    sequence = FrameSequence([FileSeries(files[0].name, files, **how)], bodies, make_mesh, split=bool(split))
+    return sequence.step(0)
+
+
+def checked_static(static: Any) -> list[Path | HalfSpace]:
+    """Paths of mesh files and half-spaces, or a ValueError."""
+    items = check_items("static", static, "a list of paths and half-spaces")
+    return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]
 
 
 @text_completed_by(read_frames)
@@ -149,20 +202,16 @@ def read_sequence(
     kinematic: Iterable[int | str] = (),
     self_collision: bool | Sequence[bool] = True,
     displacement: str | None = None,
-    faces: str | Path | None = None,
     surface: bool = False,
-    split: bool | str = False,
-    max_bytes: int = MAX_BYTES,
+    split: bool = False,
 ) -> FrameSequence:
     """Find the frames of a simulation in its files, as ``ccd-warp sequence`` does; each is read when it is asked for.
 
     Args:
         paths: A folder of mesh files, in the order of the numbers in their names; a collection of ParaView (.pvd), in
-            the order of its times; a temporal collection (.xdmf); or an archive (.npz) of ``positions``, shape
-            [frames, n, 3], and ``faces``, shape [m, 3]. Or a list of these, a body each, or of mesh files, where files
-            whose names differ in more than their last number are bodies of their own.
+            the order of its times; or a temporal collection (.xdmf). Or a list of these, a body each, or of mesh files,
+            where files whose names differ in more than their last number are bodies of their own.
         displacement: Name of the field at the points of VTK and XDMF files that is added to their positions.
-        faces: Mesh file whose faces a .npz takes that holds positions alone.
         surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
             :meth:`ccd_warp.CollisionMesh.from_volume`: positions of all nodes, of which those inside collide with
             nothing. Otherwise they are refused.
@@ -174,20 +223,14 @@ def read_sequence(
         ValueError: If a path is missing, damaged or not known, there are fewer than two frames, bodies differ in their
             number of frames or their times, or another argument is not as described.
     """
-    given = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
-    if not given:
+    items = [paths] if isinstance(paths, (str, Path)) else check_items("paths", paths, "a path, or a list of paths")
+    if not items:
         raise ValueError("paths is empty; expected a path, or a list of paths")
     if displacement is not None and not isinstance(displacement, str):
         raise ValueError(f"displacement is {shown(displacement)}; expected the name of a field")
-    how: dict[str, Any] = {"max_bytes": check_count("max_bytes", max_bytes, 2**63 - 1)}
-    how |= {"surface": check_flag("surface", surface), "split": check_split(split)}
-    chosen = check_items("kinematic", kinematic, "a list of body indices")
-    series = find_series(
-        [check_path("paths", path) for path in given],
-        displacement=displacement,
-        faces=None if faces is None else check_path("faces", faces),
-        **how,
-    )
-    bodies = static_bodies(checked_static(static), **how)
-    make_mesh = partial(mesh_of, kinematic=chosen, self_collision=self_collision)
-    return FrameSequence(series, bodies, make_mesh, split=how["split"])
+    how: dict[str, Any] = {"surface": check_flag("surface", surface)}
+    series = find_series([check_path("paths", path) for path in items], displacement=displacement, **how)
+    bodies = static_bodies(checked_static(static), split=check_flag("split", split), **how)
+    kinematic_bodies = check_items("kinematic", kinematic, "a list of body indices")
+    make_mesh = partial(mesh_of, kinematic=kinematic_bodies, self_collision=self_collision)
+    return FrameSequence(series, bodies, make_mesh, split=bool(split))

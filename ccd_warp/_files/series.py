@@ -1,4 +1,4 @@
-"""Sequences of frames of moving bodies: mesh files in natural order, archives of positions, series of VTK and XDMF."""
+"""Sequences of frames of moving bodies: mesh files in natural order, series of VTK and XDMF."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
@@ -6,108 +6,54 @@ from pathlib import Path
 from typing import Any
 
 from ccd_warp._files.cells import reading
-from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, XDMF_SUFFIXES, Mesh, Reading, mesh_of_grid, read_mesh
+from ccd_warp._files.content import Mesh
+from ccd_warp._files.mesh import CELL_SUFFIXES, MESH_SUFFIXES, XDMF_SUFFIXES, read_mesh
 from ccd_warp._files.natural import grouped_frames, natural_key, series_name
-from ccd_warp._files.npz import NpzSeries
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._scene.input.messages import InputError
 
-_ADVICE = "give mesh files, a folder of them, a .npz of positions, a .pvd or an .xdmf"
+_ADVICE = "give mesh files, a folder of them, a .pvd or an .xdmf"
 
 
 class FileSeries:
-    """A mesh file for each frame."""
+    """A mesh file for each frame; ``options`` are those of :func:`read_mesh`."""
 
-    def __init__(self, name: str, files: list[Path], how: Reading, times: list[float] | None = None) -> None:
-        self.name, self.files, self.how, self.times = name, files, how, times
+    def __init__(self, name: str, files: list[Path], times: list[float] | None = None, **options: Any) -> None:
+        self.name, self.files, self.times, self.options = name, files, times, options
         self.labels = [path.name for path in files]
 
     def read(self, k: int) -> Mesh:
         """The mesh of file ``k``."""
-        return read_mesh(self.files[k], of_frame(self.how, k))
-
-
-class XdmfSeries:
-    """The frames of a temporal collection of XDMF; each has a geometry of its own, or displacements of the first."""
-
-    def __init__(self, xdmf: Xdmf, how: Reading) -> None:
-        """Refuse a collection in which nothing moves."""
-        self.xdmf, self.how, self.name = xdmf, how, xdmf.path.name
-        self.labels = [f"{self.name}[{k}]" for k in range(len(xdmf.frames))]
-        times = [time.get("Value", "") for grid in xdmf.frames for time in grid.findall("Time")]
-        with reading(xdmf.path):
-            self.times = [float(time) for time in times] if len(times) == len(xdmf.frames) else None
-        if how.displacement is None and not all(xdmf.has_points(k) for k in range(1, len(xdmf.frames))):
-            names = ", ".join(map(repr, xdmf.fields(0, "Node"))) or "no field at the points"
-            raise InputError(
-                f"{xdmf.path}: all its frames have the same geometry; expected --displacement NAME with the field that "
-                f"moves it, and found {names}"
-            )
-
-    def read(self, k: int) -> Mesh:
-        """Frame ``k``."""
-        path, how = self.xdmf.path.with_name(self.labels[k]), of_frame(self.how, k)
-        with reading(path):
-            return mesh_of_grid(path, self.xdmf.grid(k, (how.displacement, how.split)), how)
-
-
-def of_frame(how: Reading, k: int) -> Reading:
-    """How frame ``k`` is read: the first one has the parts."""
-    return how if k == 0 else how._replace(split=False)
+        return read_mesh(self.files[k], **self.options)
 
 
 # The frames of one file or of several, which move together: what to call them, the name of each, their times where the
 # files say these, and each frame, read completely or not at all.
-Series = FileSeries | XdmfSeries | NpzSeries
+Series = FileSeries | Xdmf
 
 
-def find_series(paths: Sequence[Path], *, faces: Path | None = None, **options: Any) -> list[Series]:
+def find_series(paths: Sequence[Path], **options: Any) -> list[Series]:
     """The frames that files and folders hold, one series for each that moves.
 
     Args:
         paths: Mesh files, which are grouped by their names as in :func:`grouped_frames`; folders, each as if its files
-            had been given; and files of all frames: ``.npz``, ``.pvd``, ``.xdmf``.
-        faces: Mesh file whose faces a ``.npz`` without faces takes.
-        options: As of :class:`Reading`.
+            had been given; and files of all frames: ``.pvd``, ``.xdmf``.
+        options: As of :func:`read_mesh`.
 
     Raises:
         InputError: If a path is missing or not known, or they differ in the number of frames, or hold fewer than two.
     """
-    how = Reading(**options)
-    frames: list[Path] = []
-    series: list[Series] = []
-
-    def add(path: Path) -> None:
-        suffix = path.suffix.lower()
-        if suffix == ".npz":
-            series.append(NpzSeries(path, how, faces))
-        elif suffix == ".pvd":
-            series.extend(_pvd_series(path, how))
-        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf.open(path, how.max_bytes)).is_series:
-            series.append(XdmfSeries(xdmf, how))
-        else:
-            frames.append(path)
-
-    def add_frames() -> None:
-        for group in grouped_frames(frames) if frames else ():
-            series.append(FileSeries(series_name(group), group, how))
-        frames.clear()
-
+    groups: list[list[Path]] = [[]]
     for path in paths:
         if path.is_dir():
-            add_frames()
-            for each in _files_of(path):
-                add(each)
-            add_frames()
+            groups += [_files_of(path), []]
         elif path.exists():
-            add(path)
+            groups[-1].append(path)
         else:
             raise InputError(f"{path}: no such file or folder; {_ADVICE}")
-    add_frames()
-    if not series:
-        raise InputError(f"no frames are given; {_ADVICE}")
-    first, times = series[0], [each.times for each in series if each.times is not None]
+    series = [frames for files in groups for frames in _series_of(files, **options)]
+    first, times = series[0], [frames.times for frames in series if frames.times is not None]
     for other in series:
         if len(other.labels) != len(first.labels):
             raise InputError(
@@ -121,15 +67,31 @@ def find_series(paths: Sequence[Path], *, faces: Path | None = None, **options: 
     return series
 
 
+def _series_of(files: list[Path], **options: Any) -> list[Series]:
+    """The series of files of all frames, then those of files of one frame."""
+    frames: list[Path] = []
+    series: list[Series] = []
+    for path in files:
+        suffix = path.suffix.lower()
+        if suffix == ".pvd":
+            series += _pvd_series(path, **options)
+        elif suffix in XDMF_SUFFIXES and (xdmf := Xdmf(path, **options)).is_series:
+            series.append(xdmf)
+        else:
+            frames.append(path)
+    groups = grouped_frames(frames) if frames else []
+    return series + [FileSeries(series_name(group), group, **options) for group in groups]
+
+
 def _files_of(folder: Path) -> list[Path]:
     """The frames in a folder, or the files of all frames, in natural order; other files are passed over."""
-    known = [
+    paths = [
         path
         for path in sorted(folder.iterdir(), key=lambda path: natural_key(path.name))
         if not path.is_dir() and not path.name.startswith(".")
     ]
-    series = [path for path in known if path.suffix.lower() in (".npz", ".pvd")]
-    frames = [path for path in known if path.suffix.lower() in (*MESH_SUFFIXES, *CELL_SUFFIXES)]
+    series = [path for path in paths if path.suffix.lower() == ".pvd"]
+    frames = [path for path in paths if path.suffix.lower() in (*MESH_SUFFIXES, *CELL_SUFFIXES)]
     if series and frames:
         raise InputError(f"{folder}: holds {frames[0].name} as well as {series[0].name}; give what you mean by name")
     if not series and not frames:
@@ -137,11 +99,11 @@ def _files_of(folder: Path) -> list[Path]:
     return series or frames
 
 
-def _pvd_series(path: Path, how: Reading) -> list[Series]:
+def _pvd_series(path: Path, **options: Any) -> list[Series]:
     """The series of a collection of ParaView: a body for each part, with a file for each time."""
     parts: dict[tuple[str, str], list[tuple[float, Path]]] = {}
     with reading(path):
-        root = ET.fromstring(read_file(path, how.max_bytes))
+        root = ET.fromstring(read_file(path))
         for entry in root.iter("DataSet"):
             part = (entry.get("group", ""), entry.get("part", "0"))
             place = path.parent / entry.attrib["file"]
@@ -152,5 +114,5 @@ def _pvd_series(path: Path, how: Reading) -> list[Series]:
     for entries in parts.values():
         entries.sort(key=lambda entry: entry[0])
         times, files = [time for time, _ in entries], [file for _, file in entries]
-        series.append(FileSeries(path.name if len(parts) == 1 else series_name(files), files, how, times))
+        series.append(FileSeries(path.name if len(parts) == 1 else series_name(files), files, times, **options))
     return series

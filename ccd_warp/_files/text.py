@@ -70,7 +70,7 @@ class Rows:
         """Refuse the first row that is bad, in words into which its values are put."""
         if is_bad.any():
             k = int(np.argmax(is_bad))
-            raise InputError(f"line {self.lines[k]} {says.format(*(each[k] for each in values))}: {CUT}")
+            raise InputError(f"line {self.lines[k]} {says.format(*(column[k] for column in values))}: {CUT}")
 
 
 def text_rows(text: bytes, first_line: int = 1) -> Rows:

@@ -3,7 +3,6 @@
 import base64
 import re
 import zlib
-from collections.abc import Callable
 from functools import partial
 from itertools import pairwise
 from xml.etree import ElementTree as ET
@@ -11,7 +10,6 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ccd_warp._files.cells import Blocks, Grid
-from ccd_warp._files.opened import check_size
 from ccd_warp._files.text import CUT, all_numbers
 from ccd_warp._scene.input.messages import InputError
 
@@ -24,14 +22,13 @@ _CELLS = {
     **{24: ("tetra10", 10), 25: ("hexahedron20", 20)},
 }
 _ATTRIBUTES = {"type", "version", "byte_order", "header_type", "compressor"}
-_Fields = dict[str, Callable[[], np.ndarray]]
 
 
-def read_vtu(data: bytes, max_bytes: int) -> Grid:
+def read_vtu(data: bytes) -> Grid:
     """Points, cells and fields of a VTU file; the arrays lie in text, in base64, or as they are behind the XML.
 
     Raises:
-        InputError: If an array is damaged, or has another length than stated, or takes more than the limit.
+        InputError: If an array is damaged, or has another length than stated.
     """
     appended = re.search(rb"<AppendedData[^>]*>", data)
     body = b""
@@ -43,30 +40,13 @@ def read_vtu(data: bytes, max_bytes: int) -> Grid:
     root = ET.fromstring(data)
     if root.tag != "VTKFile" or root.get("type") != "UnstructuredGrid" or set(root.keys()) - _ATTRIBUTES:
         raise InputError(f"is no VTKFile of the type UnstructuredGrid with {', '.join(sorted(_ATTRIBUTES))} alone")
-    arrays = _Arrays(root, body[1:], max_bytes)
-    points, blocks, first = [np.zeros((0, 3))], [], 0
-    fields: dict[str, list[_Fields]] = {"PointData": [], "CellData": []}
-    for piece in _one(root, "UnstructuredGrid").findall("Piece"):
-        num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
-        points.append(arrays.read(_one(_one(piece, "Points"), "DataArray"), "f", num_points, 3))
-        for name, cells in _blocks(arrays, _one(piece, "Cells"), num_cells):
-            if cells.min(initial=0) < 0 or cells.max(initial=-1) >= num_points:
-                raise InputError(f"has a cell of a vertex that its piece of {num_points} vertices lacks; {CUT}")
-            blocks.append((name, cells + first))
-        for tag, count in (("PointData", num_points), ("CellData", num_cells)):
-            found = [array for parent in piece.findall(tag) for array in parent]
-            fields[tag].append({each.get("Name", ""): partial(arrays.read, each, "fiu", count) for each in found})
-        first += num_points
-    return Grid(np.concatenate(points), blocks, _of_all(fields["PointData"]), _of_all(fields["CellData"]))
-
-
-def _of_all(pieces: list[_Fields]) -> _Fields:
-    """The fields that all pieces have."""
-
-    def joined(name: str) -> np.ndarray:
-        return np.concatenate([piece[name]() for piece in pieces])
-
-    return {name: partial(joined, name) for name in (pieces or [{}])[0] if all(name in piece for piece in pieces)}
+    arrays = _Arrays(root, body[1:])
+    piece = _one(_one(root, "UnstructuredGrid"), "Piece")
+    num_points, num_cells = int(piece.attrib["NumberOfPoints"]), int(piece.attrib["NumberOfCells"])
+    points = arrays.read(_one(_one(piece, "Points"), "DataArray"), "f", num_points, 3)
+    at_points = [array for parent in piece.findall("PointData") for array in parent]
+    fields = {array.get("Name", ""): partial(arrays.read, array, "fiu", num_points) for array in at_points}
+    return Grid(points, _blocks(arrays, _one(piece, "Cells"), num_cells), fields)
 
 
 def _blocks(arrays: "_Arrays", parent: ET.Element, num_cells: int) -> Blocks:
@@ -95,21 +75,21 @@ def _blocks(arrays: "_Arrays", parent: ET.Element, num_cells: int) -> Blocks:
 
 
 def _one(parent: ET.Element, tag: str) -> ET.Element:
-    found = parent.findall(tag)
-    if len(found) != 1:
-        raise InputError(f"has {len(found)} {tag} in its {parent.tag}; expected one: {CUT}")
-    return found[0]
+    elements = parent.findall(tag)
+    if len(elements) != 1:
+        raise InputError(f"has {len(elements)} {tag} in its {parent.tag}; expected one: {CUT}")
+    return elements[0]
 
 
 class _Arrays:
     """Reads the arrays of a file."""
 
-    def __init__(self, root: ET.Element, appended: bytes, max_bytes: int) -> None:
+    def __init__(self, root: ET.Element, appended: bytes) -> None:
         self.order = {"LittleEndian": "<", "BigEndian": ">"}[root.get("byte_order", "LittleEndian")]
         self.header = np.dtype(self.order + {"UInt32": "u4", "UInt64": "u8"}[root.get("header_type", "UInt32")])
         self.compressor = root.get("compressor")
-        self.appended, self.max_bytes = appended, max_bytes
-        encodings = [each.get("encoding") for each in root.findall("AppendedData")]
+        self.appended = appended
+        encodings = [element.get("encoding") for element in root.findall("AppendedData")]
         self.is_raw = encodings == ["raw"]
         if encodings not in ([], ["raw"], ["base64"]):
             raise InputError(f"has appended data in the encodings {encodings}; expected one, raw or base64")
@@ -118,11 +98,16 @@ class _Arrays:
     def read(self, array: ET.Element, kinds: str, count: int, width: int | None = None) -> np.ndarray:
         """The values of an array of ``count`` tuples, of a type of these kinds; [count, width] unless it is flat."""
         name, dtype = array.get("Name"), np.dtype(self.order + _TYPES[array.attrib["type"]])
-        found = int(array.get("NumberOfComponents") or 1)
-        if array.tag != "DataArray" or dtype.kind not in kinds or found != (width or found) or found < 1 or count < 0:
-            raise InputError(f"its array {name!r} has {found} components of {dtype}; expected {width or 1}: {CUT}")
-        size, text = count * found * dtype.itemsize, (array.text or "").encode()
-        check_size(f"its array {name!r}", size, self.max_bytes)
+        components = int(array.get("NumberOfComponents") or 1)
+        if (
+            array.tag != "DataArray"
+            or dtype.kind not in kinds
+            or components != (width or components)
+            or components < 1
+            or count < 0
+        ):
+            raise InputError(f"its array {name!r} has {components} components of {dtype}; expected {width or 1}: {CUT}")
+        size, text = count * components * dtype.itemsize, (array.text or "").encode()
         match array.attrib["format"]:
             case "ascii":
                 values = all_numbers(text, float if dtype.kind == "f" else int)
@@ -132,15 +117,15 @@ class _Arrays:
                 values = np.frombuffer(self._unpacked(self._appended(int(array.attrib["offset"])), size), dtype)
             case how:
                 raise InputError(f"its array {name!r} has the format {how!r}; expected ascii, binary or appended")
-        if len(values) != count * found:
-            raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * found}: {CUT}")
-        return values if width is None and found == 1 else values.reshape(count, found)
+        if len(values) != count * components:
+            raise InputError(f"its array {name!r} holds {len(values)} numbers; expected {count * components}: {CUT}")
+        return values if width is None and components == 1 else values.reshape(count, components)
 
     def _appended(self, offset: int) -> bytes:
         """What lies between an offset and the next one."""
         if not 0 <= offset < len(self.appended):
             raise InputError(f"states the offset {offset} in {len(self.appended)} bytes of appended data; {CUT}")
-        end = min((each for each in self.offsets if each > offset), default=len(self.appended))
+        end = min((other for other in self.offsets if other > offset), default=len(self.appended))
         return self.appended[offset:end] if self.is_raw else _decoded(self.appended[offset:end])
 
     def _unpacked(self, data: bytes, size: int) -> bytes:

@@ -8,8 +8,9 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._engine.mesh.planes import planes_of
-from ccd_warp._gradients.given import Given
+from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
+from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.gradients import attained, regularity, toi_adjoint, toi_slope
@@ -45,7 +46,7 @@ class Attaining:
         """Arrays for as many contacts as a check may have."""
         self._check, self._has_radius = check, check.has_radius
         self._topology = check.step.topology
-        self._device, self._launch = self._topology.device, check.step.repeated.launch
+        self._device, self._launch = self._topology.device, check.memory.launch
         self._capacity = check.count if not check.is_read else _power_of_two(check.count)
         # a sort needs twice the size
         self._keys, self._listed = (self._empty(dtype, 2 * self._capacity) for dtype in (wp.int64, wp.int32))
@@ -66,7 +67,7 @@ class Attaining:
         """
         if not of_minima or check.count == 0:
             return None
-        unused: list[Attaining] = check.step.attaining
+        unused: list[Attaining] = check.memory.attaining
         try:
             attaining = unused.pop() if check.is_read else None
         except IndexError:
@@ -82,10 +83,10 @@ class Attaining:
 
     def release(self) -> None:
         """Let another backward pass have the arrays; nothing else may be asked of this one."""
-        step, is_read = self._check.step, self._check.is_read
+        memory, is_read = self._check.memory, self._check.is_read
         del self._check
-        if is_read and len(step.attaining) < _MOST_UNUSED:
-            step.attaining.append(self)
+        if is_read and len(memory.attaining) < _MOST_UNUSED:
+            memory.attaining.append(self)
 
     def _empty(self, dtype: Any, count: int | tuple[int, int]) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self._device)
@@ -124,7 +125,7 @@ class Attaining:
         if self.num_rows > 1:  # one pair has a vertex in one column
             num_bits = self._topology.mesh.num_vertices.bit_length()
             self._sort(self._column_vertex, self._columns, 4 * self.num_rows, num_bits)
-        inputs = [check.step.gradient_query, -1, self._pairs.table]
+        inputs = [check.memory.query, -1, self._pairs.table]
         self._launch(toi_slope.fill_slopes, self.num_rows, inputs, [self._slopes])
 
     def _list_for(self, of_minima: Mapping[str, wp.array]) -> Any:
@@ -175,21 +176,21 @@ class Attaining:
         """Let the contacts have other gradients of the same minima."""
         self._launch_of_minima(toi_adjoint.change_gradients, of_minima)
 
-    def add_rows(self, given: Given, gradients: tuple[wp.array | None, wp.array | None]) -> None:
+    def add_rows(self, caller_arrays: CallerArrays, gradients: tuple[wp.array | None, wp.array | None]) -> None:
         """Add what the contacts contribute to the gradients of the input."""
-        mesh, form = self._topology.mesh, given.form
+        mesh, form = self._topology.mesh, caller_arrays.form
         if form.real not in self._rows:
             self._rows[form.real] = specialised("gradients.toi_adjoint_rows", real=form.real, dimension=mesh.dimension)
         moving_row = self._check.step.contact_arrays.moving_row("gradients")
         inputs = [self._pairs, 4 * self.num_rows, self._slopes, mesh.num_vertices, moving_row]
         inputs += [int(form.t0_by_vertex), int(form.t1_by_vertex), int(form.is_displacement)]
-        outputs = [*gradients, None if given.radius is None else given.radius.grad]
+        outputs = [*gradients, None if caller_arrays.radius is None else caller_arrays.radius.grad]
         self._launch(self._rows[form.real].add_rows, 4 * self.num_rows, inputs, outputs)
 
-    def rate(self, ratings: wp.array, hold: wp.array | None = None, vertex_rating: wp.array | None = None) -> None:
+    def rate(self, ratings: wp.array, start_distances: wp.array | None, vertex_rating: wp.array | None) -> None:
         """Rate the minima that contacts attain (`regularity`), given the ratings of vertices."""
         inputs = [self._check.copies.as_struct, self._mesh, self._list]
-        inputs += [self._slopes.is_regular, hold, vertex_rating]
+        inputs += [self._slopes.is_regular, start_distances, vertex_rating]
         self._launch(regularity.rate_minima, self.num_rows, inputs, [ratings])
 
 
@@ -205,19 +206,19 @@ def ratings_of(
     check: KeptCheck,
     per: str,
     attaining: Attaining | None,
-    hold: wp.array | None = None,
+    start_distances: wp.array | None = None,
     vertex_rating: wp.array | None = None,
 ) -> wp.array:
     """The rating of each minimum of a kind (`regularity`), given those of vertices, from what attains it."""
     tois = getattr(check.step.result, TOIS[per])
     ratings: wp.array = wp.full(len(tois), value=int(regularity.UNKNOWN), dtype=wp.int32, device=tois.device)
     if attaining is not None:
-        attaining.rate(ratings, hold, vertex_rating)
+        attaining.rate(ratings, start_distances, vertex_rating)
     return ratings
 
 
 def as_flags(step: "DeviceStep", ratings: wp.array) -> wp.array:
     """Whether each rating is that of what is regular, bool."""
     flags: wp.array = wp.empty(len(ratings), dtype=wp.bool, device=ratings.device)
-    step.repeated.launch(regularity.note_regular, len(ratings), [ratings], [flags])
+    TapeMemory.of(step).launch(regularity.note_regular, len(ratings), [ratings], [flags])
     return flags

@@ -23,9 +23,9 @@ _callables: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, num_outputs: int) -> Any:
     """One of the functions below as JAX calls it, for positions of a type; made once for a pipeline."""
-    known = _callables.setdefault(pipeline, {})
+    callables = _callables.setdefault(pipeline, {})
     key = write, options, str(like.dtype)
-    if key not in known:
+    if key not in callables:
         # Warp keeps it for ever, and so must not keep the pipeline, which who calls it has
         call = write(ref(pipeline), *options)
         positions: Any = wp.array(dtype=_VECTORS[key[2], pipeline.mesh.dimension])
@@ -33,8 +33,8 @@ def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, 
         names = call.__code__.co_varnames[: call.__code__.co_argcount]
         types: Any = {"toi": numbers, "of_toi": numbers, "flags": wp.array(dtype=wp.bool)}
         call.__annotations__ = {name: types.get(name, positions) for name in names}
-        known[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
-    return known[key]
+        callables[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
+    return callables[key]
 
 
 def write_toi(pipeline: Callable[[], Any], per: str) -> Any:
@@ -63,7 +63,7 @@ def write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
         with _in_order(start):
             start.requires_grad = end.requires_grad = True
             _, result = launched(pipeline().launch, (start, end))
-            wp.copy(flags, result.is_regular(_asked(per, flags)))
+            wp.copy(flags, result.is_regular(_per_of(per, flags)))
 
     return call
 
@@ -76,10 +76,10 @@ def _in_order(array: wp.array) -> AbstractContextManager[Any]:
 
 def _tois_of(result: Any, per: str, like: wp.array) -> Any:
     """The tois of a result of which an array of this length is asked."""
-    return getattr(result, TOIS[_asked(per, like)])
+    return getattr(result, TOIS[_per_of(per, like)])
 
 
-def _asked(per: str, like: wp.array) -> Any:
+def _per_of(per: str, like: wp.array) -> Any:
     """Of which tois an array of this length is asked: those of the scene are by world where all worlds are mapped."""
     return "world" if per == "scene" and len(like) > 1 else per
 

@@ -7,6 +7,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._engine.host.contacts import new_contact_list
+from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.structs import struct_of
 from ccd_warp.kernels.gradients import attained
@@ -20,6 +21,7 @@ class KeptCheck:
 
     Attributes:
         step: The ``DeviceStep``.
+        memory: What it keeps for launches on tapes.
         may_touch: Whether it may have a finite toi: on CUDA, and in a capture, always. Otherwise nothing is kept.
         count: How many contacts it may have.
         has_radius: Whether vertices have radii.
@@ -30,27 +32,28 @@ class KeptCheck:
 
     def __init__(self, step: Any, positions: tuple[wp.array, wp.array], radius: wp.array | None) -> None:
         """Keep what a step has now, which was checked between these positions."""
-        self.step, self.may_touch, self.has_radius = step, True, radius is not None
+        self.step, self.memory = step, TapeMemory.of(step)
+        self.may_touch, self.has_radius = True, radius is not None
         self.count = len(step.result.contacts.kind)
         self._is_reused = is_read = self.is_read
         if is_read:
-            toi, count = step.found_on_host
+            toi, count = self.memory.found_on_host
             self.may_touch = toi[0] < np.inf
             self.count = min(self.count, int(count[0])) if self.may_touch else 0
         if not self.may_touch:
             return
-        known = step.kept_copies.pop() if is_read and step.kept_copies else None
-        if known is None or known.capacity < self.count:
+        copies = self.memory.copies.pop() if is_read and self.memory.copies else None
+        if copies is None or copies.capacity < self.count:
             capacity = 1 << (self.count - 1).bit_length() if is_read and self.count else self.count
-            known = _Copies(step, capacity, has_radius=self.has_radius)
-        self.copies = known
-        known.fill(positions, radius, self.count, is_direct=is_read)
+            copies = _Copies(step, self.memory, capacity, has_radius=self.has_radius)
+        self.copies = copies
+        copies.fill(positions, radius, self.count, is_direct=is_read)
 
     def __del__(self) -> None:
         """Let another check have the memory, unless CUDA may still read it, or a graph owns it."""
         copies = vars(self).get("copies")
-        if copies is not None and self._is_reused and len(self.step.kept_copies) < _MOST_UNUSED:
-            self.step.kept_copies.append(copies)
+        if copies is not None and self._is_reused and len(self.memory.copies) < _MOST_UNUSED:
+            self.memory.copies.append(copies)
 
     @property
     def is_read(self) -> bool:
@@ -68,7 +71,7 @@ class _Copies:
         as_struct: All of it as the struct of the kernels.
     """
 
-    def __init__(self, step: Any, capacity: int, *, has_radius: bool) -> None:
+    def __init__(self, step: Any, memory: TapeMemory, capacity: int, *, has_radius: bool) -> None:
         """Allocate them."""
         result, device = step.result, step.topology.device
         names = (*_CONTACT_COLUMNS, "normal") if step.has_planes else _CONTACT_COLUMNS
@@ -85,7 +88,7 @@ class _Copies:
             self.arrays["radius"] = wp.empty(num_vertices, dtype=wp.float64, device=device)
         self.as_struct = struct_of(attained.Check, self.arrays)
         self.as_struct.contacts = new_contact_list(contacts)
-        self.as_struct.separation = step.gradient_query.separation
+        self.as_struct.separation = memory.query.separation
         self._contacts = [(contacts[name], x) for name, x in of_contacts.items()]
         self._tois = [(self.arrays[name], getattr(result, name), len(self.arrays[name])) for name in TOIS.values()]
         self._of_vertices = [self.arrays[name] for name in ("start", "end", "radius") if name in self.arrays]

@@ -9,8 +9,9 @@ import warp as wp
 from ccd_warp._engine.device.input import SAFETY, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch, passes_of
 from ccd_warp._gradients.attaining import Attaining, all_attaining, as_flags, ratings_of
-from ccd_warp._gradients.given import Given
+from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
+from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS, LaunchResult
 from ccd_warp._runtime.tape import active_tape
 from ccd_warp._scene.mesh import CollisionMesh
@@ -28,7 +29,7 @@ class TapedLineSearch:
     """
 
     def __init__(
-        self, step: DeviceLineSearch, prepared: PreparedLaunch, given: tuple[Any, Any], radius: wp.array | None
+        self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: tuple[Any, Any], radius: wp.array | None
     ) -> None:
         """Of the arguments of a launch, with the positions as the caller has given them.
 
@@ -39,8 +40,8 @@ class TapedLineSearch:
         """
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
         self._step, self._form, self._radius = step, prepared.form, radius
-        self._given = Given.of(given, radius, prepared.form, rows)
-        if self._given.vertices_t1 is None:
+        self._caller_arrays = CallerArrays.of(positions, radius, prepared.form, rows)
+        if self._caller_arrays.vertices_t1 is None:
             raise ValueError(
                 "vertices_t1 does not require a gradient; expected an array of Warp that does, as the shortened "
                 "positions are written to it, or no tape"
@@ -49,16 +50,17 @@ class TapedLineSearch:
         self._passes: list[tuple[str, float]] = [
             (per, prepared.safety if share is SAFETY else share) for per, share in passes_of(prepared.form.line_search)
         ]
-        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
+        self._memory = memory = TapeMemory.of(step)
+        step.contact_arrays.moving_row("gradients")  # made now, not in a capture
         self._checks: list[KeptCheck] = []
-        self._hold: wp.array | None = None
+        self._start_distances: wp.array | None = None
         for per in dict(self._passes):
-            if per not in step.groups:
+            if per not in memory.groups:
                 if step.topology.device.is_capturing:  # memory of a capture is gone with its graph
                     raise RuntimeError(
                         f"a graph is being captured; call launch_line_search(per={per!r}) on a tape once before"
                     )
-                step.groups[per] = _Groups.of(step, per)
+                memory.groups[per] = _Groups.of(step, per)
 
     def launch(self, prepared: PreparedLaunch) -> LaunchResult:
         """Launch, keep all passes, and record the backward pass on the active tape."""
@@ -72,9 +74,9 @@ class TapedLineSearch:
             step.launch(prepared)
         finally:
             step.on_pass = None
-        if step.hold is not None and any(check.may_touch for check in self._checks):
-            self._hold = wp.clone(step.hold)
-        active_tape().record_func(self._backward, self._given.arrays)
+        if step.start_distances is not None and any(check.may_touch for check in self._checks):
+            self._start_distances = wp.clone(step.start_distances)
+        active_tape().record_func(self._backward, self._caller_arrays.arrays)
         return replace(step.result, _taped=self)
 
     def is_regular(self, per: str) -> wp.array:
@@ -85,8 +87,8 @@ class TapedLineSearch:
         """
         if per != "vertex":
             raise ValueError(f"per is {per!r}; expected 'vertex', as a line search has positions")
-        ratings, all_found = self._rated()
-        for attaining in all_found:
+        ratings, of_passes = self._rated()
+        for attaining in of_passes:
             if attaining is not None:
                 attaining.release()
         return as_flags(self._step, ratings)
@@ -94,13 +96,13 @@ class TapedLineSearch:
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
         topology = self._step.topology
-        gradients = self._given.gradients(topology)
-        vertex_rating, all_found = self._rated()
+        gradients = self._caller_arrays.gradients(topology)
+        vertex_rating, of_passes = self._rated()
         kernels = specialised("gradients.shorten_adjoint", real=self._form.real, dimension=topology.mesh.dimension)
         moving = topology.moving_vertices
         inputs = [moving, vertex_rating, int(self._form.t1_by_vertex)]
-        self._step.repeated.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
-        for check, attaining, (per, share) in zip(self._checks[::-1], all_found[::-1], self._passes[::-1], strict=True):
+        self._memory.launch(kernels.clear_unknown, len(moving), inputs, [gradients[1]])
+        for check, attaining, (per, share) in zip(self._checks[::-1], of_passes[::-1], self._passes[::-1], strict=True):
             if not check.may_touch:
                 continue
             of_toi = self._shorten_back(check, per, share, gradients)
@@ -108,31 +110,36 @@ class TapedLineSearch:
                 continue
             if share > 0.0:
                 attaining.change_gradients({per: of_toi})
-                attaining.add_rows(self._given, gradients)
+                attaining.add_rows(self._caller_arrays, gradients)
             attaining.release()
 
     def _rated(self) -> tuple[wp.array, list[Attaining | None]]:
         """The rating of each vertex (`regularity`), and of each pass the contacts that attain its tois."""
-        topology, launch = self._step.topology, self._step.repeated.launch
+        topology, launch = self._step.topology, self._memory.launch
         rating = wp.full(
             topology.mesh.num_vertices, value=int(regularity.REGULAR), dtype=wp.int32, device=topology.device
         )
-        all_found: list[Attaining | None] = []
+        of_passes: list[Attaining | None] = []
         for check, (per, share) in zip(self._checks, self._passes, strict=True):
             attaining = all_attaining(check, per) if check.may_touch else None
-            all_found.append(attaining)
+            of_passes.append(attaining)
             if check.may_touch:
-                inputs = [topology.moving_vertices, self._step.groups[per].group, check.copies.arrays[TOIS[per]], share]
-                inputs.append(ratings_of(check, per, attaining, self._hold, rating))
+                inputs = [
+                    topology.moving_vertices,
+                    self._memory.groups[per].group,
+                    check.copies.arrays[TOIS[per]],
+                    share,
+                ]
+                inputs.append(ratings_of(check, per, attaining, self._start_distances, rating))
                 launch(regularity.rate_vertices, len(topology.moving_vertices), inputs, [rating])
-        return rating, all_found
+        return rating, of_passes
 
     def _shorten_back(
         self, check: KeptCheck, per: str, share: float, gradients: tuple[wp.array | None, wp.array | None]
     ) -> wp.array:
         """Turn the gradient of the end of a pass into that of its begin; returns that by the toi of each group."""
-        topology, form, groups = self._step.topology, self._form, self._step.groups[per]
-        launch, moving = self._step.repeated.launch, topology.moving_vertices
+        topology, form, groups = self._step.topology, self._form, self._memory.groups[per]
+        launch, moving = self._memory.launch, topology.moving_vertices
         kernels = specialised("gradients.shorten_adjoint", real=form.real, dimension=topology.mesh.dimension)
         of_fraction, of_chunk, of_toi = (
             wp.empty(n, dtype=wp.float64, device=topology.device)

@@ -14,7 +14,7 @@ from ccd_warp.kernels.template import specialised
 
 
 def record_pairs(
-    execution: Execution, touch: Touch, kind: PairKind, given: list[wp.array], points: list[wp.array], result: Any
+    execution: Execution, touch: Touch, kind: PairKind, arrays: list[wp.array], points: list[wp.array], result: Any
 ) -> None:
     """Record the backward pass of a result on the active tape; the values of the points are needed no longer.
 
@@ -22,7 +22,7 @@ def record_pairs(
         execution: Where the pairs were solved.
         touch: What counts as touching.
         kind: The kind of the pairs.
-        given: The arrays of the caller.
+        arrays: Those of the caller.
         points: The same points as the solver has taken them, vec3d.
         result: The result, whose toi from now on requires a gradient.
     """
@@ -31,14 +31,14 @@ def record_pairs(
         toi_slope.Slopes,
         {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes_of(toi_slope.Slopes).items()},
     )
-    is_planar = given[0].dtype is wp.vec2d
+    is_planar = arrays[0].dtype is wp.vec2d
     columns = {"points_t0": points[0], "points_t1": points[1], "toi": result.toi, "status": result.status}
     inputs = [touch.query(is_planar=is_planar), int(kind), struct_of(toi_slope.Table, columns)]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
     result.toi.requires_grad = True
     kernels = specialised("gradients.toi_adjoint_points", dimension=2 if is_planar else 3)
     dtype = wp.vec2d if is_planar else wp.vec3d
-    wanting = [array if array.requires_grad else None for array in given]
+    wanting = [array if array.requires_grad else None for array in arrays]
 
     def backward() -> None:
         grads = []

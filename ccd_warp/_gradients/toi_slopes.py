@@ -69,8 +69,8 @@ def _straight_ends(
     """Positions of vertices at both ends of the step, on the tangents of their arcs at toi where bodies turn."""
     if frames.paths is None:
         return frames._ends_of(vertices)
-    each = len(vertices) // len(toi)
-    t, of_vertices = np.repeat(toi, each)[:, None], None if world is None else np.repeat(world, each)
+    num_corners = len(vertices) // len(toi)
+    t, of_vertices = np.repeat(toi, num_corners)[:, None], None if world is None else np.repeat(world, num_corners)
     velocities = frames.velocities(vertices, t, of_vertices)
     start = frames.at(vertices, t, of_vertices) - t * velocities
     return start, start + velocities
@@ -157,4 +157,4 @@ def _slopes(
     inputs = [query, int(kind) if isinstance(kind, PairKind) else -1, pairs]
     execution = Execution(device, default_num_threads())
     execution.launch(toi_slope.fill_slopes, count, inputs, [struct_of(toi_slope.Slopes, arrays)], grain=256)
-    return {name: each.numpy() for name, each in arrays.items()}
+    return {name: column.numpy() for name, column in arrays.items()}

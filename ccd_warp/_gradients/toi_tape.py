@@ -9,8 +9,9 @@ import warp as wp
 from ccd_warp._engine.device.input import PreparedLaunch
 from ccd_warp._engine.device.step import DeviceStep
 from ccd_warp._gradients.attaining import Attaining, all_attaining, as_flags, ratings_of
-from ccd_warp._gradients.given import Given
+from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
+from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS, LaunchResult
 from ccd_warp._runtime.parts import new_parts
 from ccd_warp._runtime.tape import active_tape
@@ -20,7 +21,7 @@ class TapedLaunch:
     """A launch whose tois get gradients by the positions at both ends and by radii."""
 
     def __init__(
-        self, step: DeviceStep, prepared: PreparedLaunch, given: tuple[Any, Any], radius: wp.array | None
+        self, step: DeviceStep, prepared: PreparedLaunch, positions: tuple[Any, Any], radius: wp.array | None
     ) -> None:
         """Of the arguments of a launch, with the positions as the caller has given them.
 
@@ -29,8 +30,8 @@ class TapedLaunch:
         """
         self._step, self._radius = step, radius
         rows = len(prepared.vertices_t0), len(prepared.vertices_t1)
-        self._given = Given.of(given, radius, prepared.form, rows)
-        _ = step.gradient_query, step.contact_arrays.moving_row("gradients")  # made now, not in a capture
+        self._caller_arrays = CallerArrays.of(positions, radius, prepared.form, rows)
+        _ = TapeMemory.of(step), step.contact_arrays.moving_row("gradients")  # made now, not in a capture
 
     def launch(self, prepared: PreparedLaunch) -> LaunchResult:
         """Launch, keep what was found, and record the backward pass on the active tape.
@@ -38,7 +39,7 @@ class TapedLaunch:
         Returns:
             The result, with tois of its own that later launches do not overwrite.
         """
-        step, given = self._step, self._given
+        step, caller_arrays = self._step, self._caller_arrays
         step.launch(prepared)
         self._check = check = KeptCheck(step, step.positions_of(prepared), self._radius)
         tois = self._new_tois()
@@ -50,25 +51,25 @@ class TapedLaunch:
                 of_minima = {name: x for name, x in of_minima.items() if check.may_touch and x.numpy().any()}
             attaining = Attaining.of(check, of_minima)
             if attaining is not None:
-                attaining.add_rows(given, given.gradients(step.topology))
+                attaining.add_rows(caller_arrays, caller_arrays.gradients(step.topology))
                 attaining.release()
 
-        active_tape().record_func(backward, [*minima.values(), *given.arrays])
-        own: dict[str, Any] = {**tois, "_taped": self}
-        return replace(step.result, **own)
+        active_tape().record_func(backward, [*minima.values(), *caller_arrays.arrays])
+        fields: dict[str, Any] = {**tois, "_taped": self}
+        return replace(step.result, **fields)
 
     def _new_tois(self) -> dict[str, wp.array]:
         """Copies of the tois of the result, which require gradients; those of a single world are those of the scene."""
         result = self._step.result
-        known = {name: getattr(result, name) for name in TOIS.values()}
+        tois_of_step = {name: getattr(result, name) for name in TOIS.values()}
         if result.world_toi is result.toi:
-            del known["world_toi"]
-        tois = new_parts({name: len(x) for name, x in known.items()}, self._step.topology.device)
+            del tois_of_step["world_toi"]
+        tois = new_parts({name: len(x) for name, x in tois_of_step.items()}, self._step.topology.device)
         for name, array in tois.items():
             if self._check.is_read:
-                ctypes.memmove(array.ptr, known[name].ptr, 8 * len(array))
+                ctypes.memmove(array.ptr, tois_of_step[name].ptr, 8 * len(array))
             else:
-                wp.copy(array, known[name])
+                wp.copy(array, tois_of_step[name])
         tois.setdefault("world_toi", tois["toi"])
         return tois
 

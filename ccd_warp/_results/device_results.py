@@ -78,8 +78,8 @@ class LaunchResult(OnDevice):
             A new array on the device, bool. After ``launch`` whether each toi has a gradient, shape [1], [W], [B] or
             [V]; where it has none, as of inf, its gradient adds 0. After ``launch_line_search`` whether the position of
             each vertex has a derivative, shape [V]. Where False, the vertex either stays where it starts, with the
-            derivative of that, or its fraction rests on a contact without a gradient, or on a pair that is held: then
-            its gradient adds 0 to that of both ends.
+            derivative of that, or its fraction rests on a contact without a gradient, or on a pair that keeps a start
+            distance: then its gradient adds 0 to that of both ends.
 
         Raises:
             ValueError: If the launch was not recorded on a tape, or ``per`` is not as described.

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -121,11 +122,15 @@ def features_of(
     kind: NDArray[np.int32], vertices: NDArray[np.integer[Any]], spans: NDArray[np.bool_]
 ) -> list[NDArray[np.int64]]:
     """Numbers of the vertices or edges that one or two of the vertices of each primitive span, of both sides."""
-    is_first = first_columns(kind)
+    columns = np.ascontiguousarray(vertices.T)  # NumPy takes a third of the time column by column
+    of_face = kind == int(PairKind.VERTEX_FACE)
+    first = {0: spans[:, 0], 1: spans[:, 1] & ~of_face}
+    second = {1: spans[:, 1] & of_face, 2: spans[:, 2], 3: spans[:, 3]}
     features = []
-    for side in (is_first & spans, ~is_first & spans):
-        low = np.where(side, vertices, _NO_VERTEX).min(axis=1)
-        features.append(feature_number(low, np.where(side, vertices, -1).max(axis=1)))
+    for side in (first, second):
+        low = reduce(np.minimum, [np.where(spanned, columns[k], _NO_VERTEX) for k, spanned in side.items()])
+        high = reduce(np.maximum, [np.where(spanned, columns[k], -1) for k, spanned in side.items()])
+        features.append(feature_number(low, high))
     return features
 
 

@@ -35,9 +35,9 @@ class AffineMotion(ReadOnly):
     def __init__(self, affine_t0: ArrayLike, affine_t1: ArrayLike) -> None:
         form = "shape (B, 3, 4), with an axis of worlds before the others if there are several"
         start, self._leading = checked_rows(affine_t0, "affine_t0", ((3, 4),), form)
-        end, found = checked_rows(affine_t1, "affine_t1", ((3, 4),), form)
-        if found != self._leading:
-            raise ValueError(f"affine_t1 has shape {(*found, 3, 4)}; expected {(*self._leading, 3, 4)} like affine_t0")
+        end, shape = checked_rows(affine_t1, "affine_t1", ((3, 4),), form)
+        if shape != self._leading:
+            raise ValueError(f"affine_t1 has shape {(*shape, 3, 4)}; expected {(*self._leading, 3, 4)} like affine_t0")
         self._affine_t0, self._affine_t1 = read_only(start), read_only(end)
 
     @property
@@ -97,8 +97,8 @@ class AffineMotion(ReadOnly):
                     f"affine_t{k} takes {shown_body(body, self._leading)} out of the plane of the mesh: its third row "
                     f"is {maps[body, 2].tolist()}; expected 0 in all of its columns but the third"
                 )
-            chosen = np.repeat(maps[:, :columns], counts, axis=0)
-            ends.append((chosen[..., :columns] * rows[:, None]).sum(axis=-1) + chosen[..., 3])
+            maps_of_rows = np.repeat(maps[:, :columns], counts, axis=0)
+            ends.append((maps_of_rows[..., :columns] * rows[:, None]).sum(axis=-1) + maps_of_rows[..., 3])
         return ends[0], ends[1]
 
     def _positions(self, maps: NDArray[np.float64], points: Any, body: Any) -> NDArray[np.float64]:
@@ -108,9 +108,9 @@ class AffineMotion(ReadOnly):
         if indices.shape != places.shape[:1]:
             raise ValueError(f"body has shape {indices.shape}; expected {places.shape[:1]}, as many as points")
         bodies = validated_indices(indices[:, None], 1, self.num_bodies, "body")[:, 0]
-        chosen = maps.reshape(-1, self.num_bodies, 3, 4)[:, bodies]
-        found = (chosen[..., :3] * places[:, None]).sum(axis=-1) + chosen[..., 3]
-        return found.reshape(*self._leading[:-1], -1, 3)
+        maps_of_points = maps.reshape(-1, self.num_bodies, 3, 4)[:, bodies]
+        positions = (maps_of_points[..., :3] * places[:, None]).sum(axis=-1) + maps_of_points[..., 3]
+        return positions.reshape(*self._leading[:-1], -1, 3)
 
     def __repr__(self) -> str:
         return f"AffineMotion({shown_bodies(self._leading)})"

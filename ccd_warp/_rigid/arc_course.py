@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.host.line_search import Course, Ends
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.one_process import OneProcess
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
@@ -18,8 +18,8 @@ class ArcCourse(Course):
     def __init__(
         self,
         mesh: CollisionMesh,
-        given_t0: NDArray[np.float64],
-        given_t1: NDArray[np.float64],
+        vertices_t0: NDArray[np.float64],
+        vertices_t1: NDArray[np.float64],
         paths: MeshPaths,
         motion: RigidMotion,
         everywhere: OneProcess | None = None,
@@ -29,22 +29,22 @@ class ArcCourse(Course):
         Bodies may have further vertices ``everywhere``.
         """
         self._everywhere = everywhere or OneProcess()
-        self._mesh, self._given, self._paths, self._motion = mesh, (given_t0, given_t1), paths, motion
-        super().__init__(paths.at(mesh, given_t0, given_t1, 0.0), paths.at(mesh, given_t0, given_t1, 1.0))
+        self._mesh, self._vertices, self._paths, self._motion = mesh, (vertices_t0, vertices_t1), paths, motion
+        super().__init__(paths.at(mesh, vertices_t0, vertices_t1, 0.0), paths.at(mesh, vertices_t0, vertices_t1, 1.0))
         self._is_rigid = paths.is_rigid[mesh.vertex_body]
 
     def at(self, fraction: NDArray[np.float64], vertices: Any = None) -> NDArray[np.float64]:
         """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
         vertices = np.arange(len(self.start)) if vertices is None else vertices
         straight = super().at(fraction, vertices)
-        turned = self._paths.at(self._mesh, *self._given, fraction.ravel(), vertices.ravel()).reshape(straight.shape)
+        turned = self._paths.at(self._mesh, *self._vertices, fraction.ravel(), vertices.ravel()).reshape(straight.shape)
         turns = self._is_rigid[vertices] & (fraction != 0.0)
         return np.where(turns[..., None], turned, straight)
 
     def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Ends:
         """The step to positions that are those at a fraction of each."""
-        own_frames = np.where(self._is_rigid[:, None], self._given[0], vertices)
-        return Ends(self._given[0], own_frames, self._paths.shortened(self._of_bodies(fraction)))
+        own_frames = np.where(self._is_rigid[:, None], self._vertices[0], vertices)
+        return Ends(self._vertices[0], own_frames, self._paths.shortened(self._of_bodies(fraction)))
 
     def motion_to(self, fraction: NDArray[np.float64]) -> RigidMotion:
         """The motion of the call up to a fraction of each vertex."""

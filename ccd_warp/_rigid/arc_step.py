@@ -51,8 +51,8 @@ class DeviceArcStep(DeviceLineSearch):
         self._rows_kept: wp.array = wp.array((mesh.kinematic | mesh.rigid).astype(np.int32), device=device)
         # the contacts of all slices stay in the list, of which each slice resets the count of something else
         self._no_count: wp.array = self._full(1, 0, wp.int32)
-        own = {"box_radius": radii[1], "plane_radius": self._input.box_radius, "is_thick": True}
-        return arrays | own | {"t_end": 1.0, "search_options": searched}
+        arc_values = {"box_radius": radii[1], "plane_radius": self._input.box_radius, "is_thick": True}
+        return arrays | arc_values | {"t_end": 1.0, "search_options": searched}
 
     def _new_result(self, max_contacts: int) -> LaunchResult:
         """The arrays of the result."""
@@ -101,19 +101,19 @@ class DeviceArcStep(DeviceLineSearch):
         **solved: Any,
     ) -> Stages:
         """Record all launches of a step, or of a pass, slice by slice; returns the stages of the first slice."""
-        given = self._input.slots(form)
+        slots = self._input.slots(form)
         slices = Slice.all(form.num_slices, self._options.t_max)
         of_slices = [self._stages_of(part) for part in slices]
         for part, stages in zip(slices, of_slices, strict=True):
             begins = part is slices[0]
             if begins:
-                self._input.record(recording, form, stages.between(*given), is_first)
+                self._input.record(recording, form, stages.between(*slots), is_first)
                 if is_first:
                     stages.reset_vertices(recording)
             else:
                 counts = self._no_count, self._flag.array
                 self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
-            self._arcs.place(part, recording, *given)
+            self._arcs.place(part, recording, *slots)
             if begins and is_first and self.static_trees:
                 stages.fill_vertex_aabbs(recording, self.topology.static_vertices, self._active)
                 stages.fill_boxes(recording, self.static_trees)

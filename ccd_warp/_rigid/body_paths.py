@@ -132,7 +132,7 @@ class BodyPaths(ReadOnly):
 
     def rows(self, index: NDArray[np.integer]) -> BodyPaths:
         """The paths of some bodies, or of some of them several times."""
-        return BodyPaths(*(getattr(self, each.name)[index] for each in fields(BodyPaths)))
+        return BodyPaths(*(getattr(self, field.name)[index] for field in fields(BodyPaths)))
 
     def within(self, lengths: NDArray[np.float64]) -> Self:
         """The same paths, from which points may be as far as these lengths, shape [N], rounded up."""
@@ -143,8 +143,8 @@ class BodyPaths(ReadOnly):
     @property
     def moves(self) -> NDArray[np.bool_]:
         """Which bodies move on their paths, shape [N]."""
-        found: NDArray[np.bool_] = np.asarray(np.column_stack([self.omega, self.velocity, self.turning]).any(axis=1))
-        return found
+        moves: NDArray[np.bool_] = np.asarray(np.column_stack([self.omega, self.velocity, self.turning]).any(axis=1))
+        return moves
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N]."""

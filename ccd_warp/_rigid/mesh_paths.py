@@ -38,18 +38,18 @@ class MeshPaths(BodyPaths):
     is_of_worlds: ClassVar[bool] = False
 
     @classmethod
-    def of(cls, mesh: CollisionMesh, given: BodyPaths) -> MeshPaths:
+    def of(cls, mesh: CollisionMesh, paths: BodyPaths) -> MeshPaths:
         """The paths of the rigid bodies of a mesh, for which a motion has given a row each.
 
         Raises:
             ValueError: If the numbers of bodies differ, a static body moves, or any leaves the plane of a mesh in it.
         """
-        check_motion(mesh, given)
+        check_motion(mesh, paths)
         check_worlds(mesh)
-        return cls.of_checked(mesh, given)
+        return cls.of_checked(mesh, paths)
 
     @classmethod
-    def of_checked(cls, mesh: CollisionMesh, given: BodyPaths, **further: Any) -> MeshPaths:
+    def of_checked(cls, mesh: CollisionMesh, paths: BodyPaths, **further: Any) -> MeshPaths:
         """Those of a motion that is known to fit the mesh, with ``further`` attributes.
 
         A body that stands on its path, and may be beside it, moves: it turns with a velocity that its excess covers, so
@@ -58,10 +58,10 @@ class MeshPaths(BodyPaths):
         bodies = np.flatnonzero(mesh.rigid)
         rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
-            of_rigid = getattr(given, field.name)
+            of_rigid = getattr(paths, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, *of_rigid.shape[1:]))
             rows[field.name][bodies] = of_rigid
-        rows["turning"][bodies[(given.excess > 0.0) & ~given.moves], 0] = UNSEEN
+        rows["turning"][bodies[(paths.excess > 0.0) & ~paths.moves], 0] = UNSEEN
         rows |= {"is_rigid": mesh.rigid.copy(), "active": np.ones(mesh.num_bodies, dtype=bool)}
         return cls(**rows | further)
 
@@ -126,15 +126,15 @@ class WorldPaths(MeshPaths):
     is_of_worlds = True
 
     @classmethod
-    def of_worlds(cls, mesh: CollisionMesh, given: BodyPaths) -> WorldPaths:
+    def of_worlds(cls, mesh: CollisionMesh, paths: BodyPaths) -> WorldPaths:
         """Of a motion that has a row for each rigid body, of one world after another."""
-        return cls(**vars(given), is_rigid=mesh.rigid, active=np.ones(1, dtype=bool))
+        return cls(**vars(paths), is_rigid=mesh.rigid, active=np.ones(1, dtype=bool))
 
     def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
-        world, own = np.divmod(body, len(self.is_rigid))
-        rigid = np.flatnonzero(self.is_rigid[own])
+        world, body_in_world = np.divmod(body, len(self.is_rigid))
+        rigid = np.flatnonzero(self.is_rigid[body_in_world])
         number = np.cumsum(self.is_rigid)
-        return rigid, world[rigid] * number[-1] + number[own[rigid]] - 1
+        return rigid, world[rigid] * number[-1] + number[body_in_world[rigid]] - 1
 
 
 def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -149,16 +149,16 @@ def _times(t: Any, count: int) -> NDArray[np.float64]:
     return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
 
 
-def check_motion(mesh: CollisionMesh, given: BodyPaths, num_worlds: int = 1) -> None:
+def check_motion(mesh: CollisionMesh, paths: BodyPaths, num_worlds: int = 1) -> None:
     """Check that a motion fits a mesh, of whose rigid bodies it has a row each in so many worlds.
 
     Raises:
         ValueError: If not.
     """
     bodies = np.flatnonzero(mesh.rigid)
-    check_rows(mesh, bodies, len(given) // num_worlds)
-    _check_rest(mesh, bodies, given)
-    _check_plane(mesh, bodies, given)
+    check_rows(mesh, bodies, len(paths) // num_worlds)
+    _check_static_bodies(mesh, bodies, paths)
+    _check_plane(mesh, bodies, paths)
 
 
 def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> None:
@@ -233,27 +233,27 @@ def _of_worlds(body: str, first: int, last: int) -> str:
     )
 
 
-def _check_rest(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+def _check_static_bodies(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths) -> None:
     """Check that paths of these bodies, of one world after another, leave the static ones where they are.
 
     Raises:
         ValueError: If one moves.
     """
-    num_worlds = len(given) // len(bodies)
+    num_worlds = len(paths) // len(bodies)
     is_static = np.tile(mesh.static[bodies], num_worlds)
-    for row in np.flatnonzero(is_static & (given.excess > 0.0))[:1].tolist():
+    for row in np.flatnonzero(is_static & (paths.excess > 0.0))[:1].tolist():
         raise ValueError(
-            f"within of the motion lets {_body_of(mesh, bodies, given, row)} leave its pose, which is static; expected "
+            f"within of the motion lets {_body_of(mesh, bodies, paths, row)} leave its pose, which is static; expected "
             f"0 for it, or kinematic in place of static for a body that moves as it is told"
         )
-    for row in np.flatnonzero(is_static & given.moves)[:1].tolist():
+    for row in np.flatnonzero(is_static & paths.moves)[:1].tolist():
         raise ValueError(
-            f"motion moves {_body_of(mesh, bodies, given, row)}, which is static; expected equal poses at "
+            f"motion moves {_body_of(mesh, bodies, paths, row)}, which is static; expected equal poses at "
             f"both ends, or kinematic in place of static for a body that moves as it is told"
         )
 
 
-def _check_plane(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths) -> None:
+def _check_plane(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths) -> None:
     """Check that paths of these bodies, of one world after another, stay in the plane of a mesh in it.
 
     Raises:
@@ -262,24 +262,24 @@ def _check_plane(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths
     if mesh.dimension == 3:
         return
     across = {
-        "quaternion at the start": ("x and y", given.rotation[:, :2]),
-        "rotation vector": ("x and y", given.omega[:, :2]),
-        "pivot": ("z", given.pivot[:, 2:]),
-        "place at the start": ("z", given.pivot_t0[:, 2:]),
-        "displacement": ("z", given.velocity[:, 2:] + given.turning[:, 2:]),
+        "quaternion at the start": ("x and y", paths.rotation[:, :2]),
+        "rotation vector": ("x and y", paths.omega[:, :2]),
+        "pivot": ("z", paths.pivot[:, 2:]),
+        "place at the start": ("z", paths.pivot_t0[:, 2:]),
+        "displacement": ("z", paths.velocity[:, 2:] + paths.turning[:, 2:]),
     }
     for name, (axes, values) in across.items():
         for row in np.flatnonzero(values.any(axis=1))[:1].tolist():
-            found = " and ".join(str(value) for value in values[row].tolist())
+            numbers = " and ".join(str(value) for value in values[row].tolist())
             raise ValueError(
-                f"motion takes {_body_of(mesh, bodies, given, row)} out of the plane of the mesh: {axes} of its {name} "
-                f"{'is' if axes == 'z' else 'are'} {found}; expected 0, as bodies in the plane turn about z alone: "
+                f"motion takes {_body_of(mesh, bodies, paths, row)} out of the plane of the mesh: {axes} of its {name} "
+                f"{'is' if axes == 'z' else 'are'} {numbers}; expected 0, as bodies in the plane turn about z alone: "
                 f"poses (x, y, 0) with quaternions (0, 0, z, w), twists (x, y, 0, 0, 0, angle)"
             )
 
 
-def _body_of(mesh: CollisionMesh, bodies: NDArray[np.intp], given: BodyPaths, row: int) -> str:
+def _body_of(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths, row: int) -> str:
     """What a message calls the body of a row, of those of one world after another."""
     world, k = divmod(row, len(bodies))
-    where = f" in world {world}" if len(given) > len(bodies) else ""
+    where = f" in world {world}" if len(paths) > len(bodies) else ""
     return f"{body_label(int(bodies[k]), mesh.names)}{where}"

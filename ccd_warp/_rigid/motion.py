@@ -139,8 +139,8 @@ class RigidMotion(ReadOnly):
         start, leading = checked_poses(poses_t0, "poses_t0", scalar_first=scalar_first)
         end = None
         if poses_t1 is not None:
-            end, found = checked_poses(poses_t1, "poses_t1", scalar_first=scalar_first)
-            check_leading("poses_t1", found, leading)
+            end, shape = checked_poses(poses_t1, "poses_t1", scalar_first=scalar_first)
+            check_leading("poses_t1", shape, leading)
         elif twist is None:
             raise ValueError("poses_t1 is None; expected the poses at the end of the step, or twist in their place")
         self._path = check_choice("path", path, ("linear", "screw"))
@@ -154,8 +154,8 @@ class RigidMotion(ReadOnly):
             if twist is None:
                 self._body_paths = BodyPaths.between(start, end, pivots)  # type: ignore[arg-type]
             else:
-                twists, found = checked_rows(twist, "twist", ((6,),), "shape (B, 6), linear part first, then angular")
-                check_leading("twist", found, leading)
+                twists, shape = checked_rows(twist, "twist", ((6,),), "shape (B, 6), linear part first, then angular")
+                check_leading("twist", shape, leading)
                 self._body_paths = BodyPaths.along(start, twists, pivots)
             turns = norms(self._body_paths.omega)
         for row in np.flatnonzero(~(turns < _LARGEST_TURN))[:1].tolist():
@@ -267,9 +267,9 @@ class RigidMotion(ReadOnly):
         points = self._turning_points(gradient)
         if points is None:
             return np.zeros((0, 2, 7)), np.zeros((0, 2, 7))
-        found: tuple[NDArray[np.float64], NDArray[np.float64]]
-        found = points.by_poses(self._body_paths, self._poses_t1[:, 3:])
-        return found
+        gradients: tuple[NDArray[np.float64], NDArray[np.float64]]
+        gradients = points.by_poses(self._body_paths, self._poses_t1[:, 3:])
+        return gradients
 
     def gradient_by_twist(self, gradient: ToiGradient) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """How tois change with the poses at the start and with the twists, of contacts of a call with this motion.
@@ -289,8 +289,8 @@ class RigidMotion(ReadOnly):
         points = self._turning_points(gradient)
         if points is None:
             return np.zeros((0, 2, 7)), np.zeros((0, 2, 6))
-        found: tuple[NDArray[np.float64], NDArray[np.float64]] = points.by_twist(self._body_paths)
-        return found
+        gradients: tuple[NDArray[np.float64], NDArray[np.float64]] = points.by_twist(self._body_paths)
+        return gradients
 
     def _turning_points(self, gradient: ToiGradient) -> Any:
         """The points of contacts on bodies that this motion can have moved; None where there are no contacts."""
@@ -302,9 +302,9 @@ class RigidMotion(ReadOnly):
         points: Any = gradient._place
         count = len(self._body_paths)
         if points is None or points.num_bodies != count:
-            found = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"
-            of_worlds = "" if self.num_worlds == 1 else f", {self.num_bodies} in each of {self.num_worlds} worlds"
-            raise ValueError(f"gradient is that of contacts of a call with {found}; expected one of {count}{of_worlds}")
+            motion = "no motion" if points is None else f"a motion of {points.num_bodies} bodies"
+            worlds = "" if self.num_worlds == 1 else f", {self.num_bodies} in each of {self.num_worlds} worlds"
+            raise ValueError(f"gradient is that of contacts of a call with {motion}; expected one of {count}{worlds}")
         return points
 
     def _moving(self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64]) -> MovingVertices:
@@ -339,14 +339,14 @@ class RigidMotion(ReadOnly):
         return f"RigidMotion({shown_bodies(self._leading)}, path={self._path!r}{turn}{within})"
 
 
-def _check_agreement(motion: RigidMotion, ends: NDArray[np.float64], given: NDArray[np.float64]) -> None:
+def _check_agreement(motion: RigidMotion, ends: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
     """Raise a ValueError if the end of a twist is not the pose that is given with it."""
     paths = motion._body_paths
-    lengths = [motion._poses_t0[:, :3], given[:, :3], paths.velocity, paths.pivot, paths.turning]
+    lengths = [motion._poses_t0[:, :3], poses[:, :3], paths.velocity, paths.pivot, paths.turning]
     scale = np.max([np.abs(vectors).max(axis=1, initial=0.0) for vectors in lengths], axis=0)
-    given = np.hstack([given[:, :3], normalized(given[:, 3:])])
+    poses = np.hstack([poses[:, :3], normalized(poses[:, 3:])])
     turns = np.maximum(norms(paths.omega), 1.0)
-    check_ends(ends, given, np.column_stack([scale, turns]), motion._leading)
+    check_ends(ends, poses, np.column_stack([scale, turns]), motion._leading)
 
 
 # What calls on a step take.

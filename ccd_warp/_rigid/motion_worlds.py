@@ -1,14 +1,15 @@
 """A mesh of one world with a motion of many: its bodies stand in memory once.
 
-Of large bodies only the parts are searched that may touch in a world (`near_worlds`). Other worlds go in batches: a
+Of large bodies only the parts are searched that may touch in a world (`parts.worlds`). Other worlds go in batches: a
 batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
 once. A further world costs its rows of the motion, and what is found in it.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import MISSING, fields
+from contextlib import AbstractContextManager
+from dataclasses import MISSING, fields, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,20 +17,31 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.contact_place import ContactPlace, MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.near_worlds import NearWorlds
-from ccd_warp._rigid.part_mesh import PartMesh, rows_within
+from ccd_warp._rigid.parts.mesh import PartMesh, rows_within, world_alone
+from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.status import PairKind, primitives_of
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 
+Array = NDArray[np.float64]
 _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
@@ -38,6 +50,28 @@ _PRIMITIVES = 1 << 19
 _LARGE, _MOST_BODIES = 2000, 64
 # Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
 _MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
+
+
+class Pipeline(Protocol):
+    """What the worlds of a motion take of the pipeline of their mesh, and of others for copies of it."""
+
+    mesh: CollisionMesh
+    counts: Counts
+    timings: dict[str, float]
+    _options: Options
+    _topology: Topology
+    _workspace: Workspace | None
+    _show_progress: Callable[[Progress], None] | None
+
+    @classmethod
+    def borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
+        """A pipeline for one call."""
+
+    def _check_no_capture(self) -> None: ...
+
+    def _contacts(self, start: Array, end: Array, motion: MeshPaths, *, is_ordered: bool) -> MeshResult: ...
+
+    def _least_toi(self, start: Array, end: Array, motion: MeshPaths, *, any_suffices: bool) -> float: ...
 
 
 class MotionWorlds:
@@ -50,14 +84,12 @@ class MotionWorlds:
 
     def __init__(
         self,
-        pipeline: Any,
-        start: NDArray[np.float64],
-        end: NDArray[np.float64],
+        pipeline: Pipeline,
+        start: Array,
+        end: Array,
         motion: RigidMotion,
     ) -> None:
         """Begin a search; ``start`` and ``end`` are the positions of all vertices, the same in every world.
-
-        Batches are calls of the pipelines of such a class as ``pipeline``, a ``CollisionPipeline``.
 
         Raises:
             ValueError: If the motion has not a row for each rigid body of the mesh in every world, moves a static one,
@@ -65,8 +97,8 @@ class MotionWorlds:
         """
         self._pipeline, self._motion, self.num_worlds = pipeline, motion, motion.num_worlds
         mesh = self._mesh = pipeline.mesh
-        given = motion._body_paths
-        check_motion(mesh, given, self.num_worlds)
+        paths = motion._body_paths
+        check_motion(mesh, paths, self.num_worlds)
         check_worlds(mesh)
         check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
@@ -74,21 +106,23 @@ class MotionWorlds:
         self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
-        self._given, self._turn = (start, end), given.largest_turn
+        self._ends, self._turn = (start, end), paths.largest_turn
 
-    def _each(self, call: Callable[..., _T]) -> Iterator[tuple[NDArray[np.intp], _T]]:
+    def _in_batches(
+        self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T]
+    ) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
 
         It gets a pipeline of the copies, positions and paths.
         """
         count, mesh = self._num_copies, self._mesh
         copies = mesh._copies(count)
-        start = np.tile(self._given[0], (count, 1))
-        end = start if self._given[1] is self._given[0] else np.tile(self._given[1], (count, 1))
+        start = np.tile(self._ends[0], (count, 1))
+        end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
         # bodies that all copies share, half-spaces, come last
-        num_own = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
-        copy_of_body = np.arange(copies.num_bodies) // num_own
-        copy_of_body[count * num_own :] = 0
+        num_copied = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
+        copy_of_body = np.arange(copies.num_bodies) // num_copied
+        copy_of_body[count * num_copied :] = 0
         for first in range(0, self.num_worlds, count):
             worlds = np.arange(first, min(first + count, self.num_worlds))
             is_searched = np.arange(count) < len(worlds)
@@ -97,9 +131,9 @@ class MotionWorlds:
             paths = MeshPaths.of_checked(copies, of_batch, active=is_searched[copy_of_body], turn=self._turn)
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
-                found = call(pipeline, start, end, paths)
+                result = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
-            yield worlds, found
+            yield worlds, result
 
     def _add(self, counts: Counts, timings: dict[str, float]) -> None:
         """Count what a step did."""
@@ -111,12 +145,12 @@ class MotionWorlds:
         """What all that has been searched did; sizes are those of all worlds."""
         kinds = possible_kinds(self._mesh, self._pipeline._options)
         total: dict[str, Any] = {}
-        for each in fields(Counts):
-            values = [getattr(counts, each.name) for counts in self._counts]
-            if each.default is MISSING:
-                total[each.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
+        for field in fields(Counts):
+            values = [getattr(counts, field.name) for counts in self._counts]
+            if field.default is MISSING:
+                total[field.name] = {kind: sum(value.get(kind, 0) for value in values) for kind in kinds}
             else:
-                total[each.name] = sum(values)
+                total[field.name] = sum(values)
         return Counts(**(total | sizes_of(self._mesh, self.num_worlds)))
 
     def least_toi(self, *, any_suffices: bool = False) -> float:
@@ -130,19 +164,14 @@ class MotionWorlds:
                     break
             return least
 
-        parts, pipeline = self._near, self._pipeline
+        parts, pipeline = self._parts, self._pipeline
         if parts is not None:
-            holds = pipeline._options.holds and not any_suffices  # as `_least_toi` of a mesh of all worlds
-
-            def of_parts(step: LeastToiStep) -> float:
-                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
-
-            found = parts.each(self._on_parts(LeastToiStep, of_parts))
-            least = least_of(toi for *_, toi in found)
-            if least > 0.0 or any_suffices or not (pipeline._options.holds and pipeline._holds_pairs):
+            of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
+            least = least_of(toi for *_, toi in parts.search(self._on_parts(LeastToiStep, of_parts)))
+            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
                 return least
-        call = partial(type(pipeline)._least_toi, any_suffices=any_suffices)
-        return least_of(toi for _, toi in self._each(call))
+        batches = self._in_batches(lambda copies, *step: copies._least_toi(*step, any_suffices=any_suffices))
+        return least_of(toi for _, toi in batches)
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
@@ -152,53 +181,72 @@ class MotionWorlds:
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
         mesh, options = self._mesh, self._pipeline._options
-        frames = MovingVertices(mesh, *self._given, WorldPaths.of_worlds(mesh, self._motion._body_paths))
+        frames = MovingVertices(mesh, *self._ends, WorldPaths.of_worlds(mesh, self._motion._body_paths))
         scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
         touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
         return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
-        parts = self._near
+        parts = self._parts
         if parts is None:
-            call = partial(type(self._pipeline)._contacts, is_ordered=False)
-            for worlds, result in self._each(call):
+            for worlds, result in self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False)):
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
         of_step = partial(ContactStep.contacts, is_ordered=False)
-        for worlds, of_parts, result in parts.each(self._on_parts(ContactStep, of_step)):
+        for worlds, of_parts, result in parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
     @property
     def is_sparse(self) -> bool:
         """Whether parts are looked for, and few of the primitives are in those that may touch."""
         num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
-        return self._near is not None and self._near.num_primitives < _FEW * num_primitives
+        return self._parts is not None and self._parts.num_primitives < _FEW * num_primitives
 
     @lazy_property
-    def _near(self) -> NearWorlds | None:
+    def _parts(self) -> WorldsOfParts | None:
         """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
         mesh, pipeline = self._mesh, self._pipeline
         most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
         if mesh.num_faces < _LARGE or mesh.num_bodies > most:
             return None
-        parts = pipeline._near_parts(*self._given)
+        parts, options, device = self._body_parts(), pipeline._options, pipeline._topology.device
         if parts is None:
             return None
-        options = pipeline._options
-        reach, execution = pipeline._reach_of_parts, pipeline._execution
-        return NearWorlds(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+        # a Euclidean distance beyond which parts do not come within the separation of a pair
+        reach = 2.0 * options.separation(length_scale_of(mesh, options))
+        execution = Execution(device, options.threads, StopFlag(device))
+        return WorldsOfParts(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+
+    def _body_parts(self) -> BodyParts | None:
+        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
+        mesh, kept, (start, end) = self._mesh, MeshCache.of(self._mesh).parts, self._ends
+        # radii may be others on the device than those of the mesh
+        is_plain = mesh.radius is None or np.array_equal(self._pipeline._topology.radius.numpy(), mesh.radius)
+        if not is_plain or not (start is end or np.array_equal(start, end)):
+            return None
+        positions, parts = kept.get("parts", (None, None))
+        if positions is not start and (positions is None or not np.array_equal(positions, start)):
+            world = world_alone(mesh, start)
+            parts = None if world is None else BodyParts(world, world.vertices)
+            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
+        return parts
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""
 
         def on_parts(parts: PartMesh, paths: MeshPaths) -> _T:
-            step: _StepT
-            with self._pipeline._step_of(kind, parts, paths) as step:
-                found = work(step)
+            pipeline, mesh = self._pipeline, self._mesh
+            options = replace(pipeline._options, length_scale=length_scale_of(mesh, pipeline._options))
+            pipeline._check_no_capture()
+            workspace = Workspace(parts.mesh, pipeline._topology.device, beside=pipeline._workspace)
+            workspace.topology.vertex_rank = parts.rank
+            workspace.progress.show = pipeline._show_progress
+            with kind(workspace, (parts.mesh.vertices, parts.mesh.vertices), options, paths) as step:
+                result = work(step)
             self._add(step.counts, step.timings)
-            return found
+            return result
 
         return on_parts
 

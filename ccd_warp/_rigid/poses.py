@@ -148,26 +148,26 @@ def _checked_numbers(
     return rows
 
 
-def check_leading(name: str, found: tuple[int, ...], leading: tuple[int, ...]) -> None:
+def check_leading(name: str, shape: tuple[int, ...], leading: tuple[int, ...]) -> None:
     """Raise a ValueError if an argument is not of as many bodies and worlds as ``poses_t0``."""
-    if found != leading:
-        raise ValueError(f"{name} is of {shown_bodies(found)}; expected {shown_bodies(leading)} like poses_t0")
+    if shape != leading:
+        raise ValueError(f"{name} is of {shown_bodies(shape)}; expected {shown_bodies(leading)} like poses_t0")
 
 
 def check_ends(
-    ends: NDArray[np.float64], given: NDArray[np.float64], scale: NDArray[np.float64], leading: tuple[int, ...]
+    ends: NDArray[np.float64], poses: NDArray[np.float64], scale: NDArray[np.float64], leading: tuple[int, ...]
 ) -> None:
     """Raise a ValueError if the path of a twist does not end at the poses that are given, to 1e-6.
 
     Args:
         ends: Where the paths end, shape [N, 7], unit quaternions.
-        given: Poses given for it.
+        poses: Those that were given for it.
         scale: What a difference of positions, and of rotations in radians, is relative to, shape [N, 2].
         leading: The shape of the bodies.
     """
-    apart = np.abs(ends[:, :3] - given[:, :3]).max(axis=1, initial=0.0)
-    signs = np.where((ends[:, 3:] * given[:, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
-    chords = np.sqrt(((ends[:, 3:] - signs[:, None] * given[:, 3:]) ** 2).sum(axis=1))
+    apart = np.abs(ends[:, :3] - poses[:, :3]).max(axis=1, initial=0.0)
+    signs = np.where((ends[:, 3:] * poses[:, 3:]).sum(axis=1) < 0.0, -1.0, 1.0)
+    chords = np.sqrt(((ends[:, 3:] - signs[:, None] * poses[:, 3:]) ** 2).sum(axis=1))
     turned = 4.0 * np.arcsin(0.5 * chords)  # of half the angle, and no digits lost where it is small
     wrong = (apart > TOLERANCE * scale[:, 0]) | (turned > TOLERANCE * scale[:, 1])
     if wrong.any():
@@ -192,8 +192,8 @@ def _of_matrices(rows: NDArray[np.float64], name: str, leading: tuple[int, ...])
     wrong = (rows[:, 3] != [0.0, 0.0, 0.0, 1.0]).any(axis=1)
     if wrong.any():
         row = int(wrong.argmax())
-        found = shown((rows[row, 3] + 0.0).tolist())
-        raise ValueError(f"{name} has the bottom row {found} for {shown_body(row, leading)}; expected [0, 0, 0, 1]")
+        bottom = shown((rows[row, 3] + 0.0).tolist())
+        raise ValueError(f"{name} has the bottom row {bottom} for {shown_body(row, leading)}; expected [0, 0, 0, 1]")
     turns = rows[:, :3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
         departure = np.abs(turns.transpose(0, 2, 1) @ turns - np.eye(3)).max(axis=(1, 2), initial=0.0)

@@ -52,25 +52,25 @@ class TurningPoints:
         """
         start, end = (np.zeros((*self.rows.shape, 7)) for _ in range(2))
         for side in range(2):
-            chosen, of, t, force, moment = self._on_side(paths, side)
+            contacts, of, t, force, moment = self._on_side(paths, side)
             of_turn = t * _jacobian(-t * of.omega, moment)
             pivot_t0 = rotated(of.rotation, of.pivot)
             pivot_t1 = pivot_t0 + arcs(of.omega, pivot_t0, np.ones(len(t)))
             of_start = _turned_back(of.omega, t, moment) - _inverse_jacobian(of.omega, of_turn)
             of_start += cross(pivot_t0, (1.0 - t) * force)
             of_end = _inverse_jacobian(-of.omega, of_turn) + cross(pivot_t1, t * force)
-            start[chosen, side] = _of_pose((1.0 - t) * force, of_start, of.rotation)
-            end[chosen, side] = _of_pose(t * force, of_end, rotation_t1[self.rows[chosen, side]])
+            start[contacts, side] = _of_pose((1.0 - t) * force, of_start, of.rotation)
+            end[contacts, side] = _of_pose(t * force, of_end, rotation_t1[self.rows[contacts, side]])
         return start, end
 
     def by_twist(self, paths: BodyPaths) -> tuple[Array, Array]:
         """Gradients by the poses at the start, shape [n, 2, 7], and by the twists, shape [n, 2, 6]."""
         start, twist = np.zeros((*self.rows.shape, 7)), np.zeros((*self.rows.shape, 6))
         for side in range(2):
-            chosen, of, t, force, moment = self._on_side(paths, side)
+            contacts, of, t, force, moment = self._on_side(paths, side)
             of_start = _turned_back(of.omega, t, moment) + cross(rotated(of.rotation, of.pivot), force)
-            start[chosen, side] = _of_pose(force, of_start, of.rotation)
-            twist[chosen, side] = np.hstack([t * force, t * _jacobian(-t * of.omega, moment)])
+            start[contacts, side] = _of_pose(force, of_start, of.rotation)
+            twist[contacts, side] = np.hstack([t * force, t * _jacobian(-t * of.omega, moment)])
         return start, twist
 
     def _on_side(self, paths: BodyPaths, side: int) -> tuple[NDArray[np.intp], BodyPaths, Array, Array, Array]:
@@ -78,15 +78,15 @@ class TurningPoints:
 
         "Force" is what the gradients of the points add up to, "moment" the sum of arm × gradient.
         """
-        chosen = np.flatnonzero(self.rows[:, side] >= 0)
-        of, t = paths.rows(self.rows[chosen, side]), self.time[chosen]
-        force, moment = np.zeros((len(chosen), 3)), np.zeros((len(chosen), 3))
+        contacts = np.flatnonzero(self.rows[:, side] >= 0)
+        of, t = paths.rows(self.rows[contacts, side]), self.time[contacts]
+        force, moment = np.zeros((len(contacts), 3)), np.zeros((len(contacts), 3))
         for k in range(4):
-            gradient = np.where((self.side[chosen, k] == side)[:, None], self.gradient[chosen, k], 0.0)
-            arms = rotated(of.rotation, self.points[chosen, k] - of.pivot)
+            gradient = np.where((self.side[contacts, k] == side)[:, None], self.gradient[contacts, k], 0.0)
+            arms = rotated(of.rotation, self.points[contacts, k] - of.pivot)
             force += gradient
             moment += cross(arms + arcs(of.omega, arms, t), gradient)
-        return chosen, of, t[:, None], force, moment
+        return contacts, of, t[:, None], force, moment
 
 
 def _of_pose(force: Array, moment: Array, quaternions: Array) -> Array:

@@ -24,9 +24,9 @@ _NO_CONTACTS = (  # kind, primitives, toi, parameters, normal, status, gap, widt
 class WorldsResult(MeshResult):
     """A result whose arrays of vertices and bodies are made at their first use: of many worlds they are large."""
 
-    def __init__(self, **known: Any) -> None:
+    def __init__(self, **values: Any) -> None:
         """Take all fields but these arrays, which `__getattr__` makes."""
-        vars(self).update(known)
+        vars(self).update(values)
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         owner, _, kind = name.partition("_")
@@ -45,14 +45,14 @@ class WorldsResult(MeshResult):
         else:
             least, first = firsts(contacts.toi, owners, size)
         vars(self).update({f"{owner}_toi": least, f"{owner}_contact": first})
-        found: NDArray[Any] = vars(self)[name]
-        return found
+        array: NDArray[Any] = vars(self)[name]
+        return array
 
 
 def result_of(
     mesh: CollisionMesh,
     world_toi: NDArray[np.float64],
-    found: list[Contacts],
+    contact_lists: list[Contacts],
     counts: Counts,
     timings: dict[str, float],
     hidden_gaps: str = "",
@@ -67,8 +67,8 @@ def result_of(
     """
     num_worlds = len(world_toi)
     has_axis = mesh.num_worlds < num_worlds
-    found = [each for each in found if len(each)]
-    contacts = joined(found) if found else located(Contacts(*_NO_CONTACTS), mesh)
+    contact_lists = [contact_list for contact_list in contact_lists if len(contact_list)]
+    contacts = joined(contact_lists) if contact_lists else located(Contacts(*_NO_CONTACTS), mesh)
     contacts = contacts[_in_order(contacts, has_axis=has_axis)]
     if frames is not None and len(contacts):
         place = contacts._known()

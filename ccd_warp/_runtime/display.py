@@ -56,8 +56,8 @@ def named_counts(pairs: Counter[tuple[str, str]]) -> list[str]:
         f"{n:,} within {shortened(a)}" if a == b else f"{n:,} of {shortened(a)} and {shortened(b)}"
         for (a, b), n in most
     ]
-    rest = pairs.total() - sum(n for _, n in most)
-    return [*parts, f"and {rest:,} of other bodies"] if rest else parts
+    others = pairs.total() - sum(n for _, n in most)
+    return [*parts, f"and {others:,} of other bodies"] if others else parts
 
 
 def start_sentence(pairs: Counter[tuple[str, str]]) -> str:

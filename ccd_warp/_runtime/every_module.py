@@ -48,7 +48,7 @@ def every_module(width: int | None) -> dict[str, Any]:
     for shape, norm in (("ball", EUCLIDEAN_NORM), ("box", MAXIMUM_NORM)):
         measured = specialised("at_one_time.measure_pairs", norm=norm, width=width or 1)
         found[f"measure_pairs {shape}"] = measured.measure_pairs.module
-        of_start = specialised("at_one_time.start_holds", norm=norm)
+        of_start = specialised("at_one_time.start_distances", norm=norm)
         found[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
         if (real, norm) != (wp.float32, OWN_BOX_NORM):  # what is held is solved in float64

@@ -31,36 +31,36 @@ def beside(device: Any, handle: int) -> AbstractContextManager[Any]:
         RuntimeError: If Warp captures a graph, of which this stream is no part.
     """
     current = device.stream
-    theirs = current if handle == _handle(current) else _stream_of(device, handle)
-    if handle and theirs.is_capturing:  # the null stream cannot be captured
-        return _on_captured(theirs)
+    library_stream = current if handle == _handle(current) else _stream_of(device, handle)
+    if handle and library_stream.is_capturing:  # the null stream cannot be captured
+        return _on_captured(library_stream)
     if device.is_capturing:
         raise RuntimeError(
             "Warp captures a graph, of which the current stream of the library is no part; expected launches of the "
             "pipeline in it, or a capture by the library, such as torch.cuda.graph"
         )
-    return in_order_with(theirs)
+    return in_order_with(library_stream)
 
 
 @contextmanager
-def in_order_with(theirs: Any) -> Iterator[None]:
+def in_order_with(library_stream: Any) -> Iterator[None]:
     """A block whose launches are on a stream that blocks, in the order of two streams that may not block.
 
     The two are a library's and the current one of its device, on which other launches are. The null stream is also in
     the order of all streams that block.
     """
-    current = theirs.device.stream
-    own = current if current.is_blocking else theirs.device.null_stream
-    others = {_handle(stream): stream for stream in (current, theirs)}
-    others.pop(_handle(own), None)
+    current = library_stream.device.stream
+    blocking = current if current.is_blocking else library_stream.device.null_stream
+    others = {_handle(stream): stream for stream in (current, library_stream)}
+    others.pop(_handle(blocking), None)
     for other in others.values():
-        own.wait_stream(other)
+        blocking.wait_stream(other)
     try:
-        with wp.ScopedStream(own, sync_enter=False):
+        with wp.ScopedStream(blocking, sync_enter=False):
             yield
     finally:
         for other in others.values():
-            other.wait_stream(own)
+            other.wait_stream(blocking)
 
 
 def is_captured_by_library(stream: Any) -> bool:

@@ -33,17 +33,17 @@ def text_completed_by(source: Any, *, without: Collection[str] = ()) -> Callable
 
 
 def _completed(text: str, source: str, names: Collection[str], without: Collection[str]) -> str:
-    own, other = _paragraphs(text), _paragraphs(source)
-    paragraphs = [each for first, each in own.items() if first not in _SECTIONS]
+    by_heading, other = _paragraphs(text), _paragraphs(source)
+    paragraphs = [paragraph for first, paragraph in by_heading.items() if first not in _SECTIONS]
     for heading in _SECTIONS:
-        section, lacking = own.get(heading, {}), other.get(heading, {})
-        found = lacking | section
+        section, lacking = by_heading.get(heading, {}), other.get(heading, {})
+        entries = lacking | section
         if heading in (_ARGS, _FIELDS):
-            section = {name: found[name] for name in dict.fromkeys((heading, *names, *section)) if name in found}
+            section = {name: entries[name] for name in dict.fromkeys((heading, *names, *section)) if name in entries}
         elif heading == _ERRORS:
-            section = {name: entry for name, entry in found.items() if name not in without}
+            section = {name: entry for name, entry in entries.items() if name not in without}
         paragraphs.append(section or lacking)
-    return "\n\n".join("\n".join(each.values()) for each in paragraphs if each.keys() - _HEADINGS)
+    return "\n\n".join("\n".join(paragraph.values()) for paragraph in paragraphs if paragraph.keys() - _HEADINGS)
 
 
 def _paragraphs(text: str) -> dict[str, dict[str, str]]:

@@ -156,25 +156,25 @@ class CollisionMesh(ReadOnly):
         )
 
     @classmethod
-    def _of_fields(cls, given: Mapping[str, Any], **properties: Any) -> CollisionMesh:
+    def _of_fields(cls, fields: Mapping[str, Any], **properties: Any) -> CollisionMesh:
         """A mesh of all its fields, already validated, and of lazy properties that are known."""
         mesh = object.__new__(cls)
-        mesh.__setstate__({**given, **properties})
+        mesh.__setstate__({**fields, **properties})
         return mesh
 
     @classmethod
     def _of_parts(
         cls,
-        given_edges: NDArray[np.int32],
+        listed_edges: NDArray[np.int32],
         with_codimensional_points: NDArray[np.bool_],
         with_inner_vertices: NDArray[np.bool_],
-        **given: Any,
+        **fields: Any,
     ) -> CollisionMesh:
         """A mesh of validated fields and flags of bodies, from which the remaining fields are derived."""
-        faces, static = given["faces"], given["static"]
-        vertex_body = np.repeat(np.arange(len(static), dtype=np.int32), np.diff(given["body_vertex_range"]))
-        edges, codimensional_edges = unique_edges(faces, given_edges)
-        lone = vertices_without_primitive(len(given["vertices"]), faces, edges[codimensional_edges])
+        faces, static = fields["faces"], fields["static"]
+        vertex_body = np.repeat(np.arange(len(static), dtype=np.int32), np.diff(fields["body_vertex_range"]))
+        edges, codimensional_edges = unique_edges(faces, listed_edges)
+        lone = vertices_without_primitive(len(fields["vertices"]), faces, edges[codimensional_edges])
         of_lone, is_of_points = vertex_body[lone], np.ones(len(static), dtype=bool)
         is_of_points[vertex_body[faces[:, 0]]] = is_of_points[vertex_body[edges[codimensional_edges, 0]]] = False
         is_of_points |= with_codimensional_points
@@ -189,7 +189,7 @@ class CollisionMesh(ReadOnly):
             "face_body": vertex_body[faces[:, 0]],
             "moving_vertices": np.flatnonzero(~static[vertex_body]).astype(np.int32),
         }
-        return cls._of_fields(given, **derived)
+        return cls._of_fields(fields, **derived)
 
     def __getstate__(self) -> dict[str, Any]:
         """The state for a copy or a pickle: the fields, without the cache that calls attach to the mesh."""
@@ -324,7 +324,7 @@ class CollisionMesh(ReadOnly):
             kinematic=kinematic_bodies,
             rigid=rigid_bodies,
             self_collision=validated_flags(self_collision, len(bodies), "self_collision") & ~rigid_bodies,
-            given_edges=joined.edges,
+            listed_edges=joined.edges,
             with_codimensional_points=(with_points | joined.consists_of_points) & ~is_half_space,
             with_inner_vertices=is_of_cells,
             body_pairs=validated_body_pairs(body_pairs, names),
@@ -387,8 +387,8 @@ class CollisionMesh(ReadOnly):
             TypeError: If ``bodies`` is no object of trimesh and no list of these.
         """
         parts = trimesh_bodies(bodies)
-        given = validated_flags(codimensional_points, len(parts), "codimensional_points")
-        with_points = (given | np.array([part.is_cloud for part in parts], dtype=bool)).tolist()
+        flags = validated_flags(codimensional_points, len(parts), "codimensional_points")
+        with_points = (flags | np.array([part.is_cloud for part in parts], dtype=bool)).tolist()
         if names is None and any(part.name for part in parts):
             names = [str(part.name) for part in parts]
         return cls.from_arrays(
@@ -466,13 +466,13 @@ class CollisionMesh(ReadOnly):
             ValueError: If ``exclude_pairs`` is neither, belongs to another mesh, or has another key, or an index that
                 is not one of such a part of the mesh.
         """
-        given = validated_excluded_pairs(exclude_pairs, self)
-        bodies = given.get("bodies", np.zeros((0, 2), dtype=np.int32))
+        excluded = validated_excluded_pairs(exclude_pairs, self)
+        bodies = excluded.get("bodies", np.zeros((0, 2), dtype=np.int32))
         is_self = bodies[:, 0] == bodies[:, 1]
         self_collision = self.self_collision.copy()
         self_collision[bodies[is_self, 0]] = False
-        given = ExcludedPairs({**given, "bodies": bodies[~is_self]})
-        changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, given)}
+        excluded = ExcludedPairs({**excluded, "bodies": bodies[~is_self]})
+        changed = {"self_collision": self_collision, "exclude_pairs": joined_pairs(self.exclude_pairs, excluded)}
         return self._of_fields(self.__getstate__() | changed)
 
     def _largest_around(self, radius: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -818,8 +818,8 @@ class CollisionMesh(ReadOnly):
 def blocks_of(ranges: Sequence[tuple[int, int]]) -> list[Any]:
     """What selects the rows of ranges: a slice for each; of many, the rows of which may be few, all at once."""
     if len(ranges) <= _MOST_SLICES:
-        return [slice(*each) for each in ranges]
-    return [np.concatenate([np.arange(*each) for each in ranges])]
+        return [slice(begin, end) for begin, end in ranges]
+    return [np.concatenate([np.arange(begin, end) for begin, end in ranges])]
 
 
 def static_moves(
@@ -831,10 +831,10 @@ def static_moves(
     row = int(np.argmax(length))
     vertex = int(vertices[row])
     body = int(mesh.vertex_body[vertex])
-    own = vertex - int(mesh.body_vertex_range[body])
+    number = vertex - int(mesh.body_vertex_range[body])
     name = repr(mesh.names[body])
     return (
-        f"vertices_t1 moves vertex {own} of {body_label(body, mesh.names)}, which is static, by {length[row]:.6g} "
+        f"vertices_t1 moves vertex {number} of {body_label(body, mesh.names)}, which is static, by {length[row]:.6g} "
         f"(row {vertex}); expected its position in vertices_t0, or kinematic=[{name}] in place of static=[{name}] for "
         f"a body that moves as it is told"
     )

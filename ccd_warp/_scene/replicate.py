@@ -57,7 +57,7 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         kinematic=mesh.kinematic[bodies],
         rigid=mesh.rigid[bodies],
         self_collision=mesh.self_collision[bodies],
-        given_edges=(mesh.edges[mesh.codimensional_edges] + first).reshape(-1, 2).astype(np.int32),
+        listed_edges=(mesh.edges[mesh.codimensional_edges] + first).reshape(-1, 2).astype(np.int32),
         with_codimensional_points=with_points[bodies],
         with_inner_vertices=with_inner[bodies],
         body_pairs=None if mesh.body_pairs is None else mesh.body_pairs[np.ix_(bodies, bodies)],

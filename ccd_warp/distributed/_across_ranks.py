@@ -76,7 +76,7 @@ class AcrossRanks(OneProcess):
     def own_batch(self, plan: HostPlan, batch: Batch) -> Batch:
         """What is left of a batch without the pairs that belong to other ranks."""
         own = {kind: self._keep_own(plan, kind, count) for kind, count in batch.found.items()}
-        plan.set_counts(FOUND, {kind: count for kind, count in own.items() if count != batch.found[kind]})
+        plan.counters.set_column(FOUND, {kind: count for kind, count in own.items() if count != batch.found[kind]})
         return Batch(own, batch.is_only)
 
     def _keep_own(self, plan: HostPlan, kind: PairKind, count: int) -> int:
@@ -131,7 +131,7 @@ def work_by_vertex(step: Step, num_vertices: int, of_candidate: float, of_pair: 
     result = np.full(num_vertices, of_candidate * sum(step.counts.num_candidates.values()) / max(num_vertices, 1))
     if plan.num_batches != 1:
         return result
-    for kind, found in zip(PairKind, plan.counts()[:, FOUND].tolist(), strict=True):
+    for kind, found in zip(PairKind, plan.counters.counts()[:, FOUND].tolist(), strict=True):
         if found == 0:
             continue
         keys = plan.memory.keys(kind, found).numpy()

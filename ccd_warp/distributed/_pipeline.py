@@ -11,34 +11,33 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._calls.pipeline import check_options_on_arcs, validated_distance, validated_search_radius
+from ccd_warp._calls.motions import check_options_on_arcs
+from ccd_warp._calls.pipeline import validated_distance, validated_search_radius
 from ccd_warp._engine.host.candidates import validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
-    Course,
-    Ends,
-    Per,
-    Solver,
     check_step_is_whole,
     search_step,
     validated_line_search,
 )
+from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.hold_distance import hold_distance, holds_pairs
-from ccd_warp._engine.mesh.lengths import half_up, sum_up
+from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._engine.motion import moved
-from ccd_warp._results.results import Contacts, MeshResult
+from ccd_warp._results.results import MeshResult
 from ccd_warp._rigid.mesh_paths import MeshPaths, in_space
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
-from ccd_warp._scene.input.arguments import check_count, check_instance
+from ccd_warp._scene.input.arguments import Per, check_count, check_instance
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import naming, options_of, resolve_device
 from ccd_warp.distributed._across_ranks import work_by_vertex
@@ -131,8 +130,8 @@ class DistributedPipeline:
 
     def _check_same_options(self) -> None:
         o = self._options
-        numbers = [o.tolerance, o.minimum_separation, o.minimum_distance, o.start_gap_share, o.holds, o.t_max]
-        numbers += [o.max_iterations, o.max_work, o.length_scale or 0.0, o.precision == "float32"]
+        numbers = [o.tolerance, o.minimum_separation, o.minimum_distance, o.start_gap_share, o.keeps_start_distances]
+        numbers += [o.t_max, o.max_iterations, o.max_work, o.length_scale or 0.0, o.precision == "float32"]
         numbers += [o.method == "bisection", o.broad_phase == "hash", *(kind in o.kinds for kind in PairKind)]
         values = np.array(numbers, dtype=np.float64)
         if not np.array_equal(self._ranks.least(values), self._ranks.most(values)):
@@ -213,24 +212,21 @@ class DistributedPipeline:
         *,
         any_suffices: bool = False,
     ) -> float:
-        holds = self._options.holds and not any_suffices
+        def least(*distances: NDArray[np.float64]) -> float:
+            work = lambda step: step.least_toi(*distances, any_suffices=any_suffices)  # noqa: E731
+            return self._run(LeastToiStep, *self._ends, work, self._paths)
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-            def least(step: LeastToiStep) -> float:
-                return (step.holding() if holds else step).least_toi(any_suffices=any_suffices)
-
-            toi = self._run(LeastToiStep, *self._ends, least, self._paths)
-            if holds and toi <= 0.0 and self._holds_pairs:
-                everywhere = self._planned.everywhere
-                of_vertices = everywhere.least_of_vertices(self._holds(self._planned.start))
-                if not everywhere.all(not np.isfinite(of_vertices).any()):
-                    held = lambda step: step.holding(of_vertices).held_toi()  # noqa: E731
-                    toi = self._run(LeastToiStep, *self._ends, held, self._paths)
+            toi = least()
+            near = None if toi > 0.0 or any_suffices else self._start_distances
+            distances = None if near is None else near.of(self._planned.start)
+            if distances is not None:
+                toi = least(distances)
             self._finished()
             return toi
 
         with self._together_on("is_step_collision_free" if any_suffices else "collision_free_step", motion):
-            inflation = self._holding_inflation if holds else self._inflation
+            inflation = self._inflation if any_suffices else self._parting_inflation
             return self._collectively(vertices_t0, vertices_t1, inflation, work, motion=motion)
 
     @text_completed_by(mesh_ccd)
@@ -294,7 +290,7 @@ class DistributedPipeline:
             with naming("find_proximity"):
                 distance = validated_distance(distance)
             self._check_same_length("distance", distance)
-            return self._collectively(positions, positions, half_up(distance), work, name_t0="positions")
+            return self._collectively(positions, positions, half_rounded_up(distance), work, name_t0="positions")
 
     @text_completed_by(mesh_ccd)
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
@@ -327,7 +323,7 @@ class DistributedPipeline:
             with naming("displacement_bounds"):
                 search_radius = validated_search_radius(search_radius, self._options)
             self._check_same_length("search_radius", search_radius)
-            inflation = half_up(sum_up(search_radius, self._options.minimum_distance))
+            inflation = half_rounded_up(add_rounded_up(search_radius, self._options.minimum_distance))
             return self._collectively(positions, positions, inflation, work, name_t0="positions")
 
     @text_completed_by(mesh_ccd)
@@ -403,11 +399,11 @@ class DistributedPipeline:
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return self._run(ContactStep, ends.start, ends.end, work, ends.paths)
 
-            worlds_near = self._worlds_near if self._holds_pairs else None
             found = search_step(
                 plan.part.mesh,
                 course,
-                Solver(on_step, worlds_near, self._holds, holds=self._options.holds),
+                on_step,
+                self._start_distances,
                 per=per,
                 safety=safety,
                 max_rounds=max_rounds,
@@ -435,7 +431,7 @@ class DistributedPipeline:
                 per, safety = validated_line_search(per, safety)
                 max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             self._name_call(f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})")
-            return self._collectively(vertices_t0, vertices_t1, self._holding_inflation, work, motion=motion)
+            return self._collectively(vertices_t0, vertices_t1, self._parting_inflation, work, motion=motion)
 
     def _follow(self, fraction: NDArray[np.float64], per: str, *, is_limited: bool, turns: bool) -> None:
         """Let vertices that take no part, which no rank is sent, go as others of their body or world do; collective."""
@@ -461,35 +457,31 @@ class DistributedPipeline:
         fraction[mesh.is_unused] = np.where(is_free, own, 1.0)[mesh.is_unused]
 
     @property
-    def _holds_pairs(self) -> bool:
-        """Whether pairs keep a distance within which they may start."""
-        return holds_pairs(self.mesh, self._options)
+    def _start_distances(self) -> StartDistances | None:
+        """What finds how near vertices of this part are at the start; None where that does not matter."""
+        if not keeps_start_distances(self.mesh, self._options):
+            return None
 
-    def _holds(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How near each vertex of this part is to anything at the start, as far as its own pairs tell."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep  # few programs need it
+        def on_step(work: Callable[[Any], _T], start: NDArray[np.float64], end: NDArray[np.float64]) -> _T:
+            from ccd_warp._at_one_time.start_distance_step import StartDistanceStep  # few programs need it
 
-        return self._run(HoldStep, start, start, lambda step: step.find_holds(self._hold_distance))
+            return self._run(StartDistanceStep, start, end, work)
 
-    def _worlds_near(self, start: NDArray[np.float64], ends: Ends, contacts: Contacts) -> NDArray[np.bool_]:
-        """Which worlds have a contact, of those of this part, that starts within its distance, or passes by at it."""
-        from ccd_warp._at_one_time.proximity_step import HoldStep
-
-        is_straight, distance = ends.paths is None, self._hold_distance
-        work = lambda step: step.worlds_near(contacts, distance, is_straight=is_straight)  # noqa: E731
-        return self._run(HoldStep, start, ends.end if is_straight else start, work)
+        plan = self._planned
+        return StartDistances(self._largest_start_distance, plan.part.mesh.vertex_world, on_step, plan.everywhere)
 
     @property
-    def _hold_distance(self) -> float:
+    def _largest_start_distance(self) -> float:
         radius = self.mesh.body_radius
-        return hold_distance(self.mesh, self._options, 0.0 if radius is None else float(radius.max(initial=0.0)))
+        largest = 0.0 if radius is None else float(radius.max(initial=0.0))
+        return largest_start_distance(self.mesh, self._options, largest)
 
     @property
-    def _holding_inflation(self) -> float:
+    def _parting_inflation(self) -> float:
         """That of the boxes of calls that let what starts within its distance part and slide."""
-        if not self._holds_pairs:
+        if not keeps_start_distances(self.mesh, self._options):
             return self._inflation
-        return half_up(self._hold_distance)
+        return half_rounded_up(self._largest_start_distance)
 
     def _together(self, call: str) -> AbstractContextManager[None]:
         return self._ranks.together(self._named(call))
@@ -507,7 +499,7 @@ class DistributedPipeline:
 
     @property
     def _inflation(self) -> float:
-        return half_up(self._options.separation(length_scale_of(self.mesh, self._options)))  # type: ignore[arg-type]
+        return half_rounded_up(self._options.separation(length_scale_of(self.mesh, self._options)))  # type: ignore[arg-type]
 
     @property
     def _planned(self) -> Plan:
@@ -537,7 +529,7 @@ class DistributedPipeline:
             check_options_on_arcs(self._options)
             self._local = LocalPaths(self.mesh, motion, start, end)
             self._paths = self._local.paths
-            inflation = sum_up(inflation, self._local.reach())
+            inflation = add_rounded_up(inflation, self._local.reach())
             start, end = self._local.at(0.0), self._local.at(1.0)
         if plan is not None and not self._wants_plan:
             is_kept = inflation <= plan.bounds.inflation and all(is_within(x, plan.limits) for x in (start, end))

@@ -180,7 +180,7 @@ def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_m
     middle_title = f"t = toi = {_rounded_down(middle)}" if is_hit else f"t = {t_max:g}, no contact"
     titles = ("t = 0, surfaces cross" if len(scene.crossing_points) else "t = 0", middle_title, "t = 1")
     for panel, t, title in zip(panels, (0.0, middle, 1.0), titles, strict=True):
-        panel.look()
+        panel.set_view()
         panel.draw_bodies(t, toi_range if panel is panels[2] else None)
         panel.draw_trails()
         panel.write_title(title)
@@ -236,7 +236,7 @@ def show_step(
         window_size=_WINDOW, title="ccd_warp", lighting="none", theme=pyvista.themes.DocumentTheme()
     )
     panel = Panel(plotter, (0, 0), scene, view, enlargement)
-    panel.look()
+    panel.set_view()
     panel.draw_trails()
     toi = scene.toi if np.isfinite(scene.toi) else 1.0
     plotter.add_slider_widget(

@@ -78,7 +78,7 @@ def draw_frame(
     Returns:
         Red, green and blue, uint8, shape [height, width, 3].
     """
-    points, crossings = (np.asarray(each, dtype=np.float64).reshape(-1, 3) for each in (contacts, crossing))
+    points, crossings = (np.asarray(places, dtype=np.float64).reshape(-1, 3) for places in (contacts, crossing))
     scene = replace(
         _scene(mesh, positions, points, view),
         crossing_points=(crossings - view.centre) / view.unit,
@@ -91,7 +91,7 @@ def draw_frame(
         from ccd_warp.viz._panel import Panel
 
         panel = Panel(plotter, (0, 0), scene, view.camera, ZOOM * min(_SIZE) / _SHORTER_SIDE)
-        panel.look()
+        panel.set_view()
         panel.draw_bodies(0.0)
         panel.write_title(title)
         panel.draw_legend()
@@ -134,9 +134,9 @@ def check_animation_path(path: Path, argument: str) -> None:
 
 def encoder() -> str | None:
     """The program ffmpeg: that of the system, or of the package imageio-ffmpeg; None if there is none."""
-    found = shutil.which("ffmpeg")
-    if found is not None:
-        return found
+    system_ffmpeg = shutil.which("ffmpeg")
+    if system_ffmpeg is not None:
+        return system_ffmpeg
     try:
         program: str = importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe()
         return program

@@ -60,8 +60,8 @@ def make_camera(
     Raises:
         ValueError: If the direction is not valid.
     """
-    given = validated_direction(direction)
-    towards = _direction_to_viewer(start, end) if given is None else given
+    viewer_direction = validated_direction(direction)
+    towards = _direction_to_viewer(start, end) if viewer_direction is None else viewer_direction
     axis = np.array([0.0, 0.0, 1.0]) if np.hypot(*towards[:2]) > 1e-6 else np.array([0.0, 1.0, 0.0])
     right = np.cross(axis, towards)
     right /= np.linalg.norm(right)

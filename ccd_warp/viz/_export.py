@@ -55,7 +55,7 @@ def to_pyvista(
         check_result(result)
     t = check_real("t", t, "a number in [0, 1]", lambda x: 0 <= x <= 1)
     moving = moving_vertices(mesh, vertices_t0, vertices_t1, motion)
-    start, end = (moving.all_at(each) for each in (0.0, 1.0))
+    start, end = (moving.all_at(time) for time in (0.0, 1.0))
     if result is not None and result.vertex_toi.shape != (len(start),):
         raise ValueError(f"result.vertex_toi has shape {result.vertex_toi.shape}; expected {(len(start),)}")
     pyvista = import_pyvista()
@@ -67,8 +67,8 @@ def to_pyvista(
         squares = dict(zip(mesh.planes.bodies.tolist(), plane_squares(mesh, *box), strict=True))
     for body, name in enumerate(mesh.names):
         first, last = mesh.body_vertex_range[body : body + 2].tolist()
-        chosen = _primitives(mesh, body)
-        cells = {kind: _padded(corners - first) for kind, (_, corners) in chosen.items() if len(corners)}
+        primitives = _primitives(mesh, body)
+        cells = {kind: _padded(corners - first) for kind, (_, corners) in primitives.items() if len(corners)}
         shape = pyvista.PolyData()
         if last > first:  # PyVista takes no empty arrays
             shape = pyvista.PolyData(positions[first:last], **cells)
@@ -79,7 +79,7 @@ def to_pyvista(
         if body in squares:
             shape = pyvista.PolyData(squares[body], faces=[4, 0, 1, 2, 3])
         if cells:
-            shape.cell_data["primitive"] = np.concatenate([ids for ids, _ in chosen.values()])
+            shape.cell_data["primitive"] = np.concatenate([ids for ids, _ in primitives.values()])
         shape.field_data["static"] = np.array([int(mesh.static[body])])
         blocks.append(shape, name)
     if result is not None:

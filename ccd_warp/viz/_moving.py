@@ -40,12 +40,12 @@ def arcs_of(moving: MovingVertices, most: int) -> list[NDArray[np.float64]]:
         return []
     turns = np.linalg.norm(paths.omega, axis=1) >= TURN
     bodies = np.flatnonzero(turns & (np.diff(mesh.body_vertex_range) > 0))
-    chosen = []
+    outermost = []
     for body in bodies[:most].tolist():
         first, last = mesh.body_vertex_range[body : body + 2].tolist()
         sides = moving.start[first:last] @ np.hstack([np.eye(3), -np.eye(3)])
-        chosen += (first + np.unique(sides.argmax(axis=0))).tolist()
-    vertices = np.array(chosen, dtype=np.int64)
+        outermost += (first + np.unique(sides.argmax(axis=0))).tolist()
+    vertices = np.array(outermost, dtype=np.int64)
     if not len(vertices):
         return []
     places = [moving.at(vertices, np.full((len(vertices), 1), t)) for t in moving.times]

@@ -51,7 +51,7 @@ class Panel:
         self.plotter.subplot(*self.place)
         return self.plotter.renderer
 
-    def look(self) -> None:
+    def set_view(self) -> None:
         """Set up view and lights."""
         renderer = self.renderer
         renderer.background_color = "white"
@@ -74,19 +74,19 @@ class Panel:
         has_edges, is_coarse = edge_length >= _READABLE_EDGE, edge_length >= _COARSE_EDGE
         is_coarse &= toi_range is not None
         light = _LIGHT_OF_BODIES if toi_range is None else _LIGHT_OF_TOI
-        for name, chosen in (
+        for name, is_drawn in (
             ("faces", ~has_edges),
             ("faces with edges", has_edges & ~is_coarse),
             ("coarse faces", is_coarse),
         ):
-            if not chosen.any():
+            if not is_drawn.any():
                 continue
-            used, faces = _used_vertices(scene.faces[chosen])
+            used, faces = _used_vertices(scene.faces[is_drawn])
             # a deep copy, because VTK would read the array after it is freed
             surface = pyvista.PolyData.from_regular_faces(positions[used], faces, deep=True)
             scalars, preference = colours[used], "point"
-            if toi_range is not None and chosen is is_coarse:
-                scalars, preference = self._colours_of_faces(scene.faces[chosen], toi_range), "cell"
+            if toi_range is not None and is_drawn is is_coarse:
+                scalars, preference = self._colours_of_faces(scene.faces[is_drawn], toi_range), "cell"
             style = {"show_edges": name != "faces", "edge_color": _EDGE_COLOUR, "edge_opacity": 0.3}
             style |= {"line_width": _EDGE_WIDTH * self.zoom, "preference": preference}
             style |= {"smooth_shading": True, "split_sharp_edges": True, "feature_angle": _SHARP}

@@ -267,12 +267,12 @@ def contact_sizes(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Con
     if k < 0:
         return 0.0, 0.0
     sides = pair_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
-    chosen: tuple[list[NDArray[Any]], list[NDArray[Any]]] = [], []
+    vertices: tuple[list[NDArray[Any]], list[NDArray[Any]]] = [], []
     for corners in (side.ravel() for side in sides if side.size):
-        chosen[0].append(np.flatnonzero(mesh.vertex_body == mesh.vertex_body[corners[0]]))
-        around = [each[(each == corners[0]).any(axis=1)].ravel() for each in (mesh.faces, mesh.edges)]
-        chosen[1].append(np.concatenate([corners, *(around if len(corners) == 1 else [])]))
-    body, primitive = ([float(np.ptp(start[each], axis=0).max()) for each in of_sides] for of_sides in chosen)
+        vertices[0].append(np.flatnonzero(mesh.vertex_body == mesh.vertex_body[corners[0]]))
+        around = [primitives[(primitives == corners[0]).any(axis=1)].ravel() for primitives in (mesh.faces, mesh.edges)]
+        vertices[1].append(np.concatenate([corners, *(around if len(corners) == 1 else [])]))
+    body, primitive = ([float(np.ptp(start[rows], axis=0).max()) for rows in of_sides] for of_sides in vertices)
     return min(body), min((size for size in primitive if size > 0.0), default=0.0)
 
 

@@ -59,16 +59,16 @@ def drawing_without_display() -> Iterator[Any]:
     pyvista = import_pyvista()
     from vtkmodules.vtkCommonCore import vtkObject
 
-    warnings, chosen = vtkObject.GetGlobalWarningDisplay(), os.environ.get(_CHOICE)
+    warnings, user_choice = vtkObject.GetGlobalWarningDisplay(), os.environ.get(_CHOICE)
     vtkObject.GlobalWarningDisplayOff()
     try:
-        window = chosen or _window_without_display()
+        window = user_choice or _window_without_display()
         if window is not None:
             os.environ[_CHOICE] = window
         yield pyvista
     finally:
         vtkObject.SetGlobalWarningDisplay(warnings)
-        if chosen is None:
+        if user_choice is None:
             os.environ.pop(_CHOICE, None)
 
 

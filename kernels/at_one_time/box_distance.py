@@ -6,25 +6,38 @@ A direction d bounds the distance of the patch by least d·W / Σ|d_k|, and the 
 
 import warp as wp
 
-from ..pair.rounding import LARGEST, inverse_power_of_two
+from ..pair.rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF, inverse_power_of_two
 from ..pair.single_points import Points, corners, largest, scaled, total
 from ..pair_kind import VERTEX_FACE
 from ..step.contact_normal import to_unit_size
-from .pair_distance import UNDERFLOW, bound_along, without
+from .pair_distance import UNDERFLOW, lowest, without
 
 _ZERO = wp.constant(wp.float64(0.0))
 _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 _SHRUNK = wp.constant(wp.float64(2.0**-10))
 _RESTORED = wp.constant(wp.float64(2.0**10))
+_PROJECTION = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64]))
+_TINY = wp.constant(wp.float64(TINY[wp.float64]))
+_DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 
 
 @wp.func
-def box_distance(kind: int, given: Points) -> wp.float64:
+def bound_along(
+    n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d, size: wp.vec3d, norm: wp.float64
+) -> wp.float64:
+    """A lower bound of the distance of the patch in the norm dual to that of n, rounding included (step 15)."""
+    _, projection = lowest(n, w00, w01, w10, w11)
+    along = projection - (_PROJECTION * wp.dot(wp.abs(n), size) + _TINY)
+    return along / norm * _DOWN
+
+
+@wp.func
+def box_distance(kind: int, points: Points) -> wp.float64:
     """A lower bound of the distance of a pair in the maximum norm, NaN where a coordinate is not finite.
 
     Invariant: no two points of the pair are closer (rounding, step 15, with Σ|d_k| in place of |d|).
     """
-    p = given
+    p = points
     c = corners(kind, p)
     restored = wp.float64(1.0)
     t = total(c)

@@ -34,7 +34,6 @@ _VOLUME = wp.constant(wp.float64(16.0 * 2.0**-53))
 _AREA = wp.constant(wp.float64(8.0 * 2.0**-53))
 _GUARD = wp.constant(wp.float64(2.0**-1000))
 _LARGEST = wp.constant(wp.float64(2.0**1000))
-_ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 
 
@@ -213,7 +212,7 @@ def test_pairs(
     num_vertices: int,  # the first vertex of an edge that is tested against a face is a number from here on
     x: wp.array[wp.vec3d],
     # out
-    found: wp.array[wp.int32],
+    verdict: wp.array[wp.int32],
 ):
     """What the test of each pair finds."""
     n = begin + wp.tid()
@@ -222,15 +221,15 @@ def test_pairs(
     b = second_corners[pair[1]]
     if kind == VERTEX_FACE:
         if a[0] >= num_vertices:
-            found[n] = test_edge_face(x[a[1]], x[a[2]], x[b[0]], x[b[1]], x[b[2]])
+            verdict[n] = test_edge_face(x[a[1]], x[a[2]], x[b[0]], x[b[1]], x[b[2]])
         else:
-            found[n] = test_vertex_face(x[a[0]], x[b[0]], x[b[1]], x[b[2]])
+            verdict[n] = test_vertex_face(x[a[0]], x[b[0]], x[b[1]], x[b[2]])
     elif kind == EDGE_EDGE:
         if in_plane != 0:
-            found[n] = test_crossing_in_plane(x[a[0]], x[a[1]], x[b[0]], x[b[1]])
+            verdict[n] = test_crossing_in_plane(x[a[0]], x[a[1]], x[b[0]], x[b[1]])
         else:
-            found[n] = test_edge_edge(x[a[0]], x[a[1]], x[b[0]], x[b[1]])
+            verdict[n] = test_edge_edge(x[a[0]], x[a[1]], x[b[0]], x[b[1]])
     elif kind == POINT_POINT:
-        found[n] = wp.where(x[a[0]] == x[b[0]], FOUND, APART)
+        verdict[n] = wp.where(x[a[0]] == x[b[0]], FOUND, APART)
     else:
-        found[n] = test_point_segment(x[a[0]], x[b[0]], x[b[1]])
+        verdict[n] = test_point_segment(x[a[0]], x[b[0]], x[b[1]])

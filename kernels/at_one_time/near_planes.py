@@ -7,16 +7,16 @@ round by less than 8u, by which the bound is lowered.
 
 import warp as wp
 
-from ..atomics import atomic_min_int64, claim
-from ..boxes.thickness import radius_of, sum_up
+from ..atomics import atomic_min_int64, claim, claim_int
+from ..boxes.thickness import add_rounded_up, radius_of
 from ..narrow_phase.meet_planes import is_pair_excluded
 from ..narrow_phase.planes import Planes, end_of_planes, first_plane, is_finite, nth_plane, point_of, scale_of, value_of
 from ..narrow_phase.sinks import NEAR
 from ..pair.rounding import RELATIVE, UNIT_ROUNDOFF
 from ..pair_kind import VERTEX_PLANE
 from ..step.minima import FOUND, Minima, world_of
-from .pair_distance import UNDERFLOW, PairDistance
-from .proximity import ProximityList, Reach, record_proximity
+from .pair_distance import UNDERFLOW
+from .proximity import Proximity, ProximityList, Reach, record_proximity
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -30,25 +30,26 @@ _LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
 
 
 @wp.func
-def plane_distance(x: wp.vec3d, p: wp.vec3d, planes: Planes, k: int) -> PairDistance:
-    """Distance of a point and a half-space with its plane at p; invariant: no solid is closer than ``least``."""
+def plane_distance(x: wp.vec3d, p: wp.vec3d, planes: Planes, k: int):
+    """Distance of a point and a half-space with its plane at p, and a bound: no solid is closer than that."""
     s = scale_of(wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(p))))
     lost = planes.lost[k]
     value = value_of(s * x, s * p, planes.normal[k], s >= _ONE and lost == _ZERO, lost)
-    r = PairDistance()
+    r = Proximity()
     r.distance = value.f / planes.length[k] * _LENGTH_UP / s
+    least = _ZERO
     if value.f > value.error:
         least = (value.f - value.error) / planes.length[k] * _DOWN / s
-        r.least = wp.max(wp.min(least, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
+        least = wp.max(wp.min(least, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
     r.direction = planes.unit[k]
     r.features = 1
-    return r
+    return r, least
 
 
 @wp.func
 def distance_with(distance: wp.float64, v: int, box_radius: wp.array[wp.float64]) -> wp.float64:
     """A distance plus the radius of the thickest primitive around a vertex, rounded up."""
-    return sum_up(distance, radius_of(box_radius, wp.vec3i(v, v, v)))
+    return add_rounded_up(distance, radius_of(box_radius, wp.vec3i(v, v, v)))
 
 
 @wp.kernel
@@ -80,14 +81,15 @@ def measure_planes(
         k = nth_plane(planes, i)
         p = point_of(planes, k, x)
         if planes.meets[k, vertex_body[v]] != wp.uint8(0) and is_finite(p):
-            found = plane_distance(x[v], p, planes, k)
-            if found.least <= distance_with(reach.distance, v, box_radius):
+            proximity, least = plane_distance(x[v], p, planes, k)
+            if least <= distance_with(reach.distance, v, box_radius):
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     if sink == NEAR:
-                        record_proximity(VERTEX_PLANE, wp.vec2i(v, k), v, found, minima, proximities)
+                        n = claim_int(proximities.count, 0)
+                        record_proximity(n, VERTEX_PLANE, wp.vec2i(v, k), v, proximity, minima, proximities)
                         continue
-                    gap = (found.least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
+                    gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW
                     if not gap > _ZERO:
                         gap = _ZERO
                     if planes.vertex.shape[0] > 0:

@@ -11,301 +11,338 @@ The decision does not rest on it. As everywhere, any direction is a proof: along
 worth, all corners lie beyond the bound that is reported (rounding, step 15). Near its minimum the distance changes by
 the square of what the direction changes by, so where rounding hides which feature is the nearest, the distance is right
 and the direction may not be: then it is turned until no corner lies below the closest point.
+
+It is written over lanes (`simd`), a pair in each; what few pairs need is done where a lane needs it.
 """
 
 import warp as wp
 
-from ..pair.rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF, inverse_power_of_two
-from ..pair.single_points import Points, corners, largest, scaled, total
+from ..pair import simd
+from ..pair.lane_scale import inverse_power_of_two, to_unit_size
+from ..pair.points import Points, corners, largest, scaled, total
+from ..pair.rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF
+from ..pair.simd import (
+    Lanes,
+    Mask,
+    Vec3,
+    bits_of,
+    dot,
+    greatest,
+    greatest_of,
+    is_at_most,
+    is_less,
+    least,
+    magnitude,
+    minus,
+    opposite,
+    select,
+    spread,
+    square_root,
+    vec,
+)
 from ..pair_kind import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE
-from ..step.contact_normal import to_unit_size
+from ..parameters import real
 
-_ZERO = wp.constant(wp.float64(0.0))
-_ONE = wp.constant(wp.float64(1.0))
-_PROJECTION = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64]))
-_DOWN = wp.constant(wp.float64(1.0 - RELATIVE * UNIT_ROUNDOFF[wp.float64]))
-_TINY = wp.constant(wp.float64(TINY[wp.float64]))
-_SHRUNK = wp.constant(wp.float64(2.0**-10))
-_RESTORED = wp.constant(wp.float64(2.0**10))
+zero = wp.constant(real(0.0))
+one = wp.constant(real(1.0))
+projection = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
+down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
+tiny = wp.constant(real(TINY[real]))
+overflowing = wp.constant(real(LARGEST))
+shrunk = wp.constant(real(2.0**-10))
+restored_by = wp.constant(real(2.0**10))
 # In scaled units, beside which a corner counts as lower than the closest point.
-_TURN = wp.constant(wp.float64(UNIT_ROUNDOFF[wp.float64]))
-_LARGEST_FINITE = wp.constant(wp.float64(1.7976931348623157e308))
+turn = wp.constant(real(-UNIT_ROUNDOFF[real]))
+largest_finite = wp.constant(real(1.7976931348623157e308))
+not_a_number = wp.constant(real(float("nan")))
 # More than a number can lose where it becomes subnormal.
-UNDERFLOW = wp.constant(wp.float64(2.0**-1070))
+UNDERFLOW = wp.constant(real(2.0**-1070))
 
 # The vertices of a pair that span its closest features, as bits: those of v, f0, f1, f2, or ea0, ea1, eb0, eb1; of a
-# point and a segment, or another point, the first and the last two, or the third.
-_FIRST = wp.constant(1)
-_SECOND = wp.constant(2)
-_THIRD = wp.constant(4)
-_FOURTH = wp.constant(8)
-_ALL = wp.constant(15)
+# point and a segment, or another point, the first and the last two, or the third. Lanes hold them as numbers.
+first = wp.constant(real(1.0))
+second = wp.constant(real(2.0))
+third = wp.constant(real(4.0))
+fourth = wp.constant(real(8.0))
+first_and_third = wp.constant(real(5.0))
+all_four = wp.constant(real(15.0))
+_NONE = wp.constant(wp.uint32(0))
 
 
 @wp.struct
 class PairDistance:
     """What is known of the distance of a pair."""
 
-    distance: wp.float64  # of the two points, a length
-    least: wp.float64  # a lower bound of the distance, NaN where a coordinate is not finite
-    direction: wp.vec3d  # unit, from the second primitive to the first; 0 where they have a common point
-    parameters: wp.vec2d  # (u, v) of the closest points
-    features: int
+    distance: Lanes  # of the two points, a length
+    least: Lanes  # a lower bound of the distance, NaN where a coordinate is not finite
+    direction: Vec3  # unit, from the second primitive to the first; 0 where they have a common point
+    u: Lanes  # parameters of the closest points
+    v: Lanes
+    features: Lanes
 
 
 @wp.struct
 class Closest:
     """A point of a patch, in scaled units."""
 
-    d: wp.vec3d
-    squared: wp.float64
-    u: wp.float64
-    v: wp.float64
-    features: int
+    d: Vec3
+    squared: Lanes
+    u: Lanes
+    v: Lanes
+    features: Lanes
 
 
 @wp.struct
 class OnSide:
     """The closest point of a side, with the weights of its ends; of an end the other weight is exactly 0."""
 
-    d: wp.vec3d
-    squared: wp.float64
-    of_a: wp.float64
-    of_b: wp.float64
+    d: Vec3
+    squared: Lanes
+    of_a: Lanes
+    of_b: Lanes
 
 
 @wp.struct
 class Foot:
     """The foot of the perpendicular on the plane w + x·q + y·r."""
 
-    d: wp.vec3d
-    x: wp.float64
-    y: wp.float64
-    exists: bool
+    d: Vec3
+    squared: Lanes
+    x: Lanes
+    y: Lanes
+    exists: Mask
 
 
-@wp.func
-def on_side(a: wp.vec3d, b: wp.vec3d, side: wp.vec3d) -> OnSide:
+@simd.func
+def on_side(a: Vec3, b: Vec3, side: Vec3) -> OnSide:
     """Closest point to the origin of the segment from a to b = a + side, reckoned from its nearer end."""
-    near = a
-    far = b
-    e = side
-    is_from_b = wp.dot(b, b) < wp.dot(a, a)
-    if is_from_b:
-        near = b
-        far = a
-        e = -side
+    is_from_b = is_less(dot(b, b), dot(a, a))
+    near = select(is_from_b, b, a)
+    far = select(is_from_b, a, b)
+    e = select(is_from_b, minus(side), side)
+    squared = dot(e, e)
+    t = least(greatest(minus(dot(near, e)) / squared, zero), one)
+    t = select(is_less(zero, squared), t, zero)
+    d = near + t * e
+    d = d - (dot(d, e) / squared) * e
     r = OnSide()
-    r.d = near
-    t = _ZERO
-    squared = wp.dot(e, e)
-    if squared > _ZERO:
-        t = wp.clamp(-wp.dot(near, e) / squared, _ZERO, _ONE)
-        if t == _ONE:
-            r.d = far  # only if rounding hides which end is nearer
-        elif t > _ZERO:
-            d = near + t * e
-            r.d = d - (wp.dot(d, e) / squared) * e
-    r.of_a = _ONE - t
-    r.of_b = t
-    if is_from_b:
-        r.of_a = t
-        r.of_b = _ONE - t
-    r.squared = wp.dot(r.d, r.d)
+    # the far end only if rounding hides which end is nearer
+    r.d = select(is_less(zero, t), select(is_less(t, one), d, far), near)
+    rest = one - t
+    r.of_a = select(is_from_b, t, rest)
+    r.of_b = select(is_from_b, rest, t)
+    r.squared = dot(r.d, r.d)
     return r
 
 
-@wp.func
-def foot(w: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> Foot:
+@simd.func
+def foot(w: Vec3, q: Vec3, r: Vec3) -> Foot:
     """The foot of the perpendicular; there is none where the sides are parallel."""
+    is_swapped = is_less(dot(q, q), dot(r, r))
+    longer = select(is_swapped, r, q)
+    shorter = select(is_swapped, q, r)
+    length_squared = dot(longer, longer)
+    lean = dot(shorter, longer) / length_squared
+    across = shorter - lean * longer
+    across = across - (dot(across, longer) / length_squared) * longer
+    width_squared = dot(across, across)
+    along = minus(dot(w, longer)) / length_squared
+    d = w + along * longer
+    y = minus(dot(d, across)) / width_squared
+    d = d + y * across
+    d = d - (dot(d, longer) / length_squared) * longer
+    x = along - lean * y
     f = Foot()
-    longer = q
-    shorter = r
-    is_swapped = wp.dot(r, r) > wp.dot(q, q)
-    if is_swapped:
-        longer = r
-        shorter = q
-    length_squared = wp.dot(longer, longer)
-    if length_squared > _ZERO:
-        lean = wp.dot(shorter, longer) / length_squared
-        across = shorter - lean * longer
-        across = across - (wp.dot(across, longer) / length_squared) * longer
-        width_squared = wp.dot(across, across)
-        if width_squared > _ZERO:
-            f.exists = True
-            along = -wp.dot(w, longer) / length_squared
-            d = w + along * longer
-            y = -wp.dot(d, across) / width_squared
-            d = d + y * across
-            d = d - (wp.dot(d, longer) / length_squared) * longer
-            f.d = d - (wp.dot(d, across) / width_squared) * across
-            x = along - lean * y
-            f.x = wp.where(is_swapped, y, x)
-            f.y = wp.where(is_swapped, x, y)
+    f.exists = is_less(zero, length_squared) & is_less(zero, width_squared)
+    f.d = d - (dot(d, across) / width_squared) * across
+    f.squared = dot(f.d, f.d)
+    f.x = select(is_swapped, y, x)
+    f.y = select(is_swapped, x, y)
     return f
 
 
-@wp.func
-def is_inside(x: wp.float64) -> bool:
+@simd.func
+def is_inside(x: Lanes) -> Mask:
     """Whether a weight is strictly between 0 and 1."""
-    return x > _ZERO and x < _ONE
+    return is_less(zero, x) & is_less(x, one)
 
 
-@wp.func
-def span(side: OnSide, first: int, second: int) -> int:
+@simd.func
+def span(side: OnSide, a: real, b: real) -> Lanes:
     """The ends of a side that span its closest feature."""
-    ends = int(0)
-    if side.of_a > _ZERO:
-        ends = first
-    if side.of_b > _ZERO:
-        ends = ends + second
-    return ends
+    none = spread(zero)
+    return select(is_less(zero, side.of_a), a, none) + select(is_less(zero, side.of_b), b, none)
 
 
-@wp.func
-def nearer(c: Closest, d: wp.vec3d, squared: wp.float64, u: wp.float64, v: wp.float64, features: int) -> Closest:
-    """The nearer of two points, of two that are as near the first."""
-    if squared < c.squared:
-        c = Closest(d, squared, u, v, features)
-    return c
+@simd.func
+def nearer(c: Closest, d: Vec3, squared: Lanes, u: Lanes, v: Lanes, features: Lanes, among: Mask) -> Closest:
+    """The nearer of two points, of two that are as near the first; the second only among some lanes."""
+    is_nearer = is_less(squared, c.squared) & among
+    r = Closest()
+    r.d = select(is_nearer, d, c.d)
+    r.squared = select(is_nearer, squared, c.squared)
+    r.u = select(is_nearer, u, c.u)
+    r.v = select(is_nearer, v, c.v)
+    r.features = select(is_nearer, features, c.features)
+    return r
 
 
-@wp.func
-def closest_of_face(w0: wp.vec3d, w1: wp.vec3d, w2: wp.vec3d, q: wp.vec3d, r: wp.vec3d, third: wp.vec3d) -> Closest:
-    """Closest point of the triangle w0, w1 = w0 + q, w2 = w0 + r = w1 + third, whose corners are v less f0, f1, f2."""
+@simd.func
+def of_side(side: OnSide, u: Lanes, v: Lanes, features: Lanes) -> Closest:
+    """The closest point of a side as that of the patch."""
+    r = Closest()
+    r.d = side.d
+    r.squared = side.squared
+    r.u = u
+    r.v = v
+    r.features = features
+    return r
+
+
+@simd.func
+def closest_of_face(w0: Vec3, w1: Vec3, w2: Vec3, q: Vec3, r: Vec3, side: Vec3) -> Closest:
+    """Closest point of the triangle w0, w1 = w0 + q, w2 = w0 + r = w1 + side, whose corners are v less f0, f1, f2."""
+    none = spread(zero)
+    every = is_at_most(none, none)
     s = on_side(w0, w1, q)
-    c = Closest(s.d, s.squared, s.of_b, _ZERO, _FIRST + span(s, _SECOND, _THIRD))
+    c = of_side(s, s.of_b, none, first + span(s, second, third))
     s = on_side(w0, w2, r)
-    c = nearer(c, s.d, s.squared, _ZERO, s.of_b, _FIRST + span(s, _SECOND, _FOURTH))
-    s = on_side(w1, w2, third)
-    c = nearer(c, s.d, s.squared, s.of_a, s.of_b, _FIRST + span(s, _THIRD, _FOURTH))
+    c = nearer(c, s.d, s.squared, none, s.of_b, first + span(s, second, fourth), every)
+    s = on_side(w1, w2, side)
+    c = nearer(c, s.d, s.squared, s.of_a, s.of_b, first + span(s, third, fourth), every)
     f = foot(w0, q, r)
-    if f.exists and f.x > _ZERO and f.y > _ZERO and f.x + f.y < _ONE:
-        c = nearer(c, f.d, wp.dot(f.d, f.d), f.x, f.y, _ALL)
-    return c
+    among = f.exists & is_less(zero, f.x) & is_less(zero, f.y) & is_less(f.x + f.y, one)
+    return nearer(c, f.d, f.squared, f.x, f.y, spread(all_four), among)
 
 
-@wp.func
-def closest_of_edges(w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d, q: wp.vec3d, r: wp.vec3d) -> Closest:
+@simd.func
+def closest_of_edges(w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3, q: Vec3, r: Vec3) -> Closest:
     """Closest point of the parallelogram w00 + u·r + v·q, whose corners are the ends of one edge less the other's."""
+    none = spread(zero)
+    whole = spread(one)
+    every = is_at_most(none, none)
     s = on_side(w00, w01, q)
-    c = Closest(s.d, s.squared, _ZERO, s.of_b, _FIRST + span(s, _THIRD, _FOURTH))
+    c = of_side(s, none, s.of_b, first + span(s, third, fourth))
     s = on_side(w10, w11, q)
-    c = nearer(c, s.d, s.squared, _ONE, s.of_b, _SECOND + span(s, _THIRD, _FOURTH))
+    c = nearer(c, s.d, s.squared, whole, s.of_b, second + span(s, third, fourth), every)
     s = on_side(w00, w10, r)
-    c = nearer(c, s.d, s.squared, s.of_b, _ZERO, _THIRD + span(s, _FIRST, _SECOND))
+    c = nearer(c, s.d, s.squared, s.of_b, none, third + span(s, first, second), every)
     s = on_side(w01, w11, r)
-    c = nearer(c, s.d, s.squared, s.of_b, _ONE, _FOURTH + span(s, _FIRST, _SECOND))
+    c = nearer(c, s.d, s.squared, s.of_b, whole, fourth + span(s, first, second), every)
     f = foot(w00, q, r)
-    if f.exists and is_inside(f.x) and is_inside(f.y):
-        c = nearer(c, f.d, wp.dot(f.d, f.d), f.y, f.x, _ALL)
-    return c
+    among = f.exists & is_inside(f.x) & is_inside(f.y)
+    return nearer(c, f.d, f.squared, f.y, f.x, spread(all_four), among)
 
 
-@wp.func
-def lowest(n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d) -> wp.vec3d:
-    """The corner that is least far along n."""
+@simd.func
+def lowest(n: Vec3, w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3):
+    """The corner that is least far along n, and how far that is."""
     w = w00
-    if wp.dot(n, w01) < wp.dot(n, w):
-        w = w01
-    if wp.dot(n, w10) < wp.dot(n, w):
-        w = w10
-    if wp.dot(n, w11) < wp.dot(n, w):
-        w = w11
-    return w
+    along = dot(n, w00)
+    other = dot(n, w01)
+    w = select(is_less(other, along), w01, w)
+    along = select(is_less(other, along), other, along)
+    other = dot(n, w10)
+    w = select(is_less(other, along), w10, w)
+    along = select(is_less(other, along), other, along)
+    other = dot(n, w11)
+    w = select(is_less(other, along), w11, w)
+    along = select(is_less(other, along), other, along)
+    return w, along
 
 
-@wp.func
-def bound_along(
-    n: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d, size: wp.vec3d, norm: wp.float64
-) -> wp.float64:
-    """A lower bound of the distance of the patch in the norm dual to that of n, rounding included (step 15)."""
-    along = wp.dot(n, lowest(n, w00, w01, w10, w11)) - (_PROJECTION * wp.dot(wp.abs(n), size) + _TINY)
-    return along / norm * _DOWN
-
-
-@wp.func
-def without(d: wp.vec3d, a: wp.vec3d) -> wp.vec3d:
+@simd.func
+def without(d: Vec3, a: Vec3) -> Vec3:
     """The part of d across a; a second time, after the cancellation."""
-    squared = wp.dot(a, a)
-    if squared > _ZERO:
-        d = d - (wp.dot(d, a) / squared) * a
-        d = d - (wp.dot(d, a) / squared) * a
-    return d
+    squared = dot(a, a)
+    e = d - (dot(d, a) / squared) * a
+    e = e - (dot(e, a) / squared) * a
+    return select(is_less(zero, squared), e, d)
 
 
-@wp.func
-def turned(d: wp.vec3d, w00: wp.vec3d, w01: wp.vec3d, w10: wp.vec3d, w11: wp.vec3d) -> wp.vec3d:
+@simd.func
+def turned(d: Vec3, w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3) -> Vec3:
     """A direction near that of the closest point d, along which the patch begins there.
 
     Where a foot lies so near the end of a side that rounding hides it, the distance does not tell, and the direction is
     off by as much: it is made orthogonal to what leads from there to the lowest corner, and then to a second one.
     """
-    a = lowest(to_unit_size(d), w00, w01, w10, w11) - d
+    w, _along = lowest(to_unit_size(d), w00, w01, w10, w11)
+    a = w - d
     e = without(d, a)
     n = to_unit_size(e)
-    b = without(lowest(n, w00, w01, w10, w11) - d, a)
-    if wp.dot(n, b) < -_TURN:
-        e = without(without(e, b), a)
-    return e
+    w, _along = lowest(n, w00, w01, w10, w11)
+    b = without(w - d, a)
+    return select(is_less(dot(n, b), turn), without(without(e, b), a), e)
 
 
-@wp.func
-def measured(kind: int, given: Points, only_least: bool) -> PairDistance:
+@simd.func
+def measured(kind: int, points: Points, only_least: bool) -> PairDistance:
     """The distance of a pair; invariant: no two of its points are closer than ``least`` (rounding, step 15).
 
     With ``only_least`` the distance and the direction are left out.
     """
-    p = given
+    p = points
     c = corners(kind, p)
-    restored = _ONE
-    t = total(c)
-    if not (t[0] + t[1] + t[2] < LARGEST):
-        p = scaled(p, wp.vec3d(_SHRUNK, _SHRUNK, _SHRUNK))
+    restored = spread(one)
+    of_sizes = total(c)
+    sizes = of_sizes.x + of_sizes.y + of_sizes.z
+    is_large = opposite(is_less(sizes, overflowing))
+    if bits_of(is_large) != _NONE:
+        factor = select(is_large, shrunk, spread(one))
+        p = scaled(p, vec(factor, factor, factor))
         c = corners(kind, p)
-        restored = _RESTORED
+        restored = select(is_large, restored_by, restored)
     size = largest(c)
-    s = inverse_power_of_two(wp.max(size))
+    s = inverse_power_of_two(greatest_of(size))
     w00 = s * c.w00
     w01 = s * c.w01
     w10 = s * c.w10
     w11 = s * c.w11
+    none = spread(zero)
     closest = Closest()
     closest.d = w00
-    closest.features = _FIRST + _THIRD
+    closest.u = none
+    closest.v = none
+    closest.features = spread(first_and_third)
     if kind == VERTEX_FACE:
         closest = closest_of_face(w00, w01, w10, s * c.q, s * c.r, s * (p.p2 - p.p3))
     elif kind == EDGE_EDGE:
         closest = closest_of_edges(w00, w01, w10, w11, s * c.q, s * c.r)
     elif kind == POINT_SEGMENT:
         side = on_side(w00, w01, s * c.q)
-        closest.d = side.d
-        closest.u = side.of_b
-        closest.features = _FIRST + span(side, _THIRD, _FOURTH)
+        closest = of_side(side, side.of_b, none, first + span(side, third, fourth))
     # corners that repeat do no harm
     n = to_unit_size(closest.d)
-    along = wp.dot(n, lowest(n, w00, w01, w10, w11))
-    error = _PROJECTION * s * wp.dot(wp.abs(n), size)
-    if wp.dot(n, closest.d) - along > error:
-        e = turned(closest.d, w00, w01, w10, w11)
-        m = to_unit_size(e)
+    _w, along = lowest(n, w00, w01, w10, w11)
+    error = projection * s * dot(magnitude(n), size)
+    length = square_root(dot(n, n))
+    is_low = is_less(error, dot(n, closest.d) - along)
+    if bits_of(is_low) != _NONE:
+        m = to_unit_size(turned(closest.d, w00, w01, w10, w11))
+        _w, along_m = lowest(m, w00, w01, w10, w11)
+        length_m = square_root(dot(m, m))
         # of two directions that are as good as each other, the one that proves more
-        if wp.dot(m, lowest(m, w00, w01, w10, w11)) * wp.length(n) > along * wp.length(m):
-            n = m
-            along = wp.dot(n, lowest(n, w00, w01, w10, w11))
-            error = _PROJECTION * s * wp.dot(wp.abs(n), size)
-    along = along - (error + _TINY)
-    length = wp.sqrt(wp.dot(n, n))
+        is_better = is_low & is_less(along * length_m, along_m * length)
+        n = select(is_better, m, n)
+        along = select(is_better, along_m, along)
+        length = select(is_better, length_m, length)
+        error = projection * s * dot(magnitude(n), size)
+    along = along - (error + tiny)
     r = PairDistance()
-    r.parameters = wp.vec2d(closest.u, closest.v)
+    r.u = closest.u
+    r.v = closest.v
     r.features = closest.features
-    if along > _ZERO:
-        least = along / length * _DOWN
-        r.least = wp.max(wp.min(least / s * restored, _LARGEST_FINITE) - UNDERFLOW, _ZERO)
-    if length > _ZERO and not only_least:
-        r.direction = n / length
-        of_unit_size = to_unit_size(closest.d)
-        r.distance = wp.length(of_unit_size) / inverse_power_of_two(wp.max(wp.abs(closest.d))) / s * restored
-    if not (t[0] + t[1] + t[2] == t[0] + t[1] + t[2]) or not wp.isfinite(wp.max(size)):
-        r.least = wp.float64(wp.nan)
+    bound = greatest(least(along / length * down / s * restored, largest_finite) - spread(UNDERFLOW), zero)
+    bound = select(is_less(zero, along), bound, none)
+    r.distance = none
+    r.direction = vec(none, none, none)
+    if not only_least:
+        has_length = is_less(zero, length)
+        r.direction = select(has_length, vec(n.x / length, n.y / length, n.z / length), r.direction)
+        unit = inverse_power_of_two(greatest_of(magnitude(closest.d)))
+        of_unit_size = unit * closest.d
+        r.distance = select(has_length, square_root(dot(of_unit_size, of_unit_size)) / unit / s * restored, none)
+    is_finite = is_at_most(sizes, sizes) & is_at_most(greatest_of(size), largest_finite)
+    r.least = select(is_finite, bound, spread(not_a_number))
     return r

@@ -6,11 +6,11 @@ capacity lowers it to 0 (`mark_overflow`). The kernel that measures the pairs is
 
 import warp as wp
 
-from ..atomics import atomic_min_int64, claim_int
+from ..atomics import atomic_min_int64
 from ..pair.rounding import RELATIVE, UNIT_ROUNDOFF
 from ..step.contacts import sort_key
 from ..step.minima import CONTACTS_OVERFLOW, INVALID_INPUT, Minima, flag_world, world_of
-from .pair_distance import UNDERFLOW, PairDistance
+from .pair_distance import UNDERFLOW
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -43,21 +43,30 @@ class ProximityList:
     features: wp.array[wp.int32]
 
 
+@wp.struct
+class Proximity:
+    """What is listed of a near pair."""
+
+    parameters: wp.vec2d
+    distance: wp.float64
+    direction: wp.vec3d
+    features: int
+
+
 @wp.func
 def record_proximity(
-    kind: int, pair: wp.vec2i, vertex: int, found: PairDistance, minima: Minima, proximities: ProximityList
+    n: int, kind: int, pair: wp.vec2i, vertex: int, proximity: Proximity, minima: Minima, proximities: ProximityList
 ):
-    """Append a pair to the list; ``vertex`` is one of its vertices, whose world is flagged if the list is full."""
-    n = claim_int(proximities.count, 0)
+    """Write a pair at the place ``n`` that was claimed for it; if the list is full, flag the world of its vertex."""
     if n >= proximities.kind.shape[0]:
         flag_world(minima, vertex, CONTACTS_OVERFLOW)
         return
     proximities.kind[n] = kind
     proximities.primitives[n] = pair
-    proximities.parameters[n] = found.parameters
-    proximities.distance[n] = found.distance
-    proximities.direction[n] = found.direction
-    proximities.features[n] = found.features
+    proximities.parameters[n] = proximity.parameters
+    proximities.distance[n] = proximity.distance
+    proximities.direction[n] = proximity.direction
+    proximities.features[n] = proximity.features
 
 
 @wp.func

@@ -84,11 +84,11 @@ def mark_bodies_near(
     collision_filter: CollisionFilter,
     stop: wp.array[wp.int32],
     # out
-    near: wp.array[wp.int32],  # per body
+    is_near: wp.array[wp.int32],  # per body
 ):
     """Mark the bodies whose box overlaps that of another body with which they may collide."""
     if is_stopped(stop):
         return
     query = queries[begin + wp.tid()]
     if overlaps_another(query, tree, collision_filter):
-        near[tree.body[query]] = 1
+        is_near[tree.body[query]] = 1

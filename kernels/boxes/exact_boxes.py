@@ -45,11 +45,11 @@ def are_apart(a: Box, b: Box) -> bool:
 if is_thick:
 
     @wp.func
-    def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
-        """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
+    def boxes_apart(search: Search, q: int, block: int, undecided: wp.uint32) -> wp.uint32:
+        """Mask of the ``undecided`` boxes of a block that do not overlap the query's."""
         box = thick_box(box_corners(search.query, q), search.step.vertices_t0, search.step.vertices_t1, search.options)
         mask = wp.uint32(0)
-        left = wp.uint32(tied)
+        left = wp.uint32(undecided)
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)
@@ -61,8 +61,8 @@ if is_thick:
 else:
 
     @wp.func
-    def boxes_apart(search: Search, q: int, block: int, tied: wp.uint32) -> wp.uint32:
-        """Mask of the ``tied`` boxes of a block that do not overlap the query's."""
+    def boxes_apart(search: Search, q: int, block: int, undecided: wp.uint32) -> wp.uint32:
+        """Mask of the ``undecided`` boxes of a block that do not overlap the query's."""
         return separated_mask(
             search.step.vertices_t0,
             search.step.vertices_t1,
@@ -74,5 +74,5 @@ else:
             q / WIDTH,
             q % WIDTH,
             search.tree_pair.num_query_corners,
-            tied,
+            undecided,
         )

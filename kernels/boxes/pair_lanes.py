@@ -55,7 +55,7 @@ SEPARATED = {
     double query[6], target[6];
     make_box(q, num_query_corners, query);
     for (int k = 0; k < 16; ++k) {
-        if (((tied >> k) & 1u) == 0)
+        if (((undecided >> k) & 1u) == 0)
             continue;
         make_box(c + k, num_corners, target);
         bool meets = true;
@@ -89,8 +89,8 @@ SEPARATED = {
     };
     Point query_lower, query_upper, lower, upper;
     make_box(q, num_query_corners, query_lower, query_upper);
-    for (; tied != 0; tied &= tied - 1) {
-        const int k = __builtin_ctz(tied);
+    for (; undecided != 0; undecided &= undecided - 1) {
+        const int k = __builtin_ctz(undecided);
         make_box(c + k, num_corners, lower, upper);
         const auto meets = (lower <= query_upper) & (query_lower <= upper);
         apart |= (unsigned)(__builtin_reduce_and(meets) == 0) << k;
@@ -112,9 +112,9 @@ def separated_mask(
     query_block: int,
     query_lane: int,
     num_query_corners: int,
-    tied: wp.uint32,
+    undecided: wp.uint32,
 ) -> wp.uint32:
-    """Mask of the ``tied`` boxes of a block that do not overlap the query's in float64.
+    """Mask of the ``undecided`` boxes of a block that do not overlap the query's in float64.
 
     The boxes are exactly the unions of those that `fill_vertex_aabbs` quantizes for ``t_end`` = 1.
     """

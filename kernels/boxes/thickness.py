@@ -33,7 +33,7 @@ def radius_of(radius: wp.array[wp.float64], corners: wp.vec3i) -> wp.float64:
 
 
 @wp.func
-def sum_up(a: wp.float64, b: wp.float64) -> wp.float64:
+def add_rounded_up(a: wp.float64, b: wp.float64) -> wp.float64:
     """a + b of numbers that are not negative, rounded up; exact where no rounding is needed (rounding, step 14)."""
     s = a + b
     if not s <= _LARGEST_FINITE:
@@ -48,7 +48,7 @@ def sum_up(a: wp.float64, b: wp.float64) -> wp.float64:
 @wp.func
 def distance_of(minimum: wp.float64, radius: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp.float64:
     """Distance at which a pair counts as touching, from the vertices of its primitives, rounded up."""
-    return sum_up(minimum, sum_up(radius_of(radius, first), radius_of(radius, second)))
+    return add_rounded_up(minimum, add_rounded_up(radius_of(radius, first), radius_of(radius, second)))
 
 
 @wp.kernel

@@ -3,7 +3,8 @@
 A vertex has a **rating** after each pass of a line search. It is REGULAR as long as no motion was shortened, or only by
 regular contacts of vertices that are so. Where a pass lets it stay where it starts, it is STOPPED, if the contact that
 says so is not regular: it stays there for some moves of the vertices, not for all. Else it is UNKNOWN: the fraction of
-its motion follows from a pair that is held (`hold`), from a part of a gap, from a limit, or from what is not listed.
+its motion follows from a start distance (`start_distance`), from a part of a gap, from a limit, or from what is not
+listed.
 
 A vertex that is not UNKNOWN depends on none that is: the fraction in which it moves has the least rating of the
 vertices of its contact, and what stays does so whatever was before.
@@ -31,7 +32,7 @@ def rate_minima(
     mesh: CheckedMesh,
     attained: Attained,  # of one kind of minima
     is_regular: wp.array[wp.bool],  # of each listed contact
-    hold: wp.array[wp.float64],  # of each vertex, infinite where nothing is held; empty: nowhere
+    start_distance: wp.array[wp.float64],  # of each vertex, infinite where none is kept; empty: nowhere
     vertex_rating: wp.array[wp.int32],  # empty: all are regular
     # out
     rating: wp.array[wp.int32],  # of each minimum
@@ -44,37 +45,37 @@ def rate_minima(
     n = attained.listed[m]
     v = vertices_of(check.contacts, n, mesh.edge_corners, mesh.face_corners)
     is_plane = check.contacts.kind[n] == VERTEX_PLANE
-    own = int(UNKNOWN)
+    of_contact = int(UNKNOWN)
     if is_regular[m]:
-        own = int(REGULAR)
+        of_contact = int(REGULAR)
     for c in range(4):
-        if hold.shape[0] > 0 and not is_plane:
-            if wp.isfinite(hold[v[c]]):
-                own = int(UNKNOWN)
+        if start_distance.shape[0] > 0 and not is_plane:
+            if wp.isfinite(start_distance[v[c]]):
+                of_contact = int(UNKNOWN)
         if vertex_rating.shape[0] > 0:
-            own = wp.min(own, vertex_rating[v[c]])
+            of_contact = wp.min(of_contact, vertex_rating[v[c]])
     if is_plane and vertex_rating.shape[0] > 0 and mesh.plane_vertex.shape[0] > 0:
         of_plane = mesh.plane_vertex[check.contacts.primitives[n][1]]
         if of_plane >= 0:
-            own = wp.min(own, vertex_rating[of_plane])
+            of_contact = wp.min(of_contact, vertex_rating[of_plane])
     if attained.vertex.shape[0] > 0:
         for c in range(4):
             if attained.vertex[v[c]] == key:
-                rating[v[c]] = own
+                rating[v[c]] = of_contact
     if attained.body.shape[0] > 0:
         first = mesh.vertex_body[v[0]]
         second = second_body(check, mesh, n, v)
         if attained.body[first] == key:
-            rating[first] = own
+            rating[first] = of_contact
         if attained.body[second] == key:
-            rating[second] = own
+            rating[second] = of_contact
     if attained.world.shape[0] > 0:
         world = world_of_vertex(mesh, v[0])
         if attained.world[world] == key:
-            rating[world] = own
+            rating[world] = of_contact
     if attained.scene.shape[0] > 0:
         if attained.scene[0] == key:
-            rating[0] = own
+            rating[0] = of_contact
 
 
 @wp.kernel

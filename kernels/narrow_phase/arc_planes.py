@@ -3,17 +3,18 @@
 What is added to the distance is the sagitta along the normal n: the acceleration along it is at most |V|·|ω×n|. So a
 body that turns about the normal, as what spins on the ground does, has straight motion toward the plane.
 
-With ``holds`` a vertex that starts within its distance keeps what it had, as on straight paths, but slice by slice:
-what it has at the begin of a slice is no less than what it kept before. In the solid it may leave, and go no deeper.
+With ``keeps_start_distance`` a vertex that starts within its distance keeps what it had, as on straight paths, but
+slice by slice: what it has at the begin of a slice is no less than what it kept before. In the solid it may leave, and
+go no deeper.
 """
 
 import warp as wp
 
 from ..pair.arcs import bend, point_at
-from ..pair.rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, HELD_ERRORS, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
+from ..pair.rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, SQUARE_UNDERFLOW, START_DISTANCE_ERRORS, UNIT_ROUNDOFF
 from ..pair.turns import Turns
 from ..pair.windows import Window, in_step, next_window, reached
-from .planes import Meeting, PlaneQuery, Planes, meeting_of
+from .planes import Meeting, PlaneQuery, Planes, largest_coordinate, length_of_normal, meeting_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -28,14 +29,14 @@ _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 # The unit normal is rounded, by less than this; so a product with it may be off by as much of the whole vector.
 _UNIT = wp.constant(wp.float64(16.0 * UNIT_ROUNDOFF[wp.float64]))
-# What a held vertex keeps is less by these multiples of the rounding of its distance, and of that of its arc.
-_HELD_VALUE = wp.constant(wp.float64(64.0 * UNIT_ROUNDOFF[wp.float64]))
-_HELD_ERRORS = wp.constant(wp.float64(HELD_ERRORS))
+# A start distance is less by these multiples of its own rounding, and of that of the arc.
+_START_DISTANCE_VALUE = wp.constant(wp.float64(64.0 * UNIT_ROUNDOFF[wp.float64]))
+_START_DISTANCE_ERRORS = wp.constant(wp.float64(START_DISTANCE_ERRORS))
 _SQUARE = wp.constant(wp.float64(SQUARE_UNDERFLOW[wp.float64]))
 
 
 @wp.func
-def held_distance(
+def start_distance(
     x: wp.vec3d, p: wp.vec3d, radius: wp.float64, error: wp.float64, planes: Planes, k: int, query: PlaneQuery
 ) -> wp.float64:
     """What a vertex keeps that starts the slice within its distance, and parts and slides; below 0 in the solid.
@@ -45,13 +46,11 @@ def held_distance(
     """
     d = x - p
     n = planes.normal[k]
-    size = planes.sum[k]
-    if query.is_euclidean != 0:
-        size = planes.length[k]
+    size = length_of_normal(planes, k, query)
     a = n[0] * d[0]
     b = n[1] * d[1]
     c = n[2] * d[2]
-    margin = _HELD_VALUE * (wp.abs(a) + wp.abs(b) + wp.abs(c)) + _HELD_ERRORS * error * size
+    margin = _START_DISTANCE_VALUE * (wp.abs(a) + wp.abs(b) + wp.abs(c)) + _START_DISTANCE_ERRORS * error * size
     kept = (a + b + c - margin) / size
     if kept < query.distance + radius:
         return kept
@@ -74,8 +73,7 @@ def meeting_on_arc(
     """`meeting_of` for a vertex that turns with its body in a slice, at a time of the step."""
     spin = turns.t_length * turns.omega[turns.vertex_body[v]]
     velocity = turns.velocity[v]
-    size = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
-    size = wp.max(size, wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1))))
+    size = largest_coordinate(x0, x1, p0, p1)
     motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
     error = turns.slack[v] + (_ERROR * size + _MOTION_ERROR * motion)
     if planes.vertex.shape[0] > 0 and planes.vertex[k] >= 0:  # the point of one that moves is rounded between slices
@@ -85,14 +83,14 @@ def meeting_on_arc(
     if not along > _ZERO:
         amplitude = _ZERO
     is_inside = bool(False)
-    if query.holds != 0:
-        held = held_distance(x0, p0, radius, error, planes, k, query)
-        if held < query.distance + radius:
-            is_inside = held < _ZERO
-            query.distance = held
+    if query.keeps_start_distance != 0:
+        at_start = start_distance(x0, p0, radius, error, planes, k, query)
+        if at_start < query.distance + radius:
+            is_inside = at_start < _ZERO
+            query.distance = at_start
             radius = _ZERO
     query.t_max = _ONE
-    query.holds = 0
+    query.keeps_start_distance = 0
     query.start_gap_fraction = _ZERO
     window = Window()
     window.h = _ONE

@@ -13,6 +13,7 @@ from ..pair.points import Points
 from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, width
+from ..step.pair_list import PairList
 from ..template import specialised
 
 simd = specialised("pair.simd", width=width)
@@ -87,7 +88,7 @@ def gathered_number(x: wp.array[wp.float64], i: Index) -> simd.Lanes:
 corner_of_snippet = f"""
     {out_index};
     for (int k = 0; k < {width}; ++k) {{
-        const long long written = pairs.data[{index_of}], key = written < 0 ? ~written : written;
+        const long long written = keys.data[{index_of}], key = written < 0 ? ~written : written;
         const long long primitive = is_second != 0 ? key & 0xFFFFFFFFLL : key >> 32;
         r[k] = ((const int*)corners.data)[3LL * primitive + corner];
     }}
@@ -96,7 +97,7 @@ corner_of_snippet = f"""
 
 
 @wp.func_native(corner_of_snippet)
-def corner_of(pairs: wp.array[wp.int64], i: Index, is_second: int, corners: wp.array[wp.vec3i], corner: int) -> Index:
+def corner_of(keys: wp.array[wp.int64], i: Index, is_second: int, corners: wp.array[wp.vec3i], corner: int) -> Index:
     """A vertex of a primitive of a pair for each lane; the key of an open pair is its complement."""
     ...
 
@@ -205,56 +206,35 @@ class LaneVertices:
 
 
 @wp.func
-def vertices_of_pairs(
-    kind: int,
-    pairs: wp.array[wp.int64],
-    rows: Index,
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-) -> LaneVertices:
+def vertices_of_pairs(pairs: PairList, rows: Index) -> LaneVertices:
     """The vertices of a pair of primitives of a mesh for each lane, in the order of its points."""
     r = LaneVertices()
-    r.i0 = corner_of(pairs, rows, 0, first_corners, 0)
-    r.i1 = corner_of(pairs, rows, 1, second_corners, 0)
-    r.i2 = corner_of(pairs, rows, 1, second_corners, 1)
-    r.i3 = corner_of(pairs, rows, 1, second_corners, 2)
-    if kind == EDGE_EDGE:
+    r.i0 = corner_of(pairs.keys, rows, 0, pairs.first_corners, 0)
+    r.i1 = corner_of(pairs.keys, rows, 1, pairs.second_corners, 0)
+    r.i2 = corner_of(pairs.keys, rows, 1, pairs.second_corners, 1)
+    r.i3 = corner_of(pairs.keys, rows, 1, pairs.second_corners, 2)
+    if pairs.kind == EDGE_EDGE:
         r.i3 = r.i2
         r.i2 = r.i1
-        r.i1 = corner_of(pairs, rows, 0, first_corners, 1)
+        r.i1 = corner_of(pairs.keys, rows, 0, pairs.first_corners, 1)
     return r
 
 
 @wp.func
-def points_of_pairs(
-    kind: int,
-    pairs: wp.array[wp.int64],
-    rows: Index,
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    vertices_t0: wp.array[wp.vec3d],
-    vertices_t1: wp.array[wp.vec3d],
-):
+def points_of_pairs(pairs: PairList, rows: Index):
     """The points of a pair of primitives of a mesh for each lane, at both ends of the step."""
-    i = vertices_of_pairs(kind, pairs, rows, first_corners, second_corners)
-    a = points_of_vertices(vertices_t0, i.i0, i.i1, i.i2, i.i3)
-    return a, points_of_vertices(vertices_t1, i.i0, i.i1, i.i2, i.i3)
+    i = vertices_of_pairs(pairs, rows)
+    a = points_of_vertices(pairs.vertices_t0, i.i0, i.i1, i.i2, i.i3)
+    return a, points_of_vertices(pairs.vertices_t1, i.i0, i.i1, i.i2, i.i3)
 
 
 if has_arcs(norm):
     Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
 
     @simd.func
-    def arcs_of_pairs(
-        kind: int,
-        pairs: wp.array[wp.int64],
-        rows: Index,
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        turns: Turns,
-    ) -> Arcs:
+    def arcs_of_pairs(pairs: PairList, rows: Index, turns: Turns) -> Arcs:
         """How the points of a pair of primitives of a mesh turn, for each lane."""
-        i = vertices_of_pairs(kind, pairs, rows, first_corners, second_corners)
+        i = vertices_of_pairs(pairs, rows)
         r = Arcs()
         r.v0 = gathered_point(turns.velocity, i.i0)
         r.v1 = gathered_point(turns.velocity, i.i1)
@@ -265,7 +245,7 @@ if has_arcs(norm):
         of_a = gathered_number(turns.slack, i.i0)
         of_b = simd.greatest(gathered_number(turns.slack, i.i2), gathered_number(turns.slack, i.i3))
         of_second = gathered_number(turns.slack, i.i1)
-        if kind == EDGE_EDGE:
+        if pairs.kind == EDGE_EDGE:
             of_a = simd.greatest(of_a, of_second)
         else:
             of_b = simd.greatest(of_b, of_second)

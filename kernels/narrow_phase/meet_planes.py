@@ -20,12 +20,11 @@ from ..step.minima import (
 from ..step.step import ContactList, Step
 from .arc_planes import meeting_on_arc
 from .planes import Meeting, PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
+from .raised_toi import raised_toi
 from .sinks import BOUND
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# As in `pair_outcome`: below it a toi may be so small only because the gap is lost in the rounding of a float32 motion.
-_LOST_TOI = wp.constant(wp.float64(2.0**-20))
 _ZERO = wp.constant(wp.float64(0.0))
 
 
@@ -44,6 +43,47 @@ def is_pair_excluded(v: int, k: int, excluded: wp.array[wp.int64]) -> bool:
     if low < excluded.shape[0]:
         return excluded[low] == key
     return False
+
+
+@wp.func
+def record_meeting(
+    v: int,
+    k: int,
+    meeting: Meeting,
+    toi: wp.float64,  # to which the minima are lowered
+    is_struck: bool,
+    planes: Planes,
+    most_gap: wp.float64,
+    # in and out
+    step: Step,
+):
+    """Lower the minima, unless only the plane moves, and append the contact to the list if there is capacity."""
+    if is_struck:
+        flag_world(step.minima, v, STRUCK)
+    else:
+        bits = wp.cast(toi, wp.int64)
+        lower_primitive(step.minima, wp.vec3i(v, v, v), bits)
+        atomic_min_int64(step.minima.body, planes.body[k], bits)
+        atomic_min_int64(step.minima.world, world_of(step.minima, v), bits)
+        atomic_min_int64(step.minima.scene, 0, bits)
+    status = STATUS_COLLISION
+    if meeting.toi == _ZERO:
+        status = STATUS_INITIAL_CONTACT
+        if meeting.gap > most_gap:
+            status = STATUS_ROUNDING_LIMIT
+            flag_world(step.minima, v, ROUNDING_LIMIT)
+    n = claim_int(step.contacts.count, 0)
+    if n < step.contacts.toi.shape[0]:
+        step.contacts.kind[n] = VERTEX_PLANE
+        step.contacts.primitives[n] = wp.vec2i(v, k)
+        step.contacts.toi[n] = meeting.toi
+        step.contacts.status[n] = status
+        step.contacts.parameters[n] = wp.vec2d(_ZERO, _ZERO)
+        step.contacts.gap[n] = meeting.gap
+        step.contacts.width[n] = _ZERO
+        step.contacts.normal[n] = planes.unit[k]
+    else:
+        flag_world(step.minima, v, CONTACTS_OVERFLOW)
 
 
 @wp.kernel
@@ -87,49 +127,24 @@ def meet_planes(
         k = nth_plane(planes, i)
         p0 = point_of(planes, k, step.vertices_t0)
         p1 = point_of(planes, k, step.vertices_t1)
-        if planes.meets[k, body] != wp.uint8(0) and not (is_struck and p0 == p1):
-            meeting = Meeting()
-            if turns.velocity.shape[0] > 0:
-                meeting = meeting_on_arc(v, x0, x1, p0, p1, radius, planes, k, query, turns)
-            else:
-                meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
-            if meeting.toi <= query.t_max:
-                if not is_pair_excluded(v, k, planes.excluded):
-                    claim(step.counts, VERTEX_PLANE, FOUND, 1)
-                    toi = meeting.toi
-                    if sink == BOUND:
-                        atomic_min_int64(step.least_bits, 0, wp.cast(toi, wp.int64))
-                        continue
-                    if gaps_moved > _ZERO and toi < _LOST_TOI:
-                        motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
-                        if gaps_moved * meeting.gap < motion:
-                            toi = wp.max(toi, gaps_moved * meeting.gap / motion)
-                    bits = wp.cast(toi, wp.int64)
-                    if is_struck:
-                        flag_world(step.minima, v, STRUCK)
-                    else:
-                        lower_primitive(step.minima, wp.vec3i(v, v, v), bits)
-                        atomic_min_int64(step.minima.body, planes.body[k], bits)
-                        atomic_min_int64(step.minima.world, world, bits)
-                        atomic_min_int64(step.minima.scene, 0, bits)
-                    status = STATUS_COLLISION
-                    if meeting.toi == _ZERO:
-                        status = STATUS_INITIAL_CONTACT
-                        if meeting.gap > query.most_gap:
-                            status = STATUS_ROUNDING_LIMIT
-                            flag_world(step.minima, v, ROUNDING_LIMIT)
-                    n = claim_int(step.contacts.count, 0)
-                    if n < step.contacts.toi.shape[0]:
-                        step.contacts.kind[n] = VERTEX_PLANE
-                        step.contacts.primitives[n] = wp.vec2i(v, k)
-                        step.contacts.toi[n] = meeting.toi
-                        step.contacts.status[n] = status
-                        step.contacts.parameters[n] = wp.vec2d(_ZERO, _ZERO)
-                        step.contacts.gap[n] = meeting.gap
-                        step.contacts.width[n] = _ZERO
-                        step.contacts.normal[n] = planes.unit[k]
-                    else:
-                        flag_world(step.minima, v, CONTACTS_OVERFLOW)
+        if planes.meets[k, body] == wp.uint8(0) or (is_struck and p0 == p1):
+            continue
+        meeting = Meeting()
+        if turns.velocity.shape[0] > 0:
+            meeting = meeting_on_arc(v, x0, x1, p0, p1, radius, planes, k, query, turns)
+        else:
+            meeting = meeting_of(x0, x1, p0, p1, radius, planes, k, query)
+        if meeting.toi > query.t_max:
+            continue
+        if is_pair_excluded(v, k, planes.excluded):
+            continue
+        claim(step.counts, VERTEX_PLANE, FOUND, 1)
+        if sink == BOUND:
+            atomic_min_int64(step.least_bits, 0, wp.cast(meeting.toi, wp.int64))
+        else:
+            motion = wp.max(wp.abs(x1 - x0)) + wp.max(wp.abs(p1 - p0))
+            toi = raised_toi(meeting.toi, meeting.gap, motion, gaps_moved)
+            record_meeting(v, k, meeting, toi, is_struck, planes, query.most_gap, step)
 
 
 @wp.kernel

@@ -7,35 +7,35 @@ pairs come from and where the outcomes go (`sinks`) is an argument, so that the 
 
 import warp as wp
 
-from ..atomics import atomic_min_int64, claim
 from ..boxes.lanes import lowest_bit
 from ..interrupts import is_stopped
-from ..pair.lane_solver import LaneAnswer, first_rounds, later_rounds
-from ..pair.norm import MAXIMUM_NORM, has_arcs, is_by_pair
-from ..pair.pair_options import options_of_pair, options_of_rows, row_in
+from ..pair.lane_solver import LaneAnswer
+from ..pair.norm import MAXIMUM_NORM
+from ..pair.pair_options import row_in
 from ..pair.points import Points
 from ..pair.query import Options
 from ..pair.simd import fingerprint
-from ..pair.single_points import is_stationary, points_of, row_points
-from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
-from ..pair.turns import turns_anywhere
-from ..pair_key import pair_of
+from ..pair.single_points import points_of, row_points
+from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
 from ..parameters import norm, real, width
-from ..step.minima import ANY_OPEN, FOUND, OPEN, Minima
+from ..step.minima import Minima
+from ..step.pair_list import LeastToi, PairList, Round, num_found, vertices_of_pair
 from ..step.step import ContactList
 from ..template import specialised
 from . import lane_rows
+from .lane_answers import first_answer, later_answer
 from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, rows_from, rows_of
+from .pair_contacts import settle_contact, settle_least, stays_in_place
 from .pair_outcome import (
     cap_of_round,
-    finished,
     finished_lanes,
+    finished_of_list,
+    finished_of_table,
+    is_beyond,
     is_set,
     outcome_of,
-    record_contact,
-    rest_of,
     skips_first_rounds,
-    solve_on_arcs,
+    write_row,
 )
 from .sinks import BOUND, TABLE, Table
 
@@ -44,16 +44,7 @@ PAIRS_OF_AN_ITEM = 64
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
-vec3d = wp.vec3d
-
-
-has_own = is_by_pair(norm)
-on_arcs = has_arcs(norm)
-if on_arcs:
-    from ..pair.lane_windows import first_window, later_windows
-    from .lane_rows import arcs_of_pairs
 unbounded = wp.constant(wp.float64(float("inf")))
-Outcome = specialised("pair.solver", real=real, norm=norm).Outcome
 simd64 = specialised("pair.simd", width=width)
 none = wp.constant(wp.float64(int(STATUS_NO_COLLISION)))
 within = wp.constant(wp.float64(int(STATUS_COLLISION)))
@@ -94,17 +85,6 @@ def write(rows: Index, count: int, answer: LaneAnswer, t_max: wp.float64, table:
 
 
 @wp.func
-def write_row(i: int, outcome: Outcome, table: Table):
-    """Write the result of a pair."""
-    table.toi[i] = outcome.toi
-    table.status[i] = outcome.status
-    table.parameters[i] = outcome.parameters
-    table.gap[i] = outcome.gap
-    table.width[i] = outcome.width
-    table.iterations[i] = outcome.iterations
-
-
-@wp.func
 def next_block(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
     """The block that a solver takes after that of pair k: the next of its chunk, or the first of its next chunk.
 
@@ -114,6 +94,40 @@ def next_block(k: wp.int64, chunk: int, num_solvers: int) -> wp.int64:
     if following % wp.int64(chunk) == wp.int64(0):
         following += wp.int64(num_solvers - 1) * wp.int64(chunk)
     return following
+
+
+@wp.func
+def settle_pair(
+    pairs: PairList,
+    k: int,
+    answer: LaneAnswer,
+    lane: int,
+    options: Options,
+    round: Round,
+    cap: int,
+    sink: int,
+    # out
+    minima: Minima,
+    contacts: ContactList,
+    least: LeastToi,
+):
+    """Settle a pair of a list that is not free: its lane has found a contact, or leaves it to the solver alone."""
+    outcome = outcome_of(answer, lane, options)
+    is_contact = is_set(answer.contact, lane)
+    if not is_contact or round.only_moving != 0:
+        vertices = vertices_of_pair(pairs, k)
+        a = points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t0)
+        b = points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t1)
+        if round.only_moving != 0:
+            if stays_in_place(pairs, k, a, b, options):
+                return
+        if not is_contact:
+            used = wp.int32(simd64.lane_of(answer.iterations, lane))
+            outcome = finished_of_list(pairs, k, simd64.lane_of(answer.t, lane), used, a, b, options, cap)
+    if sink == BOUND:
+        settle_least(pairs, k, outcome, options, round, cap, least)
+    else:
+        settle_contact(pairs, k, outcome, options, round, cap, minima, contacts)
 
 
 # a Warp module for each precision, number of lanes and norm
@@ -128,25 +142,16 @@ def solve_pairs(
     # in
     num_solvers: int,
     chunk: int,
-    kind: int,
     sink: int,
-    counts: wp.array2d[wp.int64],
-    pairs: wp.array[wp.int64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    vertices_t0: wp.array[vec3d],
-    vertices_t1: wp.array[vec3d],
+    pairs: PairList,  # of a table the kind alone
     options: Options,
-    is_second: int,  # 1: the second round, of the pairs that the first has marked as open
-    only_moving: int,  # 1: a stationary pair is not solved, so it may touch
-    gaps_moved: wp.float64,  # above 0: a toi near 0 is raised to the time in which the pair moves by this many gaps
+    round: Round,
     num_rows: int,  # of the table
     # out
     table: Table,
     minima: Minima,
     contacts: ContactList,
-    least_bits: wp.array[wp.int64],
-    open_toi: wp.array[wp.float64],
+    least: LeastToi,
 ):
     """Solve the pairs of a solver, which are every ``num_solvers``-th chunk.
 
@@ -156,13 +161,13 @@ def solve_pairs(
 
     With `BOUND` the least toi alone is lowered; that of a pair left open is written beside its key. A pair is left out
     as soon as it is free up to the least toi found so far, which it then cannot lower; so the least toi does not depend
-    on the order of the pairs. As integers, the bits of two non-negative numbers compare as the numbers do.
+    on the order of the pairs.
     """
     count = wp.int64(num_rows)
     cap = options.max_iterations
     if sink != TABLE:
-        count = wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0]))
-        cap = cap_of_round(options, is_second, counts[kind, OPEN])
+        count = num_found(pairs)
+        cap = cap_of_round(options, round, pairs)
         if cap == 0:
             return
     following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
@@ -171,127 +176,63 @@ def solve_pairs(
     while following < count or pending.count > 0:
         if is_stopped(options.stop):
             return
-        is_packed = pending.count >= lanes or following >= count
-        block = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
-        rows = rows_from(wp.int32(following), block)
-        if is_packed:
-            block = wp.min(lanes, pending.count)
-            pending.count -= block
-            rows = rows_of(pending.rows, pending.count, block)
+        is_waiting = pending.count >= lanes or following >= count
+        size = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
+        rows = rows_from(wp.int32(following), size)
+        if is_waiting:
+            size = wp.min(lanes, pending.count)
+            pending.count -= size
+            rows = rows_of(pending.rows, pending.count, size)
         else:
-            k = wp.int32(following)
             following = next_block(following, chunk, num_solvers)
-            if is_second != 0:
-                if pairs[k] >= wp.int64(0):
+            if round.is_second != 0:
+                if pairs.keys[row_in(rows, 0)] >= wp.int64(0):
                     continue  # in the second round a block is one pair, and this one is not open
-        least = unbounded
+        bound = unbounded
         if sink == BOUND:
-            if least_bits[0] == wp.int64(0):
+            bound = wp.cast(least.bits[0], wp.float64)
+            if bound == wp.float64(0.0):
                 return  # no toi is less
-            least = wp.cast(least_bits[0], wp.float64)
-        points_a = Points()
-        points_b = Points()
+        a = Points()
+        b = Points()
         if sink == TABLE:
-            points_a = points_of_rows(table.points_t0, rows)
-            points_b = points_of_rows(table.points_t1, rows)
+            a = points_of_rows(table.points_t0, rows)
+            b = points_of_rows(table.points_t1, rows)
         else:
-            points_a, points_b = points_of_pairs(
-                kind, pairs, rows, first_corners, second_corners, vertices_t0, vertices_t1
-            )
+            a, b = points_of_pairs(pairs, rows)
         answer = LaneAnswer()
-        is_later = is_packed or skips_first
+        left = first_lanes(size)
+        is_later = is_waiting or skips_first
         if is_later:
             t = simd64.spread(wp.float64(0.0))
             used = t
-            if is_packed:
-                t = numbers_of(pending.t, pending.count, block)
-                used = numbers_of(pending.used, pending.count, block)
-            open = first_lanes(block)
-            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-            if wp.static(on_arcs):
-                own.arcs = arcs_of_pairs(kind, pairs, rows, first_corners, second_corners, options.turns)
-                answer = later_windows(kind, points_a, points_b, own, options, open, t, used, cap, least)
-            else:
-                answer = later_rounds(kind, points_a, points_b, own, open, t, used, cap, least)
-        elif wp.static(on_arcs):
-            own = options_of_rows(options, pairs, rows, first_corners, second_corners)
-            own.arcs = arcs_of_pairs(kind, pairs, rows, first_corners, second_corners, options.turns)
-            t = simd64.spread(options.turns.t_begin)
-            answer = first_window(kind, points_a, points_b, own, options, t, cap, least)
-        elif wp.static(not has_own):
-            answer = first_rounds(kind, points_a, points_b, options, cap, least)
-        settled = answer.free
+            if is_waiting:
+                t = numbers_of(pending.t, pending.count, size)
+                used = numbers_of(pending.used, pending.count, size)
+            answer = later_answer(pairs, rows, a, b, options, left, t, used, cap, bound)
+        else:
+            answer = first_answer(pairs, rows, a, b, options, cap, bound)
         if sink == TABLE:
             # what is written of the lanes that are left is overwritten
-            write(rows, block, answer, options.t_max, table)
-            settled = finished_lanes(answer, options)
-        left = first_lanes(block) & ~settled
+            write(rows, size, answer, options.t_max, table)
+            left = left & ~finished_lanes(answer, options)
+        left = left & ~answer.free
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)
             t_reached = simd64.lane_of(answer.t, lane)
             if sink == BOUND:
-                # a pair that is free up to the least toi cannot lower it
-                if wp.cast(t_reached, wp.int64) >= least_bits[0]:
+                if is_beyond(t_reached, least):
                     continue
             k = row_in(rows, lane)
-            is_contact = is_set(answer.contact, lane)
-            if not is_later and not is_contact:
+            if not is_later and not is_set(answer.contact, lane):
                 pending.rows[pending.count] = k
                 pending.t[pending.count] = t_reached
                 pending.used[pending.count] = simd64.lane_of(answer.iterations, lane)
                 pending.count += 1
-                continue
-            outcome = outcome_of(answer, lane, options)
-            if sink == TABLE:
-                a = row_points(table.points_t0, k)
-                b = row_points(table.points_t1, k)
-                write_row(k, rest_of(outcome, answer, lane, kind, a, b, options, cap), table)
-                continue
-            key = pairs[k]
-            if is_second != 0:
-                key = ~key
-            pair = pair_of(key)
-            first = first_corners[pair[0]]
-            second = second_corners[pair[1]]
-            if not is_contact or only_moving != 0:
-                a = points_of(kind, first, second, vertices_t0)
-                b = points_of(kind, first, second, vertices_t1)
-                if only_moving != 0:
-                    stays = is_stationary(a, b)
-                    if wp.static(on_arcs):
-                        stays = stays and not (
-                            turns_anywhere(first, options.turns) or turns_anywhere(second, options.turns)
-                        )
-                    if stays:
-                        continue
-                if not is_contact:
-                    so_far = wp.int32(simd64.lane_of(answer.iterations, lane))
-                    own_options = options_of_pair(options, first, second)
-                    if wp.static(on_arcs):
-                        outcome = solve_on_arcs(kind, first, second, t_reached, so_far, a, b, own_options, cap)
-                    else:
-                        outcome = finished(kind, t_reached, so_far, False, a, b, own_options, cap)
-            if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                pairs[k] = ~key
-                claim(counts, kind, OPEN, 1)
-                claim(counts, 0, ANY_OPEN, 1)
-                if sink == BOUND:
-                    open_toi[k] = outcome.toi
-            elif sink == BOUND:
-                atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
-            elif outcome.status != STATUS_NO_COLLISION:
-                record_contact(
-                    kind,
-                    pair,
-                    first,
-                    second,
-                    outcome,
-                    vertices_t0,
-                    vertices_t1,
-                    options,
-                    only_moving,
-                    gaps_moved,
-                    minima,
-                    contacts,
-                )
+            elif sink == TABLE:
+                row_a = row_points(table.points_t0, k)
+                row_b = row_points(table.points_t1, k)
+                write_row(k, finished_of_table(pairs.kind, answer, lane, row_a, row_b, options, cap), table)
+            else:
+                settle_pair(pairs, k, answer, lane, options, round, cap, sink, minima, contacts, least)

@@ -35,14 +35,14 @@ Rounding, with u = 2^-53. All numbers of the input are exact, those of the norma
    nothing, nothing can have overflowed, and what products lose by underflow is far below the slack of E, which is
    0.4u S. So L > 0 at both ends, computed without a scale and ABSOLUTE, already shows that a vertex is free.
 
-6. **Hold.** With ``holds``, a vertex that starts within its distance parts and slides, and comes no closer (`hold`);
-   so does one beyond it by no more than 16 (E + E at the end), which rounding alone may bring there. The change of f
-   over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25 times both cover their
-   difference as well. If it is certainly not negative, the vertex is free, also in the solid: a half-space has a side
-   to leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at the start, less 16 (E +
-   E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not enter the solid; and no
-   more than its distance. L > 0 at both ends shows, as in step 4, that it is free. If not, f falls by more than these
-   roundings: toi is 0 within the distance, and that of step 4 beyond it.
+6. **Start distance.** With ``keeps_start_distance``, a vertex that starts within its distance parts and slides, and
+   comes no closer (`start_distance`); so does one beyond it by no more than 16 (E + E at the end), which rounding alone
+   may bring there. The change of f over the step is (x1 - x0)·n - (p1 - p0)·n, each part with the error of step 2; 1.25
+   times both cover their difference as well. If it is certainly not negative, the vertex is free, also in the solid: a
+   half-space has a side to leave by, and f is nowhere less than at the start. Otherwise the vertex keeps h = F - E at
+   the start, less 16 (E + E at the end), so that the roundings of a slide are no contact, and 0 at least: it does not
+   enter the solid; and no more than its distance. L > 0 at both ends shows, as in step 4, that it is free. If not, f
+   falls by more than these roundings: toi is 0 within the distance, and that of step 4 beyond it.
 
 So toi is early by the roundings alone, E over the speed and some 6u of itself. The gap that is reported is an upper
 bound in the same way, with a slack of 8u of all its terms.
@@ -100,7 +100,7 @@ class PlaneQuery:
     distance: wp.float64  # at which they count as touching, a length
     is_euclidean: int  # 1: it is Euclidean, as radii are; 0: in the maximum norm
     start_gap_fraction: wp.float64  # 0: the distance applies to every pair
-    holds: int  # 1: a vertex that starts within its distance may part and slide
+    keeps_start_distance: int  # 1: a vertex that starts within its distance may part and slide
     t_max: wp.float64
     most_gap: wp.float64  # beyond the distance at toi 0, above which rounding hides whether there is one, a length
 
@@ -150,6 +150,13 @@ def scale_of(largest: wp.float64) -> wp.float64:
 
 
 @wp.func
+def largest_coordinate(x0: wp.vec3d, x1: wp.vec3d, p0: wp.vec3d, p1: wp.vec3d) -> wp.float64:
+    """The largest magnitude of a coordinate of a vertex and of a point, each at both ends."""
+    of_vertex = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
+    return wp.max(of_vertex, wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1))))
+
+
+@wp.func
 def is_finite(x: wp.vec3d) -> bool:
     """Whether all coordinates are finite."""
     return wp.isfinite(x[0]) and wp.isfinite(x[1]) and wp.isfinite(x[2])
@@ -174,6 +181,14 @@ def point_of(planes: Planes, k: int, x: wp.array[wp.vec3d]) -> wp.vec3d:
         if v >= 0:
             return x[v]
     return planes.point[k]
+
+
+@wp.func
+def length_of_normal(planes: Planes, k: int, query: PlaneQuery) -> wp.float64:
+    """Upper bound of the length of a normal in the norm that is dual to that of the distance (step 3)."""
+    if query.is_euclidean != 0:
+        return planes.length[k]
+    return planes.sum[k]
 
 
 @wp.func
@@ -218,9 +233,7 @@ def meeting_of(
     meeting = Meeting()
     meeting.toi = wp.float64(wp.inf)
     n = planes.normal[k]
-    size = planes.sum[k]
-    if query.is_euclidean != 0:
-        size = planes.length[k]
+    size = length_of_normal(planes, k, query)
     lost = planes.lost[k]
     distance = query.distance + radius
     if lost == _ZERO:
@@ -229,9 +242,7 @@ def meeting_of(
             return meeting
     if not (is_finite(x0) and is_finite(x1) and is_finite(p0) and is_finite(p1)):
         return meeting
-    largest_x = wp.max(wp.max(wp.abs(x0)), wp.max(wp.abs(x1)))
-    largest_p = wp.max(wp.max(wp.abs(p0)), wp.max(wp.abs(p1)))
-    s = scale_of(wp.max(largest_x, largest_p))
+    s = scale_of(largest_coordinate(x0, x1, p0, p1))
     if s != _ONE:
         x0 = s * x0
         x1 = s * x1
@@ -245,7 +256,7 @@ def meeting_of(
         reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
     a = start.f - (start.error + reach) * _UP
     b = end.f - (end.error + reach) * _UP
-    if query.holds != 0 and not a > _MARGIN * (start.error + end.error):
+    if query.keeps_start_distance != 0 and not a > _MARGIN * (start.error + end.error):
         change = value_of(x1, x0, n, is_exact, lost)
         of_plane = value_of(p1, p0, n, is_exact, lost)
         if change.f - of_plane.f >= _SURE * (change.error + of_plane.error):

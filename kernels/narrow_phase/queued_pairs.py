@@ -16,16 +16,15 @@ and no other pair at all.
 
 import warp as wp
 
-from ..atomics import atomic_min_int64, claim
-from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs, is_by_pair
+from ..atomics import claim
+from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
-from ..pair.single_points import is_stationary, row_points
-from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION
-from ..pair.turns import turns_anywhere
-from ..pair_key import pair_of
+from ..pair.single_points import row_points
+from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
 from ..parameters import norm, real
-from ..step.minima import ANY_OPEN, FOUND, OPEN, QUEUED, Minima
+from ..step.minima import QUEUED, Minima
+from ..step.pair_list import LeastToi, PairList, Round, num_found
 from ..step.step import ContactList
 from ..template import specialised
 from .sinks import BOUND, CONTACTS, TABLE, Table
@@ -46,8 +45,6 @@ _ONE = wp.constant(wp.uint32(1))
 _SETTLED = wp.constant(-1)
 _LANES = wp.constant(WARP)
 
-vec3d = wp.vec3d
-
 
 @wp.struct
 class Queue:
@@ -56,6 +53,15 @@ class Queue:
     rows: wp.array[wp.int32]  # of its points, or of its key; then `_SETTLED`, or `_SETTLED` - 1 - a row to complete
     t: wp.array[wp.float64]
     used: wp.array[wp.int8]  # iterations so far
+
+
+@wp.struct
+class OpenPair:
+    """An open pair of the queue."""
+
+    row: int
+    t: wp.float64
+    used: int
 
 
 @wp.func
@@ -70,6 +76,16 @@ def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, 
     queue.rows[n] = row
     queue.t[n] = t
     queue.used[n] = wp.int8(used)
+
+
+@wp.func
+def queued(queue: Queue, n: int) -> OpenPair:
+    """The pair at a place of the queue."""
+    pair = OpenPair()
+    pair.row = queue.rows[n]
+    pair.t = queue.t[n]
+    pair.used = wp.int32(queue.used[n])
+    return pair
 
 
 @wp.struct
@@ -104,21 +120,18 @@ def items_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Ite
     return items
 
 
-has_own = is_by_pair(norm)
 on_arcs = has_arcs(norm)
-if on_arcs:
-    lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
-    arcs_of_pairs = specialised("narrow_phase.lane_rows", norm=norm).arcs_of_pairs
-    options_of_pair = specialised("pair.pair_options", real=real, norm=norm).options_of_pair
-options_of_rows = specialised("pair.pair_options", real=real, norm=norm).options_of_rows
-Outcome = specialised("pair.solver", norm=norm, real=real, on_warp=True).Outcome
-pair_outcome = specialised("narrow_phase.pair_outcome", norm=norm, real=real, on_warp=True)
-lane_solver = specialised("pair.lane_solver", norm=norm, real=real)
+templates = {"norm": norm, "real": real}
+Outcome = specialised("pair.solver", **templates, on_warp=True).Outcome
+pair_outcome = specialised("narrow_phase.pair_outcome", **templates, on_warp=True)
+pair_contacts = specialised("narrow_phase.pair_contacts", **templates, on_warp=True)
+lane_answers = specialised("narrow_phase.lane_answers", **templates)
+LaneAnswer = specialised("pair.lane_solver", **templates).LaneAnswer
 points_of_pairs = specialised("narrow_phase.lane_rows").points_of_pairs
 unbounded = wp.constant(wp.float64(float("inf")))
 
 
-def own_module(name: str, stage: str):
+def module_of(name: str, stage: str):
     """A Warp module for each kernel, so that each has its own registers and stack."""
     of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
     module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{of_norm}.{fingerprint()}")
@@ -131,146 +144,118 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     is_initial, is_last = stage == "first", stage == "last"
     is_table, is_listed, is_bound = sink == TABLE, sink == CONTACTS, sink == BOUND
 
-    @wp.kernel(module=own_module(name, stage), cuda_max_registers=MAX_REGISTERS[stage])
+    @wp.func
+    def is_done(pair: OpenPair, least: LeastToi, are_shared: bool) -> bool:
+        """Whether a pair of the queue is settled; the threads of a warp that share it find the same."""
+        done = pair.row == _SETTLED
+        if wp.static(is_bound):
+            done = done or pair_outcome.is_beyond(pair.t, least)
+            if are_shared:
+                done = agreed(done)
+        return done
+
+    @wp.func
+    def is_open(answer: LaneAnswer, bound: wp.float64) -> bool:
+        """Whether the rounds have not settled a pair, which may be free up to a bound."""
+        open = answer.free | answer.contact == _NONE
+        if wp.static(is_bound):
+            open = open and answer.t < bound
+        return open
+
+    @wp.func
+    def complete_row(kind: int, k: int, options: Options, table: Table):
+        """Write the closest point of a contact within a separation, of which the rounds have found any point."""
+        a = row_points(table.points_t0, k)
+        b = row_points(table.points_t1, k)
+        table.parameters[k] = pair_outcome.parameters_at(kind, table.toi[k], a, b, options)
+
+    @wp.kernel(module=module_of(name, stage), cuda_max_registers=MAX_REGISTERS[stage])
     def solve_pairs(
         begin: int,
         # in
         num_solvers: int,
-        kind: int,
-        counts: wp.array2d[wp.int64],
-        pairs: wp.array[wp.int64],
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-        vertices_t0: wp.array[vec3d],
-        vertices_t1: wp.array[vec3d],
+        pairs: PairList,
         options: Options,
-        is_second: int,
-        only_moving: int,
-        gaps_moved: wp.float64,
+        round: Round,
         num_rows: int,
         queue: Queue,
         # out
         table: Table,
         minima: Minima,
         contacts: ContactList,
-        least_bits: wp.array[wp.int64],
-        open_toi: wp.array[wp.float64],
+        least: LeastToi,
     ):
         """A stage of ``solve_pairs`` of `narrow_phase` for a sink; the queue of a table is counted in the first row."""
         cap = options.max_iterations
-        last = num_rows
-        row = kind
-        if wp.static(is_table):
-            row = 0
-        else:
-            cap = pair_outcome.cap_of_round(options, is_second, counts[kind, OPEN])
+        count = num_rows
+        row = int(0)
+        column = QUEUED + round.is_second
+        if wp.static(not is_table):
+            row = pairs.kind
+            cap = pair_outcome.cap_of_round(options, round, pairs)
             if cap == 0:
                 return
-            last = wp.int32(wp.min(counts[kind, FOUND], wp.int64(pairs.shape[0])))
+            count = wp.int32(num_found(pairs))
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
-            last = wp.int32(counts[row, QUEUED + is_second])
-        items = items_of(begin + wp.tid(), num_solvers, last, wp.static(is_last) and options.method == CLIPPING)
+            count = wp.int32(pairs.counts[row, column])
+        items = items_of(begin + wp.tid(), num_solvers, count, wp.static(is_last) and options.method == CLIPPING)
         following = items.first
-        while following < last:
+        while following < count:
             n = following
             following += items.stride
-            k = n
-            t = wp.float64(0.0)
-            used = int(0)
+            pair = OpenPair()
             if wp.static(is_initial):
+                pair.row = n
                 if wp.static(not is_table):
-                    if is_second != 0 and pairs[k] >= wp.int64(0):
+                    if round.is_second != 0 and pairs.keys[n] >= wp.int64(0):
                         continue  # the second round is of the pairs that the first has left open
                 if skips_first:
-                    enqueue(queue, counts, row, QUEUED + is_second, k, t, used)
+                    enqueue(queue, pairs.counts, row, column, n, pair.t, pair.used)
                     continue
             else:
-                k = queue.rows[n]
-                t = queue.t[n]
-                used = wp.int32(queue.used[n])
-                is_done = k == _SETTLED
-                if wp.static(is_bound):
-                    # a pair that is free up to the least toi cannot lower it
-                    is_done = is_done or wp.cast(t, wp.int64) >= least_bits[0]
-                    if items.are_shared:
-                        is_done = agreed(is_done)
-                if is_done:
+                pair = queued(queue, n)
+                if is_done(pair, least, items.are_shared):
                     continue
-                if wp.static(is_table and is_last):
-                    if k < 0:
-                        k = _SETTLED - 1 - k
-                        a = row_points(table.points_t0, k)
-                        b = row_points(table.points_t1, k)
-                        if items.writes:
-                            table.parameters[k] = pair_outcome.parameters_at(kind, table.toi[k], a, b, options)
-                        continue
+            k = pair.row
+            if wp.static(is_table and is_last):
+                if k < 0:
+                    if items.writes:
+                        complete_row(pairs.kind, _SETTLED - 1 - k, options, table)
+                    continue
             if wp.static(is_table):
                 a = row_points(table.points_t0, k)
                 b = row_points(table.points_t1, k)
             else:
-                a, b = points_of_pairs(kind, pairs, k, first_corners, second_corners, vertices_t0, vertices_t1)
+                a, b = points_of_pairs(pairs, k)
             is_needed = bool(True)
             if wp.static(is_listed):
-                is_needed = only_moving == 0 or not is_stationary(a, b)
-                if wp.static(on_arcs):
-                    if not is_needed:
-                        staying = pair_of(wp.where(pairs[k] < wp.int64(0), ~pairs[k], pairs[k]))
-                        is_needed = turns_anywhere(first_corners[staying[0]], options.turns) or turns_anywhere(
-                            second_corners[staying[1]], options.turns
-                        )
+                is_needed = round.only_moving == 0 or not pair_contacts.stays_in_place(pairs, k, a, b, options)
             outcome = Outcome()
             if wp.static(is_last):
                 if wp.static(is_table):
-                    outcome = pair_outcome.finished(kind, t, used, False, a, b, options, cap)
-                else:
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    if wp.static(on_arcs):
-                        key = pairs[k]
-                        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
-                        first = first_corners[pair[0]]
-                        second = second_corners[pair[1]]
-                        if is_needed:
-                            of_pair = options_of_pair(options, first, second)
-                            outcome = pair_outcome.solve_on_arcs(kind, first, second, t, used, a, b, of_pair, cap)
-                    elif wp.static(is_bound):
-                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
-                    elif is_needed:
-                        outcome = pair_outcome.finished(kind, t, used, False, a, b, own, cap)
+                    outcome = pair_outcome.finished(pairs.kind, pair.t, pair.used, False, a, b, options, cap)
+                elif is_needed:
+                    outcome = pair_outcome.finished_of_list(pairs, k, pair.t, pair.used, a, b, options, cap)
             else:
-                least = unbounded
+                bound = unbounded
                 if wp.static(is_bound):
-                    least = wp.cast(least_bits[0], wp.float64)
-                answer = lane_solver.LaneAnswer()
-                if wp.static(on_arcs):
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    own.arcs = arcs_of_pairs(kind, pairs, k, first_corners, second_corners, options.turns)
-                    if wp.static(is_initial):
-                        answer = lane_windows.first_window(kind, a, b, own, options, t, cap, least)
-                    else:
-                        later = wp.float64(used)
-                        answer = lane_windows.later_windows(kind, a, b, own, options, _ONE, t, later, cap, least)
-                elif wp.static(is_initial and has_own):
-                    pass  # all pairs have skipped the first rounds
-                elif wp.static(is_initial):
-                    answer = lane_solver.first_rounds(kind, a, b, options, cap, least)
-                elif wp.static(is_table):
-                    answer = lane_solver.later_rounds(kind, a, b, options, _ONE, t, wp.float64(used), cap, least)
+                    bound = wp.cast(least.bits[0], wp.float64)
+                answer = LaneAnswer()
+                if wp.static(is_initial):
+                    answer = lane_answers.first_answer(pairs, k, a, b, options, cap, bound)
                 else:
-                    own = options_of_rows(options, pairs, k, first_corners, second_corners)
-                    answer = lane_solver.later_rounds(kind, a, b, own, _ONE, t, wp.float64(used), cap, least)
-                is_open = is_needed and answer.free | answer.contact == _NONE
-                if wp.static(is_bound):
-                    is_open = is_open and answer.t < least
-                if is_open:
-                    used = wp.int32(answer.iterations)
+                    used = wp.float64(pair.used)
+                    answer = lane_answers.later_answer(pairs, k, a, b, options, _ONE, pair.t, used, cap, bound)
+                if is_needed and is_open(answer, bound):
+                    used_now = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        enqueue(queue, counts, row, QUEUED + is_second, k, answer.t, used)
+                        enqueue(queue, pairs.counts, row, column, k, answer.t, used_now)
                     else:
                         queue.t[n] = answer.t
-                        queue.used[n] = wp.int8(used)
+                        queue.used[n] = wp.int8(used_now)
                     continue
-                if wp.static(not is_listed) or (is_needed and answer.contact != _NONE):
+                if is_needed:
                     outcome = pair_outcome.outcome_of(answer, 0, options)
                 if wp.static(not is_initial):
                     queue.rows[n] = _SETTLED
@@ -280,46 +265,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             if not items.writes:
                 continue
             if wp.static(is_table):
-                table.toi[k] = outcome.toi
-                table.status[k] = outcome.status
                 if outcome.status == STATUS_INITIAL_CONTACT:
-                    table.status[k] = pair_outcome.status_at_start(kind, outcome.gap, a, options)
-                table.parameters[k] = outcome.parameters
-                table.gap[k] = outcome.gap
-                table.width[k] = outcome.width
-                table.iterations[k] = outcome.iterations
-            elif outcome.status != STATUS_NO_COLLISION:
-                if wp.static(is_last):
-                    if outcome.status == STATUS_ITERATION_LIMIT and is_second == 0 and cap < options.max_iterations:
-                        pairs[k] = ~pairs[k]
-                        if wp.static(is_bound):
-                            open_toi[k] = outcome.toi
-                        claim(counts, kind, OPEN, 1)
-                        claim(counts, 0, ANY_OPEN, 1)
-                        continue
-                if wp.static(is_bound):
-                    atomic_min_int64(least_bits, 0, wp.cast(outcome.toi, wp.int64))
-                else:
-                    key = pairs[k]
-                    if is_second != 0:
-                        key = ~key
-                    pair = pair_of(key)
-                    first = first_corners[pair[0]]
-                    second = second_corners[pair[1]]
-                    pair_outcome.record_contact(
-                        kind,
-                        pair,
-                        first,
-                        second,
-                        outcome,
-                        vertices_t0,
-                        vertices_t1,
-                        options,
-                        only_moving,
-                        gaps_moved,
-                        minima,
-                        contacts,
-                    )
+                    outcome.status = pair_outcome.status_at_start(pairs.kind, outcome.gap, a, options)
+                pair_outcome.write_row(k, outcome, table)
+            elif wp.static(is_bound):
+                pair_contacts.settle_least(pairs, k, outcome, options, round, cap, least)
+            else:
+                pair_contacts.settle_contact(pairs, k, outcome, options, round, cap, minima, contacts)
 
     return solve_pairs
 

@@ -11,7 +11,7 @@ CONTACTS = wp.constant(1)
 BOUND = wp.constant(2)
 NEAR = wp.constant(3)
 DISPLACEMENT = wp.constant(4)
-HOLD = wp.constant(5)
+START_DISTANCE = wp.constant(5)
 
 
 @wp.struct

@@ -23,8 +23,8 @@ _SIZE = wp.constant(WARP)
 #endif
 """
 )
-def first_share() -> int:
-    """The first of the things that a thread takes; the next ones are `num_shares` apart."""
+def number_in_warp() -> int:
+    """The number of a thread in its warp: the first of the things that it takes, which are `num_shares` apart."""
     ...
 
 

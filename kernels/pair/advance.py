@@ -130,7 +130,7 @@ else:
     from .facets import Facet, clip_facet, widest_facet
 
     if on_warp:
-        from ..narrow_phase.whole_warp import first_share, latest, num_shares
+        from ..narrow_phase.whole_warp import latest, num_shares, number_in_warp
 
         @wp.func
         def advance_facets(
@@ -140,7 +140,7 @@ else:
             t = t_start
             number = facet.number
             count = int(0)  # of those that are tried after the widest
-            k = first_share() - num_shares()
+            k = number_in_warp() - num_shares()
             is_widest = bool(True)
             while is_widest or k < count:
                 s = clip_facet(
@@ -184,23 +184,23 @@ def find_contact(c: Corners, patch: Patch, size: vec3, floor: vec3, reached: Rea
     the floor comes; the closest point is computed anew without losing digits where the patch is a sliver.
     """
     point = point_of(c, reached.wb, reached.wc, reached.from_w11)
-    found = is_within(point, size)
+    touches = is_within(point, size)
     if wp.static(is_euclidean):
-        found = is_in_ball(point, floor, size)
-        if not found:
+        touches = is_in_ball(point, floor, size)
+        if not touches:
             wb, wc, from_w11 = closest_weights(c.w00, c.w01, c.w10, c.w11, patch.is_triangle)
             reached.wb = wb
             reached.wc = wc
             reached.from_w11 = from_w11
             point = point_of(c, wb, wc, from_w11)
-            found = is_in_ball(point, floor, size)
-    elif not found:
-        found, point, wb, wc = point_in_box(c, patch.narrowing, size)
-        if found:
+            touches = is_in_ball(point, floor, size)
+    elif not touches:
+        touches, point, wb, wc = point_in_box(c, patch.narrowing, size)
+        if touches:
             reached.wb = wb
             reached.wc = wc
             reached.from_w11 = False
-    if found:
+    if touches:
         reached.point = point
         reached.outcome = CONTACT
     return reached

@@ -21,7 +21,7 @@ from .windows import Window, in_slice, in_step, next_window, reached
 
 solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
 arcs = specialised("pair.arcs", norm=norm)
-frames = specialised("pair.frames", norm=norm)
+corotating = specialised("pair.corotating", norm=norm)
 lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
 points_at = arcs.points_at
 zero = wp.constant(wp.float64(0.0))
@@ -98,12 +98,14 @@ def solve_on_arcs(
     turning = arcs_of_pair(kind, first, second, options.turns)
     amplitudes = arcs.amplitude(kind, turning)
     error = arcs.error_of(a, b, turning)
-    own = options
-    own.t_end = real(1.0)
-    own.t_max = one
+    of_window = options
+    of_window.t_end = real(1.0)
+    of_window.t_max = one
     if options.margin > zero:
-        own.minimum_separation = wp.max(options.minimum_separation - lane_windows.held_errors * error, zero)
-    is_shared = frames.are_alike(turning) and frames.may_turn(own.minimum_separation)
+        of_window.minimum_separation = wp.max(
+            options.minimum_separation - lane_windows.start_distance_errors * error, zero
+        )
+    is_shared = corotating.are_alike(turning) and corotating.may_turn(of_window.minimum_separation)
     window = Window()
     window.begin = in_slice(t, options.turns)
     window.h = one - window.begin
@@ -119,20 +121,22 @@ def solve_on_arcs(
         at_begin = points_at(kind, a, b, turning, window.begin)
         at_end = points_at(kind, a, b, turning, end)
         chords = arcs.sagitta(amplitudes, window.h)
-        is_framed = bool(False)
+        is_corotating = bool(False)
         if is_shared:
-            framed = frames.framed_window(kind, a, b, turning, at_begin, at_end, window.begin, window.h)
-            is_framed = framed.sagitta < wp.max(chords)
-            if is_framed:
-                at_end = framed.at_end
-                chords = wp.vec3d(framed.sagitta, framed.sagitta, framed.sagitta)
-        own.sagitta = lane_windows.enlarged(chords, error)
-        outcome = solver.solve(kind, solver.normalise(kind, at_begin, at_end, own), own, real(0.0), 0, cap - used)
+            window_of_body = corotating.corotating_window(kind, a, b, turning, at_begin, at_end, window.begin, window.h)
+            is_corotating = window_of_body.sagitta < wp.max(chords)
+            if is_corotating:
+                at_end = window_of_body.at_end
+                chords = wp.vec3d(window_of_body.sagitta, window_of_body.sagitta, window_of_body.sagitta)
+        of_window.sagitta = lane_windows.enlarged(chords, error)
+        outcome = solver.solve(
+            kind, solver.normalise(kind, at_begin, at_end, of_window), of_window, real(0.0), 0, cap - used
+        )
         used += outcome.iterations
         if outcome.status != STATUS_NO_COLLISION:
-            outcome.gap += two * wp.max(own.sagitta)
-        if is_framed:
-            outcome.gap = frames.longest_turned * outcome.gap
+            outcome.gap += two * wp.max(of_window.sagitta)
+        if is_corotating:
+            outcome.gap = corotating.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
         is_sharp = wp.max(chords) <= lane_windows.sharpness(error, kind, at_begin)

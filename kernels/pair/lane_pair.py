@@ -10,53 +10,26 @@ import warp as wp
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
+from .lane_scale import inverse_power_of_two
 from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .patch import Corners
 from .points import Points, corners, largest, longest_side, total
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, header, spread, vec
+from .simd import Lanes, Vec3, spread, vec
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
 
-
-def _power_of_two(width: int) -> str:
-    """C++ of `inverse_power_of_two` of `rounding` on lanes."""
-    vector = "" if width == 1 else f" __attribute__((ext_vector_type({width})))"
-    return (
-        header(wp.float64, width)
-        + f"    typedef long long Bits64{vector};\n"
-        + """
-    const Lanes a = lanes(x);
-    Bits64 bits;
-    memcpy(&bits, &a, sizeof(bits));
-    const Bits64 mirrored = 2045 - ((bits >> 52) & 0x7FF);
-    const Bits64 one = (Bits64)1;
-    const Bits64 power = (mirrored < one ? one : mirrored) << 52;
-    Lanes r;
-    memcpy(&r, &power, sizeof(r));
-    return of_lanes(r);
-"""
-    )
-
-
 is_euclidean = is_ball(norm)
-has_own = is_by_pair(norm)
+by_pair = is_by_pair(norm)
 simd64 = specialised("pair.simd", width=width)
-if has_own:
-    from .pair_options import held_lanes, without_margin
+if by_pair:
+    from .pair_options import lanes_at_start_distance, without_margin
 Corners64 = specialised("pair.patch", width=width).Corners
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 tiny = wp.constant(real(TINY[real]))
-
-
-@wp.func_native(_power_of_two(width))
-def inverse_power_of_two(x: simd64.Lanes) -> simd64.Lanes:
-    """Power of two s with 1/2 <= s·x < 1, as in `rounding`."""
-    ...
-
 
 if real == wp.float64:
 
@@ -219,15 +192,15 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     delta_length = simd64.least(options.tolerance * scale, limit)
     m = simd64.greatest(largest(c0), largest(c1))
     most = simd64.greatest_of(m)
-    if wp.static(has_own):
+    if wp.static(by_pair):
         # a length in each lane
         separation_length = simd64.least(options.minimum_separation, limit)
         separation_length = without_margin(separation_length, most, points_t0, points_t1, options)
     else:
         separation_length = simd64.least(options.minimum_separation * scale, limit)
     gap_length = delta_length
-    if wp.static(has_own and not has_arcs(norm)):
-        gap_length = simd64.select(simd64.mask_of(held_lanes(options)), wp.float64(0.0), delta_length)
+    if wp.static(by_pair and not has_arcs(norm)):
+        gap_length = simd64.select(simd64.mask_of(lanes_at_start_distance(options)), wp.float64(0.0), delta_length)
     separation = simd64.vec(separation_length, separation_length, separation_length)
     if wp.static(has_arcs(norm)):
         separation = simd64.least(separation + options.sagitta, simd64.vec(limit, limit, limit))

@@ -26,16 +26,16 @@ _LATER_ROUNDS = wp.constant(8)
 _NONE = wp.constant(wp.uint32(0))
 
 is_euclidean = is_ball(norm)
-has_own = is_by_pair(norm)
+by_pair = is_by_pair(norm)
 if is_euclidean:
     from .ball import start_gap_share
 else:
     from .facets import start_gap_share
 
 simd64 = specialised("pair.simd", width=width)
-holds = has_own and not has_arcs(norm)
-if holds:
-    from .pair_options import held_lanes
+may_keep_start_distance = by_pair and not has_arcs(norm)
+if may_keep_start_distance:
+    from .pair_options import lanes_at_start_distance
     from .passing import clip_passing
 length64 = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
 three = wp.constant(real(3.0))
@@ -61,7 +61,7 @@ class LaneAnswer:
 @wp.func
 def has_distance(options: Options) -> bool:
     """Whether a pair may have a separation; where each has its own, that of any of them may be above 0."""
-    if wp.static(has_own):
+    if wp.static(by_pair):
         return True
     else:
         return options.minimum_separation > wp.float64(0.0)
@@ -129,12 +129,12 @@ def make_solve(with_facets: bool):
             has_separation = has_distance(options)
         volume = volume_of(n.t0, n.t1, n.separation, has_separation)
         t = narrowed(t_start)
-        if wp.static(with_facets and holds):
-            held = held_lanes(options) & open
-            if held != _NONE:
+        if wp.static(with_facets and may_keep_start_distance):
+            kept = lanes_at_start_distance(options) & open
+            if kept != _NONE:
                 end = spread(options.t_end)
-                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, held, t, end)
-                t = select(mask_of(held), s, t)
+                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
+                t = select(mask_of(kept), s, t)
                 answer.free = bits_of(is_less(end, t)) & open
                 open = open & ~answer.free
         reached = start(t, open)

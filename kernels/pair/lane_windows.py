@@ -5,12 +5,12 @@ import warp as wp
 from ..parameters import real, width
 from ..template import specialised
 from .arcs import amplitude, error_of, motion_of, points_at, sagitta
-from .frames import are_alike, chosen, framed_window, longest_turned, may_turn
+from .corotating import are_alike, corotating_window, longest_turned, may_turn, selected
 from .lane_solver import LaneAnswer, solve_full
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
 from .query import Options
-from .rounding import HELD_ERRORS, PROJECTION_ROOT, UNIT_ROUNDOFF
+from .rounding import PROJECTION_ROOT, START_DISTANCE_ERRORS, UNIT_ROUNDOFF
 from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
@@ -29,7 +29,7 @@ two = wp.constant(wp.float64(2.0))
 eighth = wp.constant(wp.float64(0.125))
 # More than how fast two points of a pair part or approach, as a multiple of the largest motion of its corners.
 speed_share = wp.constant(wp.float64(8.0))
-held_errors = wp.constant(wp.float64(HELD_ERRORS))
+start_distance_errors = wp.constant(wp.float64(START_DISTANCE_ERRORS))
 unbounded = wp.constant(wp.float64(float("inf")))
 # What a corner is off by in the precision of the iteration.
 corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
@@ -53,7 +53,7 @@ def advance_windows(
     kind: int,
     a: Points,
     b: Points,
-    own: LaneOptions,
+    lane_options: LaneOptions,
     options: Options,
     lanes: wp.uint32,
     t_start: Lanes,
@@ -66,28 +66,30 @@ def advance_windows(
 
     Those that begin with a window over all that is left of the slice have used no iterations.
     """
-    amplitudes = amplitude(kind, own.arcs)
-    error = error_of(a, b, own.arcs)
+    amplitudes = amplitude(kind, lane_options.arcs)
+    error = error_of(a, b, lane_options.arcs)
     nothing = simd.spread(zero)
-    if own.held != _NONE:
+    if lane_options.keeps_start_distance != _NONE:
         # what starts at the distance that it keeps has the error of its arcs to begin with
-        kept = simd.greatest(own.minimum_separation - held_errors * error, nothing)
-        own.minimum_separation = simd.select(simd.mask_of(own.held), kept, own.minimum_separation)
+        kept = simd.greatest(lane_options.minimum_separation - start_distance_errors * error, nothing)
+        lane_options.minimum_separation = simd.select(
+            simd.mask_of(lane_options.keeps_start_distance), kept, lane_options.minimum_separation
+        )
     none = simd.mask_of(_NONE)
-    shared = simd.bits_of(are_alike(own.arcs) & may_turn(own.minimum_separation))
+    shared = simd.bits_of(are_alike(lane_options.arcs) & may_turn(lane_options.minimum_separation))
     window = Window()
     window.begin = in_slice(t_start, options.turns)
     window.h = one - window.begin
     window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
     window.last = nothing
-    own.t_end = real(1.0)
+    lane_options.t_end = real(1.0)
     # the last contact of chords that was within the tolerance
     near = _NONE
     near_u = nothing
     near_v = nothing
     near_gap = nothing
     near_t = nothing
-    speed = speed_share * motion_of(a, b, own.arcs)
+    speed = speed_share * motion_of(a, b, lane_options.arcs)
     tolerance = simd.spread(options.tolerance * options.length_scale)
     answer = LaneAnswer()
     answer.iterations = used
@@ -96,47 +98,49 @@ def advance_windows(
     while open != _NONE and windows < num_windows:
         end = simd.least(window.begin + window.h, one)
         window.h = end - window.begin
-        at_begin = points_at(kind, a, b, own.arcs, window.begin)
-        at_end = points_at(kind, a, b, own.arcs, end)
+        at_begin = points_at(kind, a, b, lane_options.arcs, window.begin)
+        at_end = points_at(kind, a, b, lane_options.arcs, end)
         chords = sagitta(amplitudes, window.h)
-        is_framed = none
+        is_corotating = none
         if open & shared != _NONE:
-            framed = framed_window(kind, a, b, own.arcs, at_begin, at_end, window.begin, window.h)
-            is_framed = simd.mask_of(shared) & simd.is_less(framed.sagitta, simd.greatest_of(chords))
-            at_end = chosen(is_framed, framed.at_end, at_end)
-            of_frame = simd.vec(framed.sagitta, framed.sagitta, framed.sagitta)
-            chords = simd.select(is_framed, of_frame, chords)
-        own.sagitta = enlarged(chords, error)
-        found = solve_full(kind, at_begin, at_end, own, open, nothing, num_rounds, unbounded)
+            window_of_body = corotating_window(kind, a, b, lane_options.arcs, at_begin, at_end, window.begin, window.h)
+            is_corotating = simd.mask_of(shared) & simd.is_less(window_of_body.sagitta, simd.greatest_of(chords))
+            at_end = selected(is_corotating, window_of_body.at_end, at_end)
+            of_window = simd.vec(window_of_body.sagitta, window_of_body.sagitta, window_of_body.sagitta)
+            chords = simd.select(is_corotating, of_window, chords)
+        lane_options.sagitta = enlarged(chords, error)
+        of_chords = solve_full(kind, at_begin, at_end, lane_options, open, nothing, num_rounds, unbounded)
         is_open = simd.mask_of(open)
-        is_free = simd.mask_of(found.free)
+        is_free = simd.mask_of(of_chords.free)
         sharp = simd.bits_of(simd.is_at_most(simd.greatest_of(chords), sharpness(error, kind, at_begin)))
-        t = reached(window, end, is_free, found.t)
+        t = reached(window, end, is_free, of_chords.t)
         # a sharp window in which nothing but rounding is left of the motion may end in no contact, where the one before
         # did: its point is one of this contact, with a gap that has changed by the motion since then
-        touches = open & sharp & (found.contact | (near & ~found.free))
-        is_near = simd.mask_of(open & found.contact)
+        touches = open & sharp & (of_chords.contact | (near & ~of_chords.free))
+        is_near = simd.mask_of(open & of_chords.contact)
         # the arcs may be as far from the chords on the other side
-        gap = found.gap + two * simd.greatest_of(own.sagitta)
-        gap = simd.select(is_framed, longest_turned * gap, gap)
-        near_u = simd.select(is_near, found.u, near_u)
-        near_v = simd.select(is_near, found.v, near_v)
+        gap = of_chords.gap + two * simd.greatest_of(lane_options.sagitta)
+        gap = simd.select(is_corotating, longest_turned * gap, gap)
+        near_u = simd.select(is_near, of_chords.u, near_u)
+        near_v = simd.select(is_near, of_chords.v, near_v)
         near_gap = simd.select(is_near, gap, near_gap)
         near_t = simd.select(is_near, t, near_t)
         is_contact = simd.mask_of(touches)
         answer.contact = answer.contact | touches
-        answer.free = answer.free | (open & found.free & simd.bits_of(simd.is_at_most(one, end)))
+        answer.free = answer.free | (open & of_chords.free & simd.bits_of(simd.is_at_most(one, end)))
         answer.u = simd.select(is_contact, near_u, answer.u)
         answer.v = simd.select(is_contact, near_v, answer.v)
         answer.gap = simd.select(is_contact, near_gap + speed * (t - near_t), answer.gap)
-        near = (near & ~(open & found.free)) | (open & found.contact & simd.bits_of(simd.is_at_most(gap, tolerance)))
-        answer.iterations = answer.iterations + simd.select(is_open, found.iterations, nothing)
+        near = (near & ~(open & of_chords.free)) | (
+            open & of_chords.contact & simd.bits_of(simd.is_at_most(gap, tolerance))
+        )
+        answer.iterations = answer.iterations + simd.select(is_open, of_chords.iterations, nothing)
         following = next_window(window, t, is_free)
         window.begin = simd.select(is_open, following.begin, window.begin)
         window.h = simd.select(is_open, following.h, window.h)
         window.last = simd.select(is_open, following.last, window.last)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
-        settled = answer.free | answer.contact | (~found.free & sharp)
+        settled = answer.free | answer.contact | (~of_chords.free & sharp)
         open = open & ~settled & simd.bits_of(simd.is_less(in_step(window.begin, options.turns), bound))
         windows += 1
     answer.t = in_step(simd.least(window.begin, one), options.turns)
@@ -145,11 +149,18 @@ def advance_windows(
 
 @wp.func
 def first_window(
-    kind: int, a: Points, b: Points, own: LaneOptions, options: Options, t_start: Lanes, cap: int, bound: wp.float64
+    kind: int,
+    a: Points,
+    b: Points,
+    lane_options: LaneOptions,
+    options: Options,
+    t_start: Lanes,
+    cap: int,
+    bound: wp.float64,
 ) -> LaneAnswer:
     """Advance the pairs of all lanes through one window, that of the whole slice."""
     rounds = wp.min(cap, FIRST_ROUNDS)
-    return advance_windows(kind, a, b, own, options, all_lanes, t_start, simd.spread(zero), 1, rounds, bound)
+    return advance_windows(kind, a, b, lane_options, options, all_lanes, t_start, simd.spread(zero), 1, rounds, bound)
 
 
 @wp.func
@@ -157,7 +168,7 @@ def later_windows(
     kind: int,
     a: Points,
     b: Points,
-    own: LaneOptions,
+    lane_options: LaneOptions,
     options: Options,
     lanes: wp.uint32,
     t_start: Lanes,
@@ -167,4 +178,4 @@ def later_windows(
 ) -> LaneAnswer:
     """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
     windows = wp.min(_LATER_WINDOWS, (cap - FIRST_ROUNDS) / _ROUNDS)
-    return advance_windows(kind, a, b, own, options, lanes, t_start, used, windows, _ROUNDS, bound)
+    return advance_windows(kind, a, b, lane_options, options, lanes, t_start, used, windows, _ROUNDS, bound)

@@ -47,7 +47,7 @@ underflow = wp.constant(real(TINY[real] * TINY_DIRECTION[real]))
 
 
 @simd.func
-def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
+def crossing(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
     """Fraction of an interval at which the steepest line from the first of three control points to another is zero.
 
     2 if none of them falls to zero, -1 if the first is not above it.
@@ -58,11 +58,11 @@ def fall(h0: Lanes, h1: Lanes, h2: Lanes) -> Lanes:
 
 
 @simd.func
-def corner_fall(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
-    """The `fall` of one corner: of its projection on a moving direction, less the offsets."""
+def corner_crossing(sign: Lanes, d_t: Vec3, d_x: Vec3, o_t: Lanes, o_x: Lanes, w_t: Vec3, w_x: Vec3) -> Lanes:
+    """The `crossing` of one corner: of its projection on a moving direction, less the offsets."""
     h0 = sign * dot(d_t, w_t) - o_t
     h1 = half * (sign * (dot(d_t, w_x) + dot(d_x, w_t))) - half * (o_t + o_x)
-    return fall(h0, h1, sign * dot(d_x, w_x) - o_x)
+    return crossing(h0, h1, sign * dot(d_x, w_x) - o_x)
 
 
 def clip_along(Which: Any, direction: Callable, offset: Callable) -> Any:
@@ -95,10 +95,10 @@ def clip_along(Which: Any, direction: Callable, offset: Callable) -> Any:
             d_x = direction(which, c_x)
             o_t = offset(d_t, margin, separation) + underflow
             o_x = offset(d_x, margin, separation) + underflow
-            fraction = corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
-            fraction = least(fraction, corner_fall(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
+            fraction = corner_crossing(sign, d_t, d_x, o_t, o_x, c_t.w00, c_x.w00)
+            fraction = least(fraction, corner_crossing(sign, d_t, d_x, o_t, o_x, c_t.w01, c_x.w01))
+            fraction = least(fraction, corner_crossing(sign, d_t, d_x, o_t, o_x, c_t.w10, c_x.w10))
+            fraction = least(fraction, corner_crossing(sign, d_t, d_x, o_t, o_x, c_t.w11, c_x.w11))
             m_t = magnitude(d_t)
             can_prove = is_at_most(tiny_direction, greatest_of(m_t))
             running = running & can_prove & is_less(zero, fraction)

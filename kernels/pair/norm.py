@@ -4,14 +4,15 @@ In the maximum norm the separation is a box, in the Euclidean norm a ball. Both 
 a direction d has the support of the shape for its offset: Σ|d_k|·separation_k of the box, separation·|d| of the ball.
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
 the three components of its separation are equal. There each pair has a separation of its own (`pair_options`), as radii
-and holds ask for; in the maximum norm only what is held has, which is a norm of its own here. Kernels are made for one
-norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a separation
-of its own for each part of the step, which holds how far its points are from their chords (`arcs`): two more norms.
+and start distances ask for; in the maximum norm only what keeps one has, which is a norm of its own here. Kernels are
+made for one norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a
+separation of its own for each part of the step, which includes how far its points are from their chords (`arcs`): two
+more norms.
 """
 
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
-# A box for each pair, where something starts within its distance (`hold`).
+# A box for each pair, where something starts within its distance (`start_distance`).
 OWN_BOX_NORM = "own_box"
 # Of pairs whose points move on arcs.
 ARC_BOX_NORM = "arc_box"

@@ -1,19 +1,19 @@
-"""The options of single pairs: with radii, and where pairs are held, each has a distance of its own.
+"""The options of single pairs: with radii or start distances each has a distance of its own.
 
 Otherwise they are those of the query. In the maximum norm pairs have a distance of their own only where the norm says
-so; in the Euclidean norm the arrays of radii and holds decide, which are empty where there are none.
+so; in the Euclidean norm the arrays of both decide, which are empty where there are none.
 """
 
 import warp as wp
 
 from ..boxes.thickness import distance_of
-from ..pair_key import pair_of
 from ..parameters import norm, real, width
+from ..step.pair_list import PairList, vertices_of_pair
 from ..template import specialised
-from .hold import MARGIN, OF_COORDINATES, held_at
 from .norm import has_arcs, is_by_pair
 from .points import Points, farthest
 from .query import Options
+from .start_distance import MARGIN, OF_COORDINATES, start_distance_of
 
 if has_arcs(norm):
     Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
@@ -59,14 +59,8 @@ if not is_by_pair(norm):
         return options
 
     @wp.func
-    def options_of_rows(
-        options: Options,
-        pairs: wp.array[wp.int64],
-        rows: Index,
-        first_corners: wp.array[wp.vec3i],
-        second_corners: wp.array[wp.vec3i],
-    ) -> Options:
-        """The options of the pair in each lane, given by its place in the list of keys."""
+    def options_of_rows(options: Options, pairs: PairList, rows: Index) -> Options:
+        """The options of the pair in each lane, given by its place in the list."""
         return options
 
     LaneOptions = Options
@@ -76,55 +70,47 @@ else:
     def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
         """The options of a pair, given by the vertices of its primitives."""
         options.minimum_separation = distance_of(options.minimum_separation, options.radius, first, second)
-        held = held_at(options.hold, first, second)
-        if held < infinite:
-            options.minimum_separation = wp.min(options.minimum_separation, held)
+        at_start = start_distance_of(options.start_distance, first, second)
+        if at_start < infinite:
+            options.minimum_separation = wp.min(options.minimum_separation, at_start)
             options.margin = margin
         return options
 
     @wp.func
-    def of_key(
-        key: wp.int64, first_corners: wp.array[wp.vec3i], second_corners: wp.array[wp.vec3i], options: Options
-    ) -> Options:
-        """The options of a pair; the key of an open pair is its complement."""
-        pair = pair_of(wp.where(key < wp.int64(0), ~key, key))
-        return options_of_pair(options, first_corners[pair[0]], second_corners[pair[1]])
+    def options_of_row(options: Options, pairs: PairList, row: int) -> Options:
+        """The options of a pair, given by its place in the list."""
+        vertices = vertices_of_pair(pairs, row)
+        return options_of_pair(options, vertices.first, vertices.second)
 
     @wp.func
     def are_equal(options: Options) -> bool:
         """Whether all pairs have the options of the query, as where they are not those of a mesh."""
-        return options.radius.shape[0] == 0 and options.hold.shape[0] == 0
+        return options.radius.shape[0] == 0 and options.start_distance.shape[0] == 0
 
     if width == 1 and not has_arcs(norm):
         LaneOptions = Options
 
         @wp.func
-        def held_lanes(options: LaneOptions) -> wp.uint32:
-            """Bits of the lanes whose pairs are held."""
+        def lanes_at_start_distance(options: LaneOptions) -> wp.uint32:
+            """Bits of the lanes whose pairs keep their start distance."""
             return wp.where(options.margin > wp.float64(0.0), wp.uint32(1), wp.uint32(0))
 
         @wp.func
         def without_margin(
             separation: wp.float64, size: wp.float64, points_t0: Points, points_t1: Points, options: LaneOptions
         ) -> wp.float64:
-            """A separation less the margin of a held pair of a size."""
+            """A separation less the margin of a pair of a size that keeps its start distance."""
             if options.margin > wp.float64(0.0):
                 size += of_coordinates * farthest(points_t0, points_t1)
                 return wp.max(separation - options.margin * size, wp.float64(0.0))
             return separation
 
         @wp.func
-        def options_of_rows(
-            options: Options,
-            pairs: wp.array[wp.int64],
-            row: int,
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-        ) -> LaneOptions:
-            """The options of a pair, given by its place in the list of keys."""
+        def options_of_rows(options: Options, pairs: PairList, row: int) -> LaneOptions:
+            """The options of a pair, given by its place in the list."""
             if are_equal(options):
                 return options
-            return of_key(pairs[row], first_corners, second_corners, options)
+            return options_of_row(options, pairs, row)
 
     else:
 
@@ -134,7 +120,7 @@ else:
 
             tolerance: wp.float64
             minimum_separation: Lanes
-            held: wp.uint32  # bits of the lanes whose pairs are held
+            keeps_start_distance: wp.uint32  # bits of the lanes whose pairs do
             start_gap_fraction: wp.float64
             length_scale: wp.float64
             t_end: real
@@ -144,44 +130,38 @@ else:
                 arcs: Arcs
 
         @wp.func
-        def held_lanes(options: LaneOptions) -> wp.uint32:
-            """Bits of the lanes whose pairs are held."""
-            return options.held
+        def lanes_at_start_distance(options: LaneOptions) -> wp.uint32:
+            """Bits of the lanes whose pairs keep their start distance."""
+            return options.keeps_start_distance
 
         @simd.func
         def without_margin(
             separation: Lanes, size: Lanes, points_t0: Points, points_t1: Points, options: LaneOptions
         ) -> Lanes:
-            """A separation less the margin of a held pair of a size, in each lane."""
-            if options.held != wp.uint32(0):
+            """A separation less the margin of a pair of a size that keeps its start distance, in each lane."""
+            if options.keeps_start_distance != wp.uint32(0):
                 size = size + of_coordinates * farthest(points_t0, points_t1)
                 less = simd.greatest(separation - margin * size, wp.float64(0.0))
-                return simd.select(simd.mask_of(options.held), less, separation)
+                return simd.select(simd.mask_of(options.keeps_start_distance), less, separation)
             return separation
 
         @wp.func
-        def options_of_rows(
-            options: Options,
-            pairs: wp.array[wp.int64],
-            rows: Index,
-            first_corners: wp.array[wp.vec3i],
-            second_corners: wp.array[wp.vec3i],
-        ) -> LaneOptions:
-            """The options of the pair in each lane, given by its place in the list of keys."""
-            own = LaneOptions()
-            own.tolerance = options.tolerance
+        def options_of_rows(options: Options, pairs: PairList, rows: Index) -> LaneOptions:
+            """The options of the pair in each lane, given by its place in the list."""
+            lane_options = LaneOptions()
+            lane_options.tolerance = options.tolerance
             distances = simd.spread(options.minimum_separation)
-            held = wp.uint32(0)
+            keeps_start_distance = wp.uint32(0)
             if not are_equal(options):
                 for k in range(lanes):
-                    of_pair = of_key(pairs[row_in(rows, k)], first_corners, second_corners, options)
+                    of_pair = options_of_row(options, pairs, row_in(rows, k))
                     distances = with_lane(distances, k, of_pair.minimum_separation)
                     if of_pair.margin > wp.float64(0.0):
-                        held = held | (wp.uint32(1) << wp.uint32(k))
-            own.minimum_separation = distances
-            own.held = held
-            own.start_gap_fraction = options.start_gap_fraction
-            own.length_scale = options.length_scale
-            own.t_end = options.t_end
-            own.method = options.method
-            return own
+                        keeps_start_distance = keeps_start_distance | (wp.uint32(1) << wp.uint32(k))
+            lane_options.minimum_separation = distances
+            lane_options.keeps_start_distance = keeps_start_distance
+            lane_options.start_gap_fraction = options.start_gap_fraction
+            lane_options.length_scale = options.length_scale
+            lane_options.t_end = options.t_end
+            lane_options.method = options.method
+            return lane_options

@@ -8,11 +8,11 @@ separating direction from a ball or a box around the origin among few, wherever 
 which are cross products of the sides with each other and with the velocity; of a ball, the way to a corner or an edge,
 which is the closest pair's at either end or, of an edge that a corner sweeps, what lies across the velocity; of a box,
 the axes and their cross products with the edges. All of them are tried here, once, before the
-rounds of a held pair. For sides that turn they are good guesses.
+rounds of a pair that keeps its start distance (`start_distance`). For sides that turn they are good guesses.
 
-Held pairs (`hold`) have a slack of few roundings, so directions are to be accurate: of two edges that are nearly
-parallel, the cross product is made orthogonal to the longer one again, and what lies across an edge is so twice.
-Nothing here carries a guarantee but that of `inclusion`.
+Such pairs have a slack of few roundings, so directions are to be accurate: of two edges that are nearly parallel, the
+cross product is made orthogonal to the longer one again, and what lies across an edge is so twice. Nothing here carries
+a guarantee but that of `inclusion`.
 """
 
 import warp as wp

@@ -26,8 +26,8 @@ class Options:
     method: int
     stop: wp.array[wp.int32]  # set when the host wants the kernel to end
     radius: wp.array[wp.float64]  # of each vertex of a mesh; empty without (`thickness`)
-    hold: wp.array[wp.float64]  # how near each vertex was to anything at the start; empty: nothing is held (`hold`)
-    margin: wp.float64  # of a pair that is held: what its distance is reduced by, a share of its size
+    start_distance: wp.array[wp.float64]  # how near each vertex was to anything at the start, which it keeps; or empty
+    margin: wp.float64  # of a pair that keeps its start distance: by what it is reduced, a share of its size
     sagitta: wp.vec3d  # of a pair on arcs: how far its points may be from their chords, per axis
     turns: Turns  # empty where nothing turns
 

@@ -149,8 +149,8 @@ LARGEST = wp.constant(wp.float64(2.0**1020))
 TINY = {wp.float64: 2.0**-900, wp.float32: 2.0**-90}
 # The eighth of a sagitta, h²/8·|x''|, rounded up.
 EIGHTH_UP = 0.125 * (1.0 + SAGITTA * UNIT_ROUNDOFF[wp.float64])
-# What is held on an arc is less by this multiple of the error of its points, within which nothing could be proved.
-HELD_ERRORS = 4.0
+# A start distance on an arc is less by this multiple of the error of its points, within which nothing could be proved.
+START_DISTANCE_ERRORS = 4.0
 SQUARE_UNDERFLOW = {wp.float64: 2.0**-1000, wp.float32: 2.0**-120}
 TINY_DIRECTION = {wp.float64: 2.0**-150, wp.float32: 2.0**-50}
 

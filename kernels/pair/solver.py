@@ -13,7 +13,6 @@ from .advance import CONTACT, LIMIT, SLOW, advance, point_of
 from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
-from .hold import OF_COORDINATES
 from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .patch import Corners, corners_at
 from .points import Points, corners, farthest, largest, longest_side, scaled, total
@@ -28,6 +27,7 @@ from .rounding import (
     UNIT_ROUNDOFF,
     inverse_power_of_two,
 )
+from .start_distance import OF_COORDINATES
 from .status import (
     STATUS_COLLISION,
     STATUS_INITIAL_CONTACT,
@@ -45,7 +45,7 @@ FAR = wp.constant(wp.float64(2.0**60))
 vec3d = wp.vec3d
 
 is_euclidean = is_ball(norm)
-has_own = is_by_pair(norm)
+by_pair = is_by_pair(norm)
 on_arcs = has_arcs(norm)
 if is_euclidean:
     from .ball import start_gap_share
@@ -137,7 +137,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         if wp.static(is_euclidean):
             # one scale for all axes, so that the ball stays a ball
             reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
-        if wp.static(has_own):
+        if wp.static(by_pair):
             separation_length = wp.min(options.minimum_separation * shrink, LARGEST)  # a length
             if options.margin > wp.float64(0.0):
                 size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink

@@ -119,7 +119,7 @@ def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
 
 
 @simd.func
-def fall(h: Hull) -> Lanes:
+def crossing(h: Hull) -> Lanes:
     """Fraction of the interval, c0 > 0 and another not, at which the steepest line from c0 to another is zero."""
     slope = greatest(three * (h.c0 - h.c1), greatest(one_and_half * (h.c0 - h.c2), h.c0 - h.c3))
     return h.c0 / slope
@@ -146,7 +146,7 @@ def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: 
     is_proof = is_less(zero, h.c0)
     is_clear = is_proof & is_less(zero, least(h.c1, least(h.c2, h.c3)))
     # the fraction of [t, x] is rounded down, so it never reaches the crossing
-    s = (t + (x - t) * (fall(h) * fraction_down)) * round_down
+    s = (t + (x - t) * (crossing(h) * fraction_down)) * round_down
     s = select(is_clear, x, s)
     has_gained = is_proof & is_less(t, s)
     s = select(has_gained, s, t)

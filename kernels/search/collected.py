@@ -67,8 +67,8 @@ if width > 1:
             c0 = corners_of_lanes(kind, points_at(search.step.vertices_t0, collected, begin, capacity))
             c1 = corners_of_lanes(kind, points_at(search.step.vertices_t1, collected, begin, capacity))
             if wp.static(is_thick):
-                own = distances(kind, options, collected, begin)
-                left = left & ~free_lanes(kind, c0, c1, own, options.is_euclidean, options.t_end, left)
+                separations = distances(kind, options, collected, begin)
+                left = left & ~free_lanes(kind, c0, c1, separations, options.is_euclidean, options.t_end, left)
             else:
                 separation = options.separation
                 left = left & ~free_lanes(kind, c0, c1, separation, options.is_euclidean, options.t_end, left)

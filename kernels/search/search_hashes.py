@@ -104,7 +104,7 @@ def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int,
                 # up to the last bucket, and then from the first one on
                 count = wp.min(left, num_buckets - bucket)
                 # what comes before the queries in their own set has found them
-                first = wp.max(grid.bucket_begin[bucket], item.own + 1)
+                first = wp.max(grid.bucket_begin[bucket], item.after + 1)
                 last = grid.bucket_begin[bucket + count]
                 left -= count
                 bucket = 0
@@ -114,15 +114,15 @@ def search_level(search: Search, grid: HashGrid, item: queries.Item, level: int,
 
 
 @wp.func
-def search_levels(search: Search, grid: HashGrid, item: queries.Item, own_level: int, before: int) -> int:
+def search_levels(search: Search, grid: HashGrid, item: queries.Item, query_level: int, before: int) -> int:
     """Search the levels that are no finer than that of the queries; returns the number of candidates."""
     num_candidates = wp.int32(before)
     rise = search.tree_pair.rise
-    levels = (wp.uint32(grid.levels[0]) >> wp.uint32(own_level)) >> wp.uint32(rise)
-    level = int(own_level + rise)
+    levels = (wp.uint32(grid.levels[0]) >> wp.uint32(query_level)) >> wp.uint32(rise)
+    level = int(query_level + rise)
     while levels != _NONE:
         if (levels & wp.uint32(1)) != _NONE:
-            item.own = wp.where(search.tree_pair.within != 0 and level == own_level, item.first, -1)
+            item.after = wp.where(search.tree_pair.within != 0 and level == query_level, item.first, -1)
             num_candidates = search_level(search, grid, item, level, num_candidates)
         levels = levels >> wp.uint32(1)
         level += 1
@@ -135,18 +135,18 @@ def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, ite
     num_candidates = int(0)
     pending = wp.uint32(item.queries)
     while pending != _NONE:
-        own = query_grid.cells[queries.place_of(item, lowest_bit(pending))]
-        if own == NO_CELL:
+        cell = query_grid.cells[queries.place_of(item, lowest_bit(pending))]
+        if cell == NO_CELL:
             break  # as are all that follow
         if is_stopped(search.options.stop):
             break
-        in_row = queries.queries_in_cells(query_grid.cells, item, pending, first_of_row(own), last_of_row(own))
-        own_level = level_of_cell(own)
-        if own_level < LAST_LEVEL and is_at_an_end(own):
+        in_row = queries.queries_in_cells(query_grid.cells, item, pending, first_of_row(cell), last_of_row(cell))
+        query_level = level_of_cell(cell)
+        if query_level < LAST_LEVEL and is_at_an_end(cell):
             in_row = in_row & (~in_row + wp.uint32(1))  # one alone: the box around several may cover any number
         pending = pending & ~in_row
         of_row = queries.of_queries(search, item, in_row)
-        num_candidates = search_levels(search, target_grid, of_row, own_level, num_candidates)
+        num_candidates = search_levels(search, target_grid, of_row, query_level, num_candidates)
     return num_candidates
 
 

@@ -50,7 +50,7 @@ class Item:
     """Query boxes of one block, and the box around them."""
 
     first: int  # place of the first query
-    own: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
+    after: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     queries: wp.uint32  # lanes of their block
     around: int  # place of the box around the block of queries; of a single query its own
     is_block: int  # 1: the boxes of a block; 0: a single box
@@ -167,7 +167,7 @@ def partners_of(search: Search, q: int, block: int, overlapping: wp.uint32) -> w
 
 
 @wp.func
-def keep(search: Search, q: int, block: int, partners: wp.uint32, tied: wp.uint32) -> int:
+def keep(search: Search, q: int, block: int, partners: wp.uint32, undecided: wp.uint32) -> int:
     """Keep the partners of a query whose boxes overlap its own in float64; returns their number.
 
     Args:
@@ -175,11 +175,11 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, tied: wp.uint3
         q: Place of the query.
         block: Block of the partners.
         partners: Their lanes.
-        tied: Lanes of boxes for which the exact float64 test decides.
+        undecided: Lanes of boxes for which the exact float64 test decides.
     """
     mask = wp.uint32(partners)
-    if (mask & tied) != _NONE:
-        mask = mask & ~boxes_apart(search, q, block, mask & tied)
+    if (mask & undecided) != _NONE:
+        mask = mask & ~boxes_apart(search, q, block, mask & undecided)
     if mask == _NONE:
         return 0
     return append_keys(
@@ -214,7 +214,7 @@ def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, befo
         left = left & (left - _ONE)
         both = overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query_block, query_lane, 1)
         mask = both & targets
-        if block == item.own >> 4:  # WIDTH is 16
+        if block == item.after >> 4:  # WIDTH is 16
             mask = mask & lanes_after(query_lane)
         if mask != _NONE:
             mask = mask & ~shared_vertex_mask(

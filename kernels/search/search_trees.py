@@ -54,13 +54,13 @@ def num_blocks(tree: BoxTree, level: int) -> int:
 
 
 @wp.func
-def without_preceding(lanes: wp.uint32, own: int, level: int, block: int) -> wp.uint32:
+def without_preceding(lanes: wp.uint32, after: int, level: int, block: int) -> wp.uint32:
     """Remove the boxes of an inner block all of whose primitives precede the block of a query, ``own``.
 
     Their pairs with the query are found when they are the queries. Boxes of another set are all kept.
     """
-    behind = (own >> (4 * level)) - block * WIDTH
-    if own < 0 or behind <= 0:
+    behind = (after >> (4 * level)) - block * WIDTH
+    if after < 0 or behind <= 0:
         return lanes
     if behind >= WIDTH:
         return _NONE
@@ -79,7 +79,7 @@ def search_tree(search: Search, item: queries.Item) -> int:
     node = int(0)  # the block of this level on the way down
     lanes = united(with_partners(search, item.groups, level_begin, queries.overlapping(search, item, level_begin)))
     # the lanes still to visit: of this level in the lowest bits, then of those above
-    pending = wp.uint64(without_preceding(lanes, item.own, top, 0))
+    pending = wp.uint64(without_preceding(lanes, item.after, top, 0))
     above = wp.uint64(0)
     # branches here and in `search_leaf`, no early `continue`s, with which a search of boxes takes 6 to 10 % longer
     while level <= top:
@@ -100,7 +100,7 @@ def search_tree(search: Search, item: queries.Item) -> int:
                         return num_candidates
                     block = level_begin - below + child
                     lanes = united(with_partners(search, item.groups, block, queries.overlapping(search, item, block)))
-                    lanes = without_preceding(lanes, item.own, level - 1, child)
+                    lanes = without_preceding(lanes, item.after, level - 1, child)
                     if lanes != _NONE:
                         level -= 1
                         level_begin -= below
@@ -133,7 +133,7 @@ def search_trees(
     items = queries.items_of(search, thread)
     for number in range(items[0], items[1], items[2]):
         item = queries.item_at(search, number, thread)
-        item.own = wp.where(tree_pair.within != 0, item.first, -1)
+        item.after = wp.where(tree_pair.within != 0, item.first, -1)
         if wp.static(not in_warps):
             item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
         queries.finish(search, item, search_tree(search, item))

@@ -25,7 +25,7 @@ from ..boxes.box_tree import WIDTH, box_corners
 from ..boxes.exact_boxes import boxes_apart
 from ..boxes.hash_grid import Extent
 from ..boxes.lanes import lanes_before, lowest_bit, number_of_bits
-from ..narrow_phase.whole_warp import WARP
+from ..narrow_phase.whole_warp import WARP, number_in_warp
 from ..pair_key import pair_key
 from ..parameters import end, is_thick, with_lists
 from ..step.minima import CANDIDATES, FOUND
@@ -99,12 +99,6 @@ def overlap(a: vec12f, b: vec12f) -> bool:
 @wp.func_native(f"return {_CLOSED.replace('=', '')};")
 def overlap_openly(a: vec12f, b: vec12f) -> bool:
     """Whether two boxes overlap, as open boxes."""
-    ...
-
-
-@wp.func_native("return threadIdx.x & 31;")
-def own_number() -> int:
-    """The number of a thread in its warp."""
     ...
 
 
@@ -233,7 +227,7 @@ class Item:
     """Some queries that follow each other, at most sixteen, whose boxes the warp keeps."""
 
     first: int  # place of the first query
-    own: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
+    after: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     queries: wp.uint32  # by their numbers from the first on
     groups: wp.vec2i  # the lowest and the highest of the bodies of the queries
 
@@ -260,8 +254,8 @@ def item_at(search: Search, number: int, thread: int) -> Item:
     item = Item()
     item.first = search.part.first + number * search.part.stride
     count = wp.min(search.part.stride, search.part.end - item.first)
-    query = wp.min(own_number() % WIDTH, count - 1)
-    kept_box(own_number() % WIDTH, True, own_number() < WIDTH, box_at(search.query.nodes, item.first + query))
+    query = wp.min(number_in_warp() % WIDTH, count - 1)
+    kept_box(number_in_warp() % WIDTH, True, number_in_warp() < WIDTH, box_at(search.query.nodes, item.first + query))
     item.groups = groups_of(search, item.first + query, 0)
     if search.tree_pair.prunes != 0:
         item.groups = wp.vec2i(least_of_half(item.groups[0]), -least_of_half(-item.groups[1]))
@@ -278,8 +272,8 @@ def place_of(item: Item, number: int) -> int:
 def of_queries(search: Search, item: Item, queries: wp.uint32) -> Item:
     """The item with some of its queries alone."""
     item.queries = queries
-    takes_part = (queries >> wp.uint32(own_number() % WIDTH) & _ONE) != _NONE
-    kept_box(_AROUND, True, own_number() == 0, box_around(box_of(own_number() % WIDTH), takes_part))
+    takes_part = (queries >> wp.uint32(number_in_warp() % WIDTH) & _ONE) != _NONE
+    kept_box(_AROUND, True, number_in_warp() == 0, box_around(box_of(number_in_warp() % WIDTH), takes_part))
     return item
 
 
@@ -288,7 +282,7 @@ def queries_in_cells(
     cells: wp.array[wp.uint64], item: Item, queries: wp.uint32, first: wp.uint64, last: wp.uint64
 ) -> wp.uint32:
     """Those of some queries that stand in the cells from the first to the last of a row."""
-    number = own_number() % WIDTH
+    number = number_in_warp() % WIDTH
     is_within = (queries >> wp.uint32(number) & _ONE) != _NONE
     if is_within:
         cell = cells[item.first + number]
@@ -299,13 +293,13 @@ def queries_in_cells(
 @wp.func
 def lanes_of(item: Item) -> wp.uint32:
     """The lane of a block of targets that a thread tests."""
-    return _ONE << wp.uint32(own_number() % WIDTH)
+    return _ONE << wp.uint32(number_in_warp() % WIDTH)
 
 
 @wp.func
 def overlapping(search: Search, item: Item, block: int) -> wp.uint32:
     """The lane of a thread, if its box in a block overlaps the box around the queries."""
-    if overlap(box_at(search.target.nodes, block * WIDTH + own_number() % WIDTH), box_of(_AROUND)):
+    if overlap(box_at(search.target.nodes, block * WIDTH + number_in_warp() % WIDTH), box_of(_AROUND)):
         return lanes_of(item)
     return _NONE
 
@@ -396,8 +390,8 @@ def settle(search: Search, pair: wp.int64):
 def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, waiting: int) -> int:
     """Queue the pairs of queries and some boxes of a block that overlap; returns how many then wait."""
     parent = box_at(search.target.nodes, search.target.block_begin[1] * WIDTH + block)
-    queries = item.queries & threads_where(overlap(parent, box_of(own_number() % WIDTH)))
-    lane = own_number() % WIDTH
+    queries = item.queries & threads_where(overlap(parent, box_of(number_in_warp() % WIDTH)))
+    lane = number_in_warp() % WIDTH
     place = block * WIDTH + lane
     # an empty place overlaps only a box that is infinite in quantized coordinates
     is_target = place < search.target.num_boxes and (targets >> wp.uint32(lane) & _ONE) != _NONE
@@ -407,12 +401,12 @@ def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, wait
         query = lowest_bit(queries)
         queries = queries & (queries - _ONE)
         is_near = is_target
-        if own_number() >= WIDTH:  # the upper half takes the next query, or none
+        if number_in_warp() >= WIDTH:  # the upper half takes the next query, or none
             is_near = is_near and queries != _NONE
             if queries != _NONE:
                 query = lowest_bit(queries)
         queries = queries & (queries - _ONE)
-        is_near = is_near and (item.own < 0 or place > item.first + query)
+        is_near = is_near and (item.after < 0 or place > item.first + query)
         is_near = overlap(target, box_of(query)) and is_near
         new_ones = threads_where(is_near)
         if new_ones != _NONE:

@@ -96,8 +96,8 @@ def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, 
 
     Most contacts without a separation leave no gap beyond rounding: if even these points do not, that is all.
     """
-    found = ContactGap()
-    found.parameters = uv
+    contact = ContactGap()
+    contact.parameters = uv
     c0 = corners(kind, points_t0)
     c1 = corners(kind, points_t1)
     size = wp.max(largest(c0), largest(c1))
@@ -115,7 +115,7 @@ def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, 
         along_r = uv[0]
     gap = c.w00 + along_q * (c.w01 - c.w00) + along_r * (c.w10 - c.w00)
     if not wp.dot(gap, gap) > noise:
-        return found
+        return contact
     c.w11 = unit * c.w11
     wb, wc, from_w11 = closest_weights(c.w00, c.w01, c.w10, c.w11, kind == VERTEX_FACE)
     origin = c.w00
@@ -137,10 +137,10 @@ def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, 
             q = vec3d(_ZERO, _ZERO, _ZERO)
         if not is_inner(along_r):
             r = vec3d(_ZERO, _ZERO, _ZERO)
-        found.is_gap = True
-        found.direction = wp.normalize(across_sides(gap, q, r))
-        found.parameters = parameters_of(kind, _ZERO, _ONE, _ZERO, _ONE, wb, wc, from_w11)
-    return found
+        contact.is_gap = True
+        contact.direction = wp.normalize(across_sides(gap, q, r))
+        contact.parameters = parameters_of(kind, _ZERO, _ONE, _ZERO, _ONE, wb, wc, from_w11)
+    return contact
 
 
 @wp.func
@@ -214,7 +214,7 @@ def contact_at(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, u
 
     Where there is no gap beyond rounding, the parameters are those that the narrow phase has found.
     """
-    found = contact_gap(kind, points_t0, points_t1, t, uv)
-    if not found.is_gap:
-        found.direction = normal_without_gap(kind, points_t0, points_t1, t, uv)
-    return found
+    contact = contact_gap(kind, points_t0, points_t1, t, uv)
+    if not contact.is_gap:
+        contact.direction = normal_without_gap(kind, points_t0, points_t1, t, uv)
+    return contact

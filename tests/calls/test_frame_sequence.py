@@ -10,7 +10,7 @@ import trimesh
 
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
-from ccd_warp._files.frames import write_mesh
+from ccd_warp._files.ply import write_ply
 
 NUM_FRAMES = 50
 
@@ -34,7 +34,7 @@ def flag(tmp_path_factory) -> Path:
     (folder / "late.pvd").write_text(text.replace('timestep="0.02"', 'timestep="0.025"'), encoding="utf-8")
     for name, sides, middle in (("wall", (1, 3, 3), (-0.5, 0.5, 0)), ("plate", (0.5, 3, 0.1), (1.9, 0.5, 0.85))):
         box = trimesh.creation.box(extents=sides)
-        write_mesh(folder / f"{name}.ply", box.vertices + middle, box.faces)
+        write_ply(folder / f"{name}.ply", box.vertices + middle, box.faces)
     return folder
 
 
@@ -69,7 +69,7 @@ def test_frames_are_read_when_asked_for_and_each_once(flag, sequence, monkeypatc
     read, (series,) = [], sequence._series
     of_class = type(series).read
     monkeypatch.setattr(type(series), "read", lambda self, k: read.append(k) or of_class(self, k))
-    assert np.array_equal(sequence[7], sequence.step(7).vertices_t0) and read == [6, 7, 8]
+    assert np.array_equal(sequence[7], sequence.step(7).vertices_t0) and read == [7, 8]
     for frames in (sequence, sequence.steps()):
         read.clear()
         assert sum(1 for _ in frames) >= NUM_FRAMES - 1 and sorted(read) == list(range(NUM_FRAMES))
@@ -90,37 +90,32 @@ def test_frames_are_read_when_asked_for_and_each_once(flag, sequence, monkeypatc
 
 @pytest.fixture
 def ball(tmp_path):
-    """Five frames of a ball that falls, as .ply, .stl and one .npz; of the last two as .stl two vertices are one."""
+    """Five frames of a ball that falls, as .ply and .stl; in the last two as .stl two vertices are in one place."""
     shape = trimesh.creation.icosphere(subdivisions=1, radius=0.5)
     positions = shape.vertices - [[[0.0, 0.0, 0.5 * k]] for k in range(5)]
     for k, vertices in enumerate(positions):
-        write_mesh(tmp_path / f"ball_{k}.ply", vertices, shape.faces)
+        write_ply(tmp_path / f"ball_{k}.ply", vertices, shape.faces)
         meeting = positions[3, [0, 0, *range(2, len(vertices))]] if k > 2 else vertices
         trimesh.Trimesh(meeting, shape.faces, process=False).export(tmp_path / f"ball_{k}.stl")
-    np.savez(tmp_path / "ball.npz", positions=positions, faces=shape.faces)
     return tmp_path, positions
 
 
-def test_folders_lists_archives_and_half_spaces(ball):
+def test_lists_and_half_spaces(ball):
     folder, positions = ball
     ground = ccd.HalfSpace([0.0, 0.0, -1.6], [0.0, 0.0, 1.0])
     files = [folder / f"ball_{k}.ply" for k in (3, 1, 2, 0, 4)]
-    for paths in (map(str, files), folder / "ball.npz"):
-        sequence = ccd.read_sequence(paths, static=[ground], self_collision=False)
-        assert np.array_equal(np.stack(list(sequence)), positions) and sequence.times.tolist() == [0, 1, 2, 3, 4]
-        hits = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1).hit for step in sequence.steps()]
-        assert hits == [False, False, True, True]
+    sequence = ccd.read_sequence(map(str, files), static=[ground], self_collision=False)
+    assert np.array_equal(np.stack(list(sequence)), positions) and sequence.times.tolist() == [0, 1, 2, 3, 4]
+    hits = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1).hit for step in sequence.steps()]
+    assert hits == [False, False, True, True]
     assert ccd.read_sequence(files, kinematic=["ball"]).mesh.kinematic.tolist() == [True]
 
 
-def test_frames_whose_vertices_are_one_in_other_ways_are_taken_step_by_step(ball):
-    """Corners of STL files are one where they coincide: two in one place would have other numbers in that step."""
-    sequence = ccd.read_sequence([ball[0] / f"ball_{k}.stl" for k in range(5)])
-    meshes = [step.mesh for step in sequence.steps()]
-    assert [mesh is sequence.mesh for mesh in meshes] == [True, True, True, False]
-    assert meshes[3].num_vertices == sequence.mesh.num_vertices - 1
-    with pytest.raises(ValueError, match=r"ball_4\.stl has other vertices in common than the first frames; take each"):
-        sequence[4]
-    sequence.mesh = sequence.mesh.excluding({"vertices": [[0, 1]]})
-    with pytest.raises(ValueError, match="need the same numbers in each frame"):
-        sequence.step(3)
+def test_vertices_of_a_soup_are_one_as_in_its_first_frame(ball):
+    """Corners of STL files are one where they coincide there: two that meet stay two, and what parts is refused."""
+    files = [ball[0] / f"ball_{k}.stl" for k in range(5)]
+    sequence = ccd.read_sequence(files)
+    assert {id(step.mesh) for step in sequence.steps()} == {id(sequence.mesh)} and sequence.mesh.num_vertices == 42
+    assert [len(np.unique(frame, axis=0)) for frame in sequence] == [42, 42, 42, 41, 41]
+    with pytest.raises(ValueError, match=r"ball_2\.stl: vertex \d+ leaves vertex \d+, although both are in"):
+        ccd.read_frames(files[4], files[2])

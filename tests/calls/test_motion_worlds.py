@@ -6,9 +6,11 @@ import trimesh
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp._calls import pipeline
-from ccd_warp._rigid import motion_worlds, near_worlds, part_mesh
-from ccd_warp._rigid.part_trees import PartTrees
+from ccd_warp._calls import motions
+from ccd_warp._rigid import motion_worlds
+from ccd_warp._rigid.parts import mesh as parts_mesh
+from ccd_warp._rigid.parts import worlds as parts_worlds
+from ccd_warp._rigid.parts.trees import PartTrees
 
 WORLDS, NO_FACES, BOX = 7, np.zeros((0, 3), dtype=int), trimesh.creation.box((1, 1, 1))
 
@@ -46,10 +48,10 @@ def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
 
 def test_worlds_are_searched_in_no_larger_parts_than_fit_and_all_of_them_count(monkeypatch):
     """Pairs of bodies take a byte each, so their number grows with the square of the worlds."""
-    made, of = [], part_mesh.PartMesh.of.__func__
-    for module, name, value in ((motion_worlds, "_LARGE", 0), (near_worlds, "MOST_BODIES", 5)):
+    made, of = [], parts_mesh.PartMesh.of.__func__
+    for module, name, value in ((motion_worlds, "_LARGE", 0), (parts_worlds, "MOST_BODIES", 5)):
         monkeypatch.setattr(module, name, value)
-    monkeypatch.setattr(part_mesh.PartMesh, "of", classmethod(lambda *given: made.append(of(*given)) or made[-1]))
+    monkeypatch.setattr(parts_mesh.PartMesh, "of", classmethod(lambda *given: made.append(of(*given)) or made[-1]))
     mesh, twist = ccd.CollisionMesh.from_trimesh([BOX] * 3, rigid=[0, 1, 2]), np.zeros((WORLDS, 3, 6))
     twist[:, 0, 0] = np.linspace(0.1, 0.5, WORLDS)
     motion = ccd.RigidMotion(poses_of([[-1.2, 0, 0], [0, 0, 0], [1.2, 0, 0]]), twist=twist)
@@ -96,7 +98,7 @@ def throw(spacing):
 @pytest.fixture
 def parts_alone(monkeypatch):
     """Whether parts are looked for in small scenes, too; which is to be compared with what whole bodies find."""
-    return lambda wanted: monkeypatch.setattr(pipeline, "_LARGE_SCENE", 1 if wanted else 1 << 60)
+    return lambda wanted: monkeypatch.setattr(motions, "_LARGE_SCENE", 1 if wanted else 1 << 60)
 
 
 @pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import warp as wp
-from ccd_warp.kernels.boxes.thickness import sum_up
+from ccd_warp.kernels.boxes.thickness import add_rounded_up
 from exact import exact_tois, rows
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from laws.truth import NAMES, Pairs
@@ -26,7 +26,7 @@ def add_lengths(
     s: wp.array[wp.float64],
 ):
     k = wp.tid()
-    s[k] = sum_up(a[k], sum_up(b[k], c[k]))
+    s[k] = add_rounded_up(a[k], add_rounded_up(b[k], c[k]))
 
 
 def sheet_and_bead(radius=None, **options):

@@ -9,7 +9,7 @@ import trimesh
 from mesh_files import ply
 
 import ccd_warp as ccd
-from ccd_warp._cli import sequence as sequence_command
+from ccd_warp._cli import solve as solve_module
 from ccd_warp._cli.command import main
 
 SHAPE, FLOOR = trimesh.creation.icosphere(subdivisions=1, radius=0.5), trimesh.creation.box(extents=(4.0, 4.0, 1.0))
@@ -54,7 +54,7 @@ def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):
     """Each is in the file as soon as its step is solved; what is left is a sequence of its own."""
     run(*BALLS, *ON, "--length-scale", "1", "--output", "whole", "--quiet")
     header, *lines = Path("whole/steps.csv").read_text().splitlines(keepends=True)
-    solve, seen = sequence_command.solve, []
+    solve, seen = solve_module.solve, []
 
     def solve_or_press(*arguments, **options):
         seen.append(Path("out/steps.csv").read_text() if Path("out").exists() else "")
@@ -62,7 +62,7 @@ def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):
             raise KeyboardInterrupt
         return solve(*arguments, **options)
 
-    monkeypatch.setattr(sequence_command, "solve", solve_or_press)
+    monkeypatch.setattr(solve_module, "solve", solve_or_press)
     for output in ("-", "out"):
         seen.clear()
         run(*BALLS, *ON, "--length-scale", "1", "--output", output, status=130)

@@ -32,7 +32,7 @@ def whole_mesh(mesh):
     is_first[1:] = (ordered[order][1:] != ordered[order][:-1]).any(axis=1)
     return ccd.CollisionMesh._of_parts(
         faces=mesh.faces[order[is_first]],
-        given_edges=mesh.edges[mesh.codimensional_edges],
+        listed_edges=mesh.edges[mesh.codimensional_edges],
         with_codimensional_points=_has(mesh, mesh.codimensional_points),
         with_inner_vertices=_has(mesh, mesh.inner_vertices),
         exclude_pairs={name: pairs for name, pairs in mesh.exclude_pairs.items() if name in ("vertices", "bodies")},

@@ -11,6 +11,7 @@ from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_w
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
 from ccd_warp.kernels.search.search_types import LIST, SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
+from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import ContactList, Step
 from ccd_warp.kernels.template import specialised
 from hard_cases import FAMILIES
@@ -267,16 +268,21 @@ def test_warps_agree_while_others_lower_the_least_toi():
     for x, needles in ((x0, start), (x1, end)):
         x[~first] = needles[hardest]
     corners = [np.arange(64)[:, None] * 4 + [k, k + 1, k + 1] for k in (0, 2)]
-    pairs = [array(np.arange(64) * ((1 << 32) + 1), wp.int64), *(array(c, wp.vec3i) for c in corners)]
+    pairs = PairList()
+    pairs.kind = int(EDGE_EDGE)
+    pairs.keys = array(np.arange(64) * ((1 << 32) + 1), wp.int64)
+    pairs.first_corners, pairs.second_corners = (array(c, wp.vec3i) for c in corners)
+    pairs.vertices_t0, pairs.vertices_t1 = (array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1))
     options = Options(tolerance=1e-15).for_kernel(1.0)
     for _ in range(3):
         counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
         counts[EDGE_EDGE, [FOUND, QUEUED]] = 64
         times = array(np.where(first, 0.25, 0.31), wp.float64)
         queue = queue_of(array(np.arange(64), wp.int32), times, array(np.full(64, 3), wp.int8))
-        least, open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
-        inputs = [0, num_solvers, int(EDGE_EDGE), array(counts, wp.int64), *pairs]
-        inputs += [array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1)] + [options, 0, 0, 0.0, 0, queue]
-        outputs = [Table(), Minima(), ContactList(), least, open_toi]
+        least = LeastToi()
+        least.bits, least.open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
+        pairs.counts = array(counts, wp.int64)
+        inputs = [0, num_solvers, pairs, options, Round(), 0, queue]
+        outputs = [Table(), Minima(), ContactList(), least]
         launch(specialised("narrow_phase.queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
-        assert 0.3 - 1e-6 <= least.numpy().view(np.float64)[0] <= 0.3
+        assert 0.3 - 1e-6 <= least.bits.numpy().view(np.float64)[0] <= 0.3

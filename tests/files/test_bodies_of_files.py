@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import zipped
 
 import ccd_warp as ccd
 
@@ -64,11 +63,6 @@ def test_vertices_of_bodies_are_found_again_in_the_file(tmp_path):
     assert np.array_equal(frames.vertices_t0, vertices[frames.source_index])
 
 
-def test_files_of_an_archive_are_bodies(tmp_path):
-    files = {"a/one.obj": _obj(("", TRIANGLE)), "b/one.obj": _obj(("o x", TRIANGLE), ("o y", TRIANGLE + 3.0))}
-    assert _read(tmp_path / "a.zip", zipped(files)).mesh.names == ("a/one.obj", "b/one.obj/x", "b/one.obj/y")
-
-
 # ---- Parts of a file that names none ---------------------------------------------------------------------------------
 
 
@@ -81,15 +75,14 @@ def cubes(request, tmp_path):
     nodes = np.concatenate([np.array([*np.ndindex(4, 4, 4)]) / 3.0 + [0.0, 0.0, 2.0 * k] for k in range(3)])
     order = [k % 3 * 26 + k // 3 for k in range(78)]
     cells = np.concatenate([(places[:, None] + corners) @ [16, 4, 1] + 64 * k for k in range(3)])[order]
-    data = {"material": [np.repeat([7, 3, 7], 26)[order]], "vector": [np.zeros((78, 3))]}
     end = nodes - 1.5 * np.outer(np.arange(192) >= 128, [0, 0, 1])
     paths = [tmp_path / f"{name}.{request.param}" for name in ("start", "end")]
     for path, x in zip(paths, (nodes, end), strict=True):
-        meshio.Mesh(x, [("hexahedron", cells)], cell_data=data).write(path)
+        meshio.Mesh(x, [("hexahedron", cells)]).write(path)
     return paths, nodes, end
 
 
-def test_what_hangs_together_by_its_cells_is_a_body_and_so_are_cells_of_one_value_of_a_field(cubes):
+def test_what_hangs_together_by_its_cells_is_a_body(cubes):
     paths, nodes, end = cubes
     frames = ccd.read_frames(*paths, surface=True, split=True, static=paths[:1])
     names = [f"{paths[0].name}#{k}" for k in range(3)]
@@ -97,18 +90,9 @@ def test_what_hangs_together_by_its_cells_is_a_body_and_so_are_cells_of_one_valu
     assert frames.mesh.body_vertex_range.tolist() == [64 * k for k in range(7)]
     assert np.array_equal(frames.vertices_t0, nodes[frames.source_index])
     assert np.array_equal(frames.vertices_t1[:192], end[frames.source_index[:192]])
-
-    frames = ccd.read_frames(*paths, surface=True, split="material", kinematic=["material 3"])
-    assert frames.mesh.names == ("material 3", "material 7") and frames.mesh.kinematic.tolist() == [True, False]
-    assert frames.source_index.tolist() == [*range(64, 128), *range(64), *range(128, 192)]
+    frames = ccd.read_frames(*paths, surface=True, split=True, kinematic=names[1:2])
     result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
-    assert result.toi == pytest.approx(2 / 3) and {*result.first.body_names} == {"material 3", "material 7"}
-    for name, message in (
-        ("colour", "has no field 'colour' of its cells; expected one of them: 'material', 'vector'"),
-        ("vector", r"the field 'vector' is .* of shape \(78, 3\); expected a finite number for each of the 78 cells"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            ccd.read_frames(*paths, surface=True, split=name)
+    assert result.toi == pytest.approx(2 / 3) and {*result.first.body_names} == {names[1], names[2]}
 
 
 def test_a_soup_and_a_group_are_split_by_what_shares_a_vertex(tmp_path):

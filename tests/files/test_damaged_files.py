@@ -3,15 +3,11 @@
 import json
 import os
 import re
-import struct
 import sys
-import zipfile
 
 import numpy as np
 import pytest
-from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, whole, zipped
-
-import ccd_warp as ccd
+from mesh_files import FACES, OFF, PLY, WHOLE, content, gltf_files, read, same, whole
 
 LISTED = ["ascii.ply", "coloured.ply", "text.off", "commented.off", "ascii.stl"]  # text that says how much it holds
 
@@ -94,11 +90,10 @@ XDMF = (
     f'{_ITEM.format("Int", "1 3", "XML", "0 1 2")}</Topology><Geometry GeometryType="XYZ">'
     f"{_ITEM.format('Float', '3 3', 'XML', '0 0 0 1 0 0 0 1 0')}</Geometry></Grid></Domain></Xdmf>"
 )
-NAMES = ["a.ply", "a.obj", "a.stl", "a.off", "a.glb", "a.zip", "a.vtu", "a.vtk", "a.npz", "a.pvd", "a.xmf"]
+NAMES = ["a.ply", "a.obj", "a.stl", "a.off", "a.glb", "a.vtu", "a.vtk", "a.pvd", "a.xmf"]
 SAID = {
     "pipe": "no such file but a folder, a pipe or a device; expected a regular file",
     "device": "no such file but a folder, a pipe or a device; expected a regular file",
-    "3 GiB": "it has 3,221,225,472 bytes, and the limit is 1,073,741,824 bytes; raise it with --max-bytes",
     "missing": "no such file",
     "no mesh": "a.",
 }
@@ -119,9 +114,6 @@ def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kin
                 place.symlink_to("/dev/zero")
             case "no mesh":
                 place.write_text("this is no mesh\n")
-            case "3 GiB":
-                with place.open("wb") as file:
-                    file.truncate(3 << 30)  # sparse
         with pytest.raises(ValueError, match=SAID[kind]) as caught:
             content(path)
         assert str(path if kind == "no mesh" else place) in str(caught.value) and str(caught.value).isprintable()
@@ -142,12 +134,16 @@ MALFORMED = [  # of a format: what stands in place of what, and what the message
     ("obj", "f 1 2 3\n", "f 1 2 3\n# and", "the last line has no line end"),
     ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of a vertex that is none of the 3 of the file"),
     ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    # Integers taken for reals are nearly zero, and would be the corners 0, 0, 0 of every face.
-    ("xdmf", 'DataType="Int"', 'DataType="Float"', "are Float of shape .*; expected integers"),
     ("xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
-    ("xdmf", "0 1 2", "0 1 2 9", "cannot reshape array of size 4"),
-    ("xdmf", "0 1 0<", "0 1 z<", "cannot be read"),
-    ("xdmf", "Format=", 'Seek="8" Format=', "have attributes that are not read: .*Seek"),
+    ("xdmf", "0 1 2", "0 1 2 9", r"Topology are int64 of shape \(4,\); expected integers of shape \(1, 3\)"),
+    ("xdmf", "0 1 2", "0 1 2.5", r"line 1 holds 2.5; expected an integer"),
+    ("xdmf", "0 1 0<", "0 1 z<", "line 1 holds 'z'; expected a number"),
+    (
+        "xdmf",
+        "<DataItem ",
+        '<DataItem ItemType="HyperSlab" ',
+        "a Topology has 1 DataItem; expected one, of",
+    ),
     ("xdmf", '"XML">0 0 0 1', '"Binary">data', "have the format 'Binary'; expected XML or HDF"),
 ]
 
@@ -197,8 +193,8 @@ def gltf(change):
             "a mesh that is compressed or sparse",
         ),
         ("scene.gltf", gltf(lambda tree: tree["accessors"][1].update(normalized=True)), "in normalized integers"),
-        ("scene.gltf", gltf(lambda tree: _primitive(tree).update(mode=6)), "its scene has 16 triangles, and 0 of them"),
-        ("scene.gltf", gltf(lambda tree: tree["nodes"][0].update(camera=0)), "its scene has 6 triangles, and 0"),
+        ("scene.gltf", gltf(lambda tree: _primitive(tree).update(mode=6)), "it has 16 triangles, and 0 of its scene"),
+        ("scene.gltf", gltf(lambda tree: tree["nodes"][0].update(camera=0)), "it has 6 triangles, and 0"),
         ("scene.gltf", gltf(lambda tree: tree["nodes"][-1].update(extensions=INSTANCES)), "has instances by EXT_mesh"),
         # Three numbers less are a vertex less, and an input less makes other faces.
         ("scene.dae", lambda data: data.replace(b'count="36"', b'count="39"', 1), "does not hold 39 values"),
@@ -208,7 +204,6 @@ def gltf(change):
             lambda data: data.replace(b'<triangles count="6"', b'<triangles count="7"'),
             "has 7 triangles, and 6",
         ),
-        ("archive.zip", lambda data: zipped({"whole.ply": PLY, "cut.ply": PLY[:-20]}), r"archive\.zip, cut\.ply: "),
     ],
 )
 def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, message):
@@ -226,55 +221,10 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     data = path.read_bytes()
     assert content(path)[1].tolist() == FACES[:3].tolist()
     name = re.search(rb"a\.h5:/(\w+)", data)[1]
-    refused(path, data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"'), "no dataset of shape")
-    refused(path, data.replace(b"/" + name, b"/other"), "no dataset of shape")
+    damaged = data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"')
+    refused(path, damaged, r"float64 of shape \(7, 3\); expected numbers of shape \(3, 7\)")
+    refused(path, data.replace(b"/" + name, b"/other"), "in a.h5:/other is no dataset")
     for module in ("h5py", "meshio"):
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, module, None)
             refused(path, data, rf"{module} reads it; install with: pip install 'ccd-warp\[formats\]'")
-
-
-# ---- Archives --------------------------------------------------------------------------------------------------------
-
-
-def test_meshes_of_an_archive_are_read_and_what_systems_leave_beside_them_is_passed_over(tmp_path):
-    beside = {"__MACOSX/._mesh.ply": b"?", ".DS_Store": b"?", "wood.png": b"?", "LICENSE": b"?", "a/": b""}
-    both = read(tmp_path / "a.zip", zipped({"one.ply": PLY, "two.off": OFF, **beside}))
-    assert np.array_equal(both[1], np.vstack([FACES, FACES + 12]))
-    soup = whole("ascii.stl")
-    assert same(read(tmp_path / "a.zip", zipped({"a.stl": soup})), read(tmp_path / "a.stl", soup))
-
-
-def test_archive_that_unpacks_to_more_than_the_limit_names_it(tmp_path):
-    name = "bomb.zip"
-    path = tmp_path / name
-    path.write_bytes(zipped({"a.ply": PLY.encode() + bytes(3_000_000)}))
-    with pytest.raises(ValueError, match=r"the limit is 1,000,000 bytes; raise it with --max-bytes \(max_bytes= in"):
-        ccd.read_frames(path, path, max_bytes=1_000_000)
-    with pytest.raises(ValueError, match=f"{name}(?!.*limit)"):
-        ccd.read_frames(path, path)
-
-
-def test_archive_that_states_less_than_it_holds_is_refused(tmp_path):
-    """Packed by bzip2 or LZMA, Python unpacks all that there is, whatever size is stated: here a thousand bytes."""
-    for method, name, member, message in (
-        (zipfile.ZIP_DEFLATED, "a.zip", "a.ply", "cannot be unpacked"),
-        (zipfile.ZIP_BZIP2, "a.3mf", "3D/3dmodel.model", ".*3D/3dmodel.model is packed in a way that is not read"),
-        (zipfile.ZIP_LZMA, "a.npz", "a.npy", ".*a.npy is packed in a way that is not read"),
-    ):
-        packed = bytearray(zipped({member: bytes(3_000_000)}, method))
-        for signature, offset in ((b"PK\x03\x04", 22), (b"PK\x01\x02", 24)):
-            at = packed.index(signature) + offset
-            packed[at : at + 4] = (1000).to_bytes(4, "little")
-        refused(tmp_path / name, bytes(packed), f"{name}: {message}")
-
-
-@pytest.mark.parametrize("name", ["a.zip", "a.npz"])
-def test_archive_whose_end_loses_a_member_is_refused(tmp_path, name):
-    """The directory is one entry shorter: what is listed is whole, and one of two meshes is gone."""
-    data = zipped({"one.ply": PLY, "two.off": OFF}) if name == "a.zip" else whole("cache.npz")
-    end, first, last = data.rindex(b"PK\5\6"), data.index(b"PK\1\2"), data.rindex(b"PK\1\2")
-    fewer = struct.pack("<II", end - last, last)  # size and place of the directory
-    without_last = data[:last] + data[end : end + 12] + struct.pack("<II", last - first, first) + data[end + 20 :]
-    for damaged in (data[: end + 12] + fewer + data[end + 20 :], without_last):
-        refused(tmp_path / name, damaged, r"its directory lists \d files, and says")

@@ -1,4 +1,4 @@
-"""Frames of a sequence from files: natural order, bodies by name, archives of NumPy, series of ParaView and XDMF."""
+"""Frames of a sequence from files: natural order, bodies by name, series of ParaView and XDMF."""
 
 import numpy as np
 import pytest
@@ -67,18 +67,6 @@ def test_files_that_are_no_frames_of_bodies_are_refused(tmp_path, names, message
     refused([tmp_path / f"{name}.ply" for name in names] or tmp_path, message)
 
 
-def test_archives_of_positions(tmp_path):
-    np.savez(tmp_path / "both.npz", positions=POSITIONS, faces=FACES)
-    np.savez_compressed(tmp_path / "bare.npz", positions=POSITIONS + 1.0)
-    write_frames(tmp_path, "{}")
-    paths = [tmp_path / "both.npz", tmp_path / "bare.npz"]
-    sequence = check(paths, names=("both.npz", "bare.npz"), faces=tmp_path / "8.ply")
-    assert sequence.labels == ["both.npz[0]", "both.npz[1]", "both.npz[2]"]
-    refused(tmp_path / "bare.npz", "holds no 'faces'; add them, or give a mesh that has them with --faces")
-    np.savez_compressed(tmp_path / "a.npz", positions=np.zeros((4, 1000, 3)), faces=FACES)
-    refused(tmp_path / "a.npz", "unpacks to .* bytes, and the limit is 9,000 bytes; raise it with", max_bytes=9000)
-
-
 def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_each_part(tmp_path):
     write_frames(tmp_path, "a_{}", "b_{}", suffix=".vtu")
     check(tmp_path, names=("a", "b"))
@@ -122,18 +110,11 @@ def _collection(grids) -> str:
     return f'<Grid GridType="Collection" CollectionType="Temporal">{"".join(grids)}</Grid>'
 
 
-def test_series_of_xdmf_with_a_geometry_for_each_time_or_a_collection_for_each_field(tmp_path):
+def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path):
     path, xdmf = tmp_path / "a.xmf", '<Xdmf Version="3.0"><Domain>{}</Domain></Xdmf>'
-    path.write_text(xdmf.format(_collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS))))
-    check(path, names=("a.xmf",))
-    fields = [
-        _collection(
-            f'<Grid><Time Value="{k}"/><Attribute Name="{name}" Center="Node">{_item("Float", x)}</Attribute></Grid>'
-            for k, x in enumerate(values)
-        )
-        for name, values in (("u", EIGHTHS - EIGHTHS[0]), ("p", np.zeros((3, 4))))
-    ]
-    path.write_text(text := xdmf.format(_grid(EIGHTHS[0]) + "".join(fields)))
-    check(path, names=("a.xmf",), positions=EIGHTHS, displacement="u")
-    path.write_text(text.replace('Value="2"', 'Value="3"', 1))
-    refused(path, "temporal collections of the same times", displacement="u")
+    path.write_text(
+        xdmf.format(series := _collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS)))
+    )
+    assert check(path, names=("a.xmf",)).times.tolist() == [0.0, 1.0, 2.0]
+    path.write_text(xdmf.format(series + series))
+    refused(path, "one temporal collection and one beside it")

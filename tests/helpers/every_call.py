@@ -11,7 +11,7 @@ import trimesh
 
 import ccd_warp as ccd
 from ccd_warp import viz
-from ccd_warp._files.frames import write_mesh
+from ccd_warp._files.ply import write_ply
 
 TRIANGLE = np.array([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]])
 FACE = np.array([[0, 1, 2]])
@@ -48,7 +48,7 @@ VALUES = {
         "gradient": ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, bool)),
     },
     **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "progress": False},
-    **{"surface": False, "split": False, "max_bytes": 10**6, "displacement": None, "faces": None},
+    **{"surface": False, "split": False, "displacement": None},
     **{"result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
     **{"displacements": None, "contacts": RESULT.contacts, "k": 0},
 }
@@ -100,8 +100,8 @@ def run(function, arguments, changed=()):
 def _every_call(folder):
     """Each public call by its name: the function, and arguments that it takes."""
     start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.csv"
-    write_mesh(start, START, FACE)
-    write_mesh(end, END, FACE)
+    write_ply(start, START, FACE)
+    write_ply(end, END, FACE)
     poses.write_text("0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
     launched = ccd.CollisionPipeline(MESH).launch(START, END)
     of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}

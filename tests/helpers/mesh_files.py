@@ -1,11 +1,9 @@
 """One mesh in a file of every format that is read, and what the library takes from any file."""
 
 import base64
-import io
 import json
 import re
 import tempfile
-import zipfile
 from functools import cache
 from pathlib import Path
 
@@ -42,14 +40,6 @@ def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
 PLY = text_ply()
 OFF = "\n".join(["OFF", "12 6 0", *ROWS, *COUNTED, ""])
 OBJ = "\n".join([*(f"v {row}" for row in ROWS), *(f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()), ""])
-
-
-def zipped(files, method=zipfile.ZIP_DEFLATED) -> bytes:
-    packed = io.BytesIO()
-    with zipfile.ZipFile(packed, "w", method) as archive:
-        for name, data in files.items():
-            archive.writestr(name, data)
-    return packed.getvalue()
 
 
 def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
@@ -91,12 +81,6 @@ def _gltf() -> bytes:
     return json.dumps(tree).encode()
 
 
-def _npz() -> bytes:
-    packed = io.BytesIO()
-    np.savez(packed, positions=np.stack([VERTICES, VERTICES + 1.0]), faces=FACES)
-    return packed.getvalue()
-
-
 WHOLE = {
     "ascii.ply": lambda: PLY.encode(),
     "coloured.ply": lambda: re.sub(
@@ -115,7 +99,6 @@ WHOLE = {
     "scene.gltf": _gltf,
     "scene.dae": lambda: of_extra("collada", "dae"),
     "scene.3mf": lambda: of_extra("lxml", "3mf"),
-    "archive.zip": lambda: zipped({"folder/mesh.ply": PLY, "read me.txt": b"a mesh"}),
     "text_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=False),
     "binary_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=True),
     "text_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=False),
@@ -123,7 +106,6 @@ WHOLE = {
     "text.vtu": lambda: of_meshio("a.vtu", binary=False),
     "binary.vtu": lambda: of_meshio("a.vtu"),
     "text.xdmf": lambda: of_meshio("a.xdmf", data_format="XML"),
-    "cache.npz": _npz,
 }
 
 
@@ -135,7 +117,7 @@ def whole(name) -> bytes:
 
 def content(path) -> tuple[np.ndarray, np.ndarray]:
     """Positions and faces of any file of a mesh or of a sequence."""
-    if path.suffix in (".npz", ".pvd"):
+    if path.suffix == ".pvd":
         sequence = ccd.read_sequence(path)
         return np.array([*sequence]), sequence.mesh.faces
     frames = ccd.read_frames(path, path)

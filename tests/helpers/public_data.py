@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccd_warp._files.frames import Body, read_frames
+import ccd_warp as ccd
 
 ROWS = 8  # of a query: four points at the start, four at the end
 _KINDS = {"vf": "vertex-face", "ee": "edge-edge"}
@@ -176,9 +176,19 @@ def find_steps(folder: Path) -> dict[str, tuple[Path, Path]]:
     return {name: tuple(sorted(paths, key=lambda path: int(path.stem))) for name, paths in sorted(scenes.items())}
 
 
-def read_step(start: Path, end: Path) -> Body:
-    """The mesh at both ends of a step, ``vertices_t0``, ``vertices_t1`` and ``faces`` in the order of its files."""
-    return read_frames(start, end)
+@dataclass(frozen=True, eq=False)
+class Step:
+    """The mesh at both ends of a step, in the order of its files."""
+
+    vertices_t0: np.ndarray
+    vertices_t1: np.ndarray
+    faces: np.ndarray
+
+
+def read_step(start: Path, end: Path) -> Step:
+    """The step between two mesh files."""
+    frames = ccd.read_frames(start, end)
+    return Step(frames.vertices_t0, frames.vertices_t1, frames.mesh.faces)
 
 
 def _scene(path: Path, folder: Path) -> str:

@@ -12,9 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from public_data import Queries, find_queries, find_steps, read_boxes, read_step
-
-from ccd_warp._files.frames import Body
+from public_data import Queries, Step, find_queries, find_steps, read_boxes, read_step
 
 DATA = Path(os.environ.get("CCD_WARP_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
@@ -61,6 +59,6 @@ def simulation_boxes(scene: str, kind: str) -> np.ndarray:
     return np.concatenate([read_boxes(path) for path in paths])
 
 
-def simulation_step(scene: str) -> Body:
+def simulation_step(scene: str) -> Step:
     """The mesh of one simulation scene at both ends of its step."""
     return read_step(*find_steps(DATA)[f"simulation/{scene}"])

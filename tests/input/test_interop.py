@@ -12,6 +12,7 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp._calls.small_batch import CAPACITY
 from ccd_warp._runtime import streams
 from ccd_warp._runtime.launch import Execution, leaves_out_launches
 from ccd_warp._scene.input.interop import as_warp
@@ -74,8 +75,8 @@ def test_pairs_are_read_where_they_are(library, monkeypatch):
         launch(execution, kernel, count, inputs, outputs, **options)
 
     monkeypatch.setattr(Execution, "launch", watched)
-    # more than the few of NumPy that are copied to where a launch has been recorded
-    frames = [library.array(np.repeat(points, 600, axis=0)) for points in PAIR]
+    # more than the few that are copied to where a launch has been recorded
+    frames = [library.array(np.repeat(points, CAPACITY + 1, axis=0)) for points in PAIR]
     toi = ccd.vertex_face_ccd(*frames, device="cpu").toi
     assert seen == [[library.pointer(x) for x in frames]]
     assert isinstance(toi, np.ndarray) or library.pointer(library.from_warp(toi)) == toi.ptr

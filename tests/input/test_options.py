@@ -10,6 +10,7 @@ from dataclasses import fields
 
 import numpy as np
 import pytest
+import warp as wp
 from every_call import CALLS, run
 
 import ccd_warp as ccd
@@ -94,11 +95,22 @@ def is_same(result, expected, rows=slice(None)):
     return all(np.array_equal(getattr(result, name), value[rows]) for name, value in vars(expected).items())
 
 
-def test_as_many_pairs_as_are_kept_and_one_more_have_the_results_that_they_have_among_many():
-    points = random_pairs(300)
-    whole = ccd.vertex_face_ccd(*points)
-    for count in (0, small_batch.CAPACITY, small_batch.CAPACITY + 1):
-        assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points)), whole, slice(count))
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_as_many_pairs_as_are_kept_and_one_more_have_the_results_that_they_have_among_many(num_threads):
+    points = random_pairs(small_batch.CAPACITY + 1)
+    whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
+    for count in (0, 1, 600, 3001, 5000, 2001, small_batch.CAPACITY):
+        assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
+
+
+def test_few_arrays_of_warp_have_results_of_their_own():
+    points = random_pairs(5)
+    results = [ccd.vertex_face_ccd(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in points)) for _ in range(2)]
+    expected = ccd.vertex_face_ccd(*points)
+    for name, array in vars(results[0]).items():
+        array.zero_()
+        assert np.array_equal(getattr(results[1], name).numpy(), getattr(expected, name))
+        assert getattr(results[1], name).dtype == array.dtype and array.device.is_cpu
 
 
 def test_points_of_the_plane_do_not_see_the_third_coordinate_of_the_call_before():

@@ -351,7 +351,7 @@ _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
 # Of bodies with so many edges that their scene is marked long, and of parts of large bodies.
-_LIKE_OTHERS += ("body_frames", "near_parts")
+_LIKE_OTHERS += ("body_frames", "part_overlap")
 
 
 @pytest.mark.emulated
@@ -386,10 +386,11 @@ def test_the_lane_of_a_pair_and_its_neighbours_change_no_bit(kind, options, prec
 
 
 def digest_of_lanes():
-    """A hash of the bits of pairs of all kinds and of steps."""
+    """A hash of the bits of pairs of all kinds, of steps, and of what is near."""
     found = hashlib.sha256()
     for precision in PRECISIONS:
         results = [CALLS["steps"](case_of(scene), precision) for scene in (*range(8), "kinds")]
+        results += [CALLS["at_one_time"](case_of(scene), precision) for scene in range(4)]
         for kind in KINDS:
             name, *points = points_of(kind, 8)
             for options in ("default", "separation", "distance")[

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from ccd_warp.kernels.step import device_step
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
-    from ccd_warp._engine.device.hold import DeviceHold
+    from ccd_warp._engine.device.start_distances import DeviceStartDistances
 
 # Flags that a pass of a line search keeps from earlier passes: later passes do not make up for what one missed, and
 # what has been stopped and is struck stays so.
@@ -56,39 +57,38 @@ class DeviceLineSearch(DeviceStep):
 
     Attributes:
         on_pass: Called in a taped line search after each check, before anything is shortened.
-        groups: What taped line searches know of the vertices that move by one fraction, by the kind of line search.
     """
 
     def __init__(self, *arguments: Any) -> None:
         """Allocate everything but what line searches alone need; the arguments are those of a step."""
         super().__init__(*arguments)
         self.on_pass: Callable[[], None] | None = None
-        self.groups: dict[str, Any] = {}
         self._touched: wp.array | None = None
-        self._hold: DeviceHold | None = None
+        self._start_distances: DeviceStartDistances | None = None
 
     @property
-    def hold(self) -> wp.array | None:
-        """The hold of each vertex in the last line search; None where nothing can be held."""
-        return None if self._hold is None else self._hold.hold
+    def start_distances(self) -> wp.array | None:
+        """The start distance of each vertex in the last line search; None where pairs keep no distance."""
+        return None if self._start_distances is None else self._start_distances.of_vertex
 
     def _begin(self) -> None:
         """Allocate what line searches need."""
         mesh, options, device = self._mesh, self._options, self.topology.device
         self._is_any_touched: wp.array = wp.empty(1, dtype=wp.int32, device=device)
-        if options.holds and (options.separation(length_scale_of(mesh, options)) > 0.0 or self._radius is not None):
-            from ccd_warp._engine.device.hold import DeviceHold  # few programs need it
+        has_distance = options.separation(length_scale_of(mesh, options)) > 0.0 or self._radius is not None
+        if options.keeps_start_distances and has_distance:
+            from ccd_warp._engine.device.start_distances import DeviceStartDistances  # few programs need it
 
             arguments = self.topology, options, self._stages, self.result.contacts, self._flag, self._radius
-            self._hold = DeviceHold(*arguments, on_arcs=self.on_arcs)
+            self._start_distances = DeviceStartDistances(*arguments, on_arcs=self.on_arcs)
         # which bodies a pass searches; the last, as without it all of this is made again
         self._touched = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
 
-    def _held(self, stages: Stages) -> Stages:
-        """These stages, in which what starts within its distance may part and slide."""
-        if self._options.holds and stages.plane_query is not None:
-            stages = replace(stages, plane_query=self.plane_query(holds=True))
-        return stages if self._hold is None else self._hold.stages(stages)
+    def _parting(self, stages: Stages) -> Stages:
+        """These stages, in which what starts within its distance may part and slide, if the options let it."""
+        if self._options.keeps_start_distances and stages.plane_query is not None:
+            stages = replace(stages, plane_query=self.plane_query(lets_part=True))
+        return stages if self._start_distances is None else self._start_distances.stages(stages)
 
     def _record_form(self, recording: Recording, form: Form) -> None:
         """Record the launches of a step, or of all passes of a line search."""
@@ -163,25 +163,25 @@ class DeviceLineSearch(DeviceStep):
 
     def _record_first_pass(self, recording: Recording, form: Form, gaps_moved: float) -> None:
         """Record the first pass, and another one for what starts within its distance."""
-        hold = self._hold
-        if hold is None:
+        near = self._start_distances
+        if near is None:
             self._record_checked(recording, form, gaps_moved=gaps_moved)
             return
-        hold.record_begin(recording)
+        near.record_begin(recording)
         stages = self._record_checked(recording, form)
         self._record_start(recording, form)
-        hold.record_near(recording, stages)
-        with recording.only_if(hold.is_near):
+        near.record_near(recording, stages)
+        with recording.only_if(near.is_near):
             self._record_touched(recording)
             self._record_next_reset(recording)
-            hold.record_holds(recording, stages, lambda of_start, near: self._record_search(recording, of_start, near))
+            near.record_distances(recording, stages, partial(self._record_search, recording))
             self._record_next_reset(recording)
             # CUDA outside a graph makes this pass where nothing is near, too, so it asks as the first one did
             self._record_checked(recording, form, is_first=False)
 
     def _record_checked(self, recording: Recording, form: Form, **options: Any) -> Stages:
         """Record a pass over the bodies that the one before has touched; returns its stages."""
-        return self._record_pass(recording, form, self._touched, asked=self._held, only_moving=True, **options)
+        return self._record_pass(recording, form, self._touched, asked=self._parting, only_moving=True, **options)
 
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -17,9 +16,9 @@ from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
 from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, KEY_BYTES
-from ccd_warp._engine.mesh.lengths import half_up
-from ccd_warp._engine.mesh.planes import planes_of
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, plane_query
+from ccd_warp._engine.mesh.lengths import half_rounded_up
+from ccd_warp._engine.mesh.planes import plane_query, planes_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.plan import Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
@@ -30,7 +29,6 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
-from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.interop import as_positions, without_worlds
 from ccd_warp._scene.input.options import Options
@@ -74,9 +72,7 @@ class DeviceStep(Plan):
     Attributes:
         result: The arrays of the result.
         contact_arrays: What its contacts are asked for beside their own arrays.
-        repeated: Launches that are not recorded.
-        kept_copies: Memory that launches on a tape have used, and will use again.
-        attaining: The same of backward passes.
+        beside: What rings keep with this step, by their classes.
     """
 
     goal: Goal = "contacts"
@@ -107,7 +103,7 @@ class DeviceStep(Plan):
         self._is_open = _low_half(self._counts, int(ANY_OPEN))
         self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
-        self.repeated, self.kept_copies, self.attaining = RepeatedLaunches(execution), list[Any](), list[Any]()
+        self.beside: dict[type, Any] = {}
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
         quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
         layout = Layout(
@@ -123,7 +119,7 @@ class DeviceStep(Plan):
         self.contact_arrays = ContactArrays(topology, execution, vars(self.result.contacts), self._both_radii)
         arrays = self._arrays(capacities, quantization.packed)
         self._stages = Stages(topology, self.tree_pairs, self._num_aabbs, self._narrow_phase, **arrays)
-        self._stages.load(execution, self._sink)
+        self._stages.load(execution, self.sink)
         if self.static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)
             self._stages.fill_boxes(execution, self.static_trees)
@@ -139,7 +135,7 @@ class DeviceStep(Plan):
         is_cuda, max_pairs = self.execution.is_cuda, capacities.max_pairs
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
-        inflation = half_up(separation)
+        inflation = half_rounded_up(separation)
         radii = self._both_radii
         minima = new_minima(
             topology,
@@ -173,10 +169,10 @@ class DeviceStep(Plan):
             "plane_query": self.plane_query() if self.has_planes else None,
         }
 
-    def plane_query(self, *, holds: bool = False) -> Any:
+    def plane_query(self, *, lets_part: bool = False) -> Any:
         """What vertices and planes are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
-        return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), holds=holds)
+        return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), lets_part=lets_part)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -263,29 +259,15 @@ class DeviceStep(Plan):
         return radius, around
 
     def _touch_of_last(self) -> Touch | None:
-        """What counts as touching, with the radii that the array holds now; unknown of a line search, which holds."""
+        """What counts as touching, with the radii that the array has now; unknown of a line search, which lets part."""
         if self._last is None or self._last.form.line_search is not None:
             return None
         return self.touch(None if self._radius is None else self._radius.numpy().copy())
 
     def touch(self, radius: NDArray[np.float64] | None = None) -> Touch:
-        """What counts as touching where nothing is held, with the radii of vertices where they are asked for."""
+        """What counts as touching in strict calls, with the radii of vertices where they are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
         return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
-
-    @cached_property
-    def found_on_host(self) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-        """The toi of the scene and the number of contacts, on the CPU the same memory as the arrays of the result."""
-        return self.result.toi.numpy(), self.result.contacts.count.numpy()
-
-    @cached_property
-    def gradient_query(self) -> Any:
-        """What counts as touching where nothing is held, as the struct of the kernels of gradients.
-
-        Raises:
-            ValueError: If the distance of a pair follows from its start.
-        """
-        return self.touch().query(is_planar=self._mesh.dimension == 2)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.
@@ -401,10 +383,10 @@ class DeviceStep(Plan):
     ) -> None:
         """Record both rounds of the narrow phase, and what vertices and half-spaces do."""
         if stages.plane_query is not None:
-            stages.meet_planes(recording, self._sink, active, only_moving=only_moving, gaps_moved=gaps_moved)
-        stages.solve(recording, self._sink, is_second=False, only_moving=only_moving, gaps_moved=gaps_moved)
+            stages.meet_planes(recording, self.sink, active, only_moving=only_moving, gaps_moved=gaps_moved)
+        stages.solve(recording, self.sink, is_second=False, only_moving=only_moving, gaps_moved=gaps_moved)
         with recording.only_if(self._is_open):
-            stages.solve(recording, self._sink, is_second=True, only_moving=only_moving, gaps_moved=gaps_moved)
+            stages.solve(recording, self.sink, is_second=True, only_moving=only_moving, gaps_moved=gaps_moved)
 
 
 def _low_half(counts: wp.array, column: int) -> wp.array:

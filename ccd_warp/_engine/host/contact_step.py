@@ -90,7 +90,7 @@ class ContactStep(ImpactStep):
                 plan.solve(is_second=False)
                 if batch.is_only:
                     if not self.ranks.is_alone:
-                        plan.set_counts(OPEN, self.ranks.all_open(plan.num_open()))
+                        plan.counters.set_column(OPEN, self.ranks.all_open(plan.num_open()))
                     has_shared = True
                     plan.solve(is_second=True)
                 else:
@@ -114,4 +114,4 @@ class ContactStep(ImpactStep):
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
         is_euclidean = is_ball(self.plan.norm)
         touch = Touch.of(self.options, self.length_scale, is_euclidean=is_euclidean, radius=radius)
-        return *self.given, self.paths, None if self.holds else touch, radii
+        return *self.given, self.paths, None if self.lets_part else touch, radii

@@ -12,8 +12,8 @@ from ccd_warp._runtime.status import PairKind
 
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
-# Where pairs are held, and press (`kernels.pair.hold`), a step below the first fraction is none if its motion is below
-# the second fraction of the size of the scene.
+# Where pairs that keep their start distances press (`kernels.pair.start_distance`), a step below the first
+# fraction is none if its motion is below the second fraction of the size of the scene.
 _LOST_TOI, _LOST = 2.0**-20, 2.0**-30
 # Marked keys of open pairs and their toi so far, of each kind in batches.
 _OpenPairs = dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]
@@ -26,17 +26,22 @@ class LeastToiStep(ImpactStep):
     bytes_beside = 8  # of a toi
     _any_suffices = False
 
-    def least_toi(self, *, any_suffices: bool = False) -> float:
-        """Earliest toi of all pairs, inf if none touches.
+    def least_toi(self, start_distances: NDArray[np.float64] | None = None, *, any_suffices: bool = False) -> float:
+        """Earliest toi of all pairs, inf if none touches; what starts within its distance may part (`parting`).
 
         In a large mesh the pairs of a sample of the queries come first. Where one touches, the full search covers only
         the part of the step before that: the boxes are shorter, and the cull ends there. The bound of each round is the
         least toi of the pairs of the previous round. It depends only on the input, and so does the result.
 
         Args:
-            any_suffices: Whether to end with the first contact found, whose toi need not be the earliest.
+            start_distances: How near each vertex was to anything at the start, where pairs keep that. The toi is then 0
+                where nothing moves until it by more than rounding.
+            any_suffices: Whether to end with the first contact found, whose toi need not be the earliest; what starts
+                within its distance then is one.
         """
         self._any_suffices = any_suffices
+        if not any_suffices:
+            self.parting(start_distances)
         best = np.inf
         for part in self.motion.slices:
             best = self._least_of(part, best)
@@ -44,16 +49,14 @@ class LeastToiStep(ImpactStep):
                 break
         self.oddities.is_stuck = best <= 0.0
         self.finish()
-        return best
+        return 0.0 if start_distances is not None and self._is_lost(best) else best
 
-    def held_toi(self) -> float:
-        """Earliest toi where some pairs are held; 0 where nothing moves until then by more than rounding."""
-        toi = self.least_toi()
+    def _is_lost(self, toi: float) -> bool:
+        """Whether nothing moves until a time by more than rounding."""
         start, end = self.positions
         with np.errstate(over="ignore"):
             motion = -self.ranks.least_number(-float(np.abs(end - start).max(initial=0.0)))
-            is_lost = toi <= _LOST_TOI and toi * motion <= _LOST * self.mesh.length_scale
-        return 0.0 if is_lost else toi
+            return toi <= _LOST_TOI and toi * motion <= _LOST * self.mesh.length_scale
 
     def _suffices(self, toi: float) -> bool:
         """Whether no earlier toi is looked for."""
@@ -65,11 +68,14 @@ class LeastToiStep(ImpactStep):
         if self.is_idle():
             return best
         self.bind_options(part)
+        num_with_planes = 0
         if self.planes is not None:
             with self.timed("planes"):
-                plan.set_least(best)
-                self.planes.meet()
-                best = self.ranks.least_number(plan.least())  # whether anything is searched is the same everywhere
+                plan.counters.set_least(best)
+                num_with_planes = self.planes.meet()
+                best = self.ranks.least_number(
+                    plan.counters.least()
+                )  # whether anything is searched is the same everywhere
             if self._suffices(best):
                 return best
         t_end, is_straight = self.motion.t_end, not self.motion.on_arcs
@@ -79,8 +85,8 @@ class LeastToiStep(ImpactStep):
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
             plan.set_search(min(best, t_end) if is_straight else t_end, self.inflation, self.separation)
-            plan.set_least(best)
-            plan.begin_candidates()
+            plan.counters.set_least(best)
+            plan.begin_candidates(num_with_planes)
             open_pairs: _OpenPairs = {}
             for batch in self.batches(self._searched(plan, best, of_sample=of_sample)):
                 with self.timed("narrow phase"):
@@ -89,9 +95,9 @@ class LeastToiStep(ImpactStep):
                         of_kind = plan.memory.keys, plan.memory.open_toi
                         keys, toi = (of_batch(kind, batch.found[kind]).numpy() for of_batch in of_kind)
                         open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
-                if self._suffices(plan.least()):
+                if self._suffices(plan.counters.least()):
                     break
-            best = self.ranks.least_number(plan.least())
+            best = self.ranks.least_number(plan.counters.least())
             if self._suffices(best):
                 break
             with self.timed("narrow phase"):
@@ -106,7 +112,7 @@ class LeastToiStep(ImpactStep):
             for _ in self.batches(plan.few_batches(capacity)):
                 with self.timed("narrow phase"):
                     plan.solve(is_second=False)
-            best = plan.least()
+            best = plan.counters.least()
         return iter(()) if self._suffices(best) else plan.batches(capacity, of_sample=of_sample)
 
     def _least_open_toi(self, plan: HostPlan, bound: float, open_pairs: _OpenPairs) -> float:
@@ -119,17 +125,14 @@ class LeastToiStep(ImpactStep):
             is_earlier = toi < bound
             earlier[kind] = keys[is_earlier], toi[is_earlier]
         num_open = self.ranks.all_open({kind: len(keys) for kind, (keys, _) in earlier.items()})
-        is_on_device = False  # whether the bound is that of the device, which is read when it is needed
         for kind, (keys, toi) in earlier.items():
             if len(keys) == 0:
                 continue
             if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
-                bound = min(plan.least() if is_on_device else bound, float(toi.min()))
-                is_on_device = False
+                bound = min(bound, float(toi.min()))
                 continue
             plan.set_open_pairs(kind, keys, num_open[kind])
-            if not is_on_device:
-                plan.set_least(bound)
+            plan.counters.set_least(bound)
             plan.solve(is_second=True)
-            is_on_device = True
-        return plan.least() if is_on_device else bound
+            bound = plan.counters.least()
+        return bound

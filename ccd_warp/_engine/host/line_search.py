@@ -1,17 +1,17 @@
 """Line search: the largest safe step of the scene, of each world, body or vertex, from times of impact."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.contact_step import ContactStep
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.one_process import OneProcess
-from ccd_warp._engine.motion import moved
+from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._results.contact_place import joined
 from ccd_warp._results.contacts import Contacts
-from ccd_warp._results.intersections import Intersections, crossing_at_start
+from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.pairs import pair_bodies, pair_vertices
 from ccd_warp._results.results import MeshResult
 from ccd_warp._runtime.status import PairKind
@@ -33,55 +33,6 @@ _ROUNDS_BY_WORLD = 2
 _ROUNDS_TO_SHORTEN = 6
 
 
-@dataclass(frozen=True)
-class LineSearchResult:
-    """A step that is certain to be free of collisions.
-
-    Attributes:
-        vertices: Positions at its end, a new array, float64, shape [V, 3], or [V, 2] in the plane.
-        vertex_fraction: Fraction of its displacement by which each vertex moves, in [0, 1], shape [V]; 1 for vertices
-            of static and kinematic bodies.
-        fraction: The least fraction of the vertices of free bodies.
-        touching: Pairs that keep their vertices from moving, in the order of :class:`ccd_warp.Contacts`, each once;
-            none of their vertices moves. Such a pair touches at the start, or presses on from within its distance, or
-            its gap is too small for the precision over any step however short, or the rest of the step is lost in the
-            rounding of positions. Each pair is reported as found in the last round in which one of its vertices was
-            still to move: its toi and all other fields refer to the step of that round. Where a search that takes too
-            long stops a world, these are all pairs of this world that touched in its last step, so that their toi may
-            be above 0.
-        struck: Pairs of a kinematic body that moves and vertices that stay where they are and that it meets on its way,
-            in the order of :class:`ccd_warp.Contacts`; their toi is when. Empty: it passes through nothing. Otherwise
-            the end positions are those of vertices that it has passed through, so the whole step, the script too, has
-            to be cut to a little less than ``struck.toi.min()``, or the response has to move them out of its way.
-        num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
-            something starts within its distance counts once.
-        is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
-            fraction, or not at all.
-        start: What touches or crosses at the start, exactly, with ``check_start=True``; otherwise None.
-        motion: The :class:`ccd_warp.RigidMotion` up to the end of the step, where one was given: its ``poses_t1`` are
-            the poses of the rigid bodies there, and ``vertices`` has their vertices in the world. Otherwise None.
-    """
-
-    vertices: NDArray[np.float64]
-    vertex_fraction: NDArray[np.float64]
-    fraction: float
-    touching: Contacts
-    num_rounds: int
-    is_limited: bool
-    struck: Contacts
-    start: Intersections | None = None
-    motion: Any = None
-
-    def __repr__(self) -> str:
-        limited = ", is_limited" if self.is_limited else ""
-        struck = f", {len(self.struck)} struck" if len(self.struck) else ""
-        touching = f"{len(self.touching)} touching{struck}, {self.num_rounds} rounds{limited}"
-        crossing = crossing_at_start(self.start)
-        at_start = f";\n{crossing}" if crossing else ""
-        least = f"least fraction {self.fraction!r} of {len(self.vertices):,} vertices"
-        return f"LineSearchResult({least}, {touching}{at_start})"
-
-
 def check_step_is_whole(t_max: float) -> None:
     """Check that a line search covers the whole step.
 
@@ -100,87 +51,16 @@ def validated_line_search(per: Per, safety: float) -> tuple[Per, float]:
     )
 
 
-class Ends(NamedTuple):
-    """A step as a solver takes it.
-
-    Attributes:
-        start: Positions at its start; of bodies on ``paths`` in their own frames.
-        end: Those at its end.
-        paths: The paths of bodies that turn, up to there; None where there are none.
-    """
-
-    start: NDArray[np.float64]
-    end: NDArray[np.float64]
-    paths: Any = None
-
-
-class Solver:
-    """The steps that a line search takes.
-
-    Attributes:
-        worlds_near: Which worlds have a contact that starts within its distance or passes by, given the start in the
-            world, the step and all of its contacts; None where that does not matter, or pairs keep no distance.
-        find_holds: The hold of each vertex at the start (`HoldStep`).
-    """
-
-    def __init__(
-        self,
-        on_step: Callable[[Ends, Callable[[Any], MeshResult]], MeshResult],
-        worlds_near: Callable[[NDArray[np.float64], Ends, Contacts], NDArray[np.bool_]] | None,
-        find_holds: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-        *,
-        holds: bool,
-    ) -> None:
-        """Of what does some work on a step, and of whether what starts close may part."""
-        self._on_step, self._holds = on_step, holds
-        self.worlds_near, self.find_holds = worlds_near if holds else None, find_holds
-
-    def strict(self, ends: Ends) -> MeshResult:
-        """All contacts of a step."""
-        return self._on_step(ends, lambda step: step.contacts())
-
-    def holding(self, ends: Ends, holds: NDArray[np.float64] | None) -> MeshResult:
-        """The same, where what starts within its distance may part and slide, by holds, None until these matter."""
-        return self._on_step(ends, lambda step: (step.holding(holds) if self._holds else step).contacts())
-
-
-class Course:
-    """Where vertices are at fractions of their displacements, on straight lines, and the steps there.
-
-    Attributes:
-        start: Positions at the start, in the world.
-        end: Positions at the end.
-    """
-
-    def __init__(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
-        self.start, self.end = start, end
-
-    def at(self, fraction: NDArray[np.float64], vertices: Any = slice(None)) -> NDArray[np.float64]:
-        """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
-        return moved(self.start[vertices], self.end[vertices], fraction)
-
-    def step_to(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> Ends:
-        """The step to positions that are those at a fraction of each."""
-        return Ends(self.start, vertices)
-
-    def motion_to(self, fraction: NDArray[np.float64]) -> Any:
-        """The motion of the call up to a fraction of each vertex; None where there is none."""
-        return None
-
-    def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Which vertices have not moved on the way to positions that are those at a fraction of each, shape [V]."""
-        found: NDArray[np.bool_] = (vertices == self.start).all(axis=1)
-        return found
-
-    def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
-        """A value of each vertex, which vertices share that have one fraction whatever is asked for."""
-        return least
+# Does some work on a step of a course.
+OnStep = Callable[[Ends, Callable[[ContactStep], MeshResult]], MeshResult]
+_Floats = NDArray[np.float64]
 
 
 def search_step(
     mesh: CollisionMesh,
     course: Course,
-    solver: Solver,
+    on_step: OnStep,
+    start_distances: StartDistances | None,
     *,
     per: str,
     safety: float,
@@ -188,110 +68,193 @@ def search_step(
     everywhere: OneProcess | None = None,
     begins_at_rest: bool = False,
 ) -> LineSearchResult:
-    """Shorten displacements until the solver finds no contact of a vertex that moves, here and ``everywhere``.
+    """Shorten displacements until a step has no contact of a vertex that moves, here and ``everywhere``.
 
     With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
-    everything may be in contact already, and one that holds looks for the holds before its first round.
+    everything may be in contact already, and one with start distances looks for these before its first round.
     """
-    everywhere = everywhere or OneProcess()
-    start, end = course.start, course.end
-    moves = mesh._is_free[mesh.vertex_body]
-    holds: NDArray[np.float64] | None = None
-    if begins_at_rest and solver.worlds_near is not None:
-        found = solver.find_holds(start)
-        holds = found if np.isfinite(found).any() else None
-    elif begins_at_rest and not mesh.kinematic.any():
-        contacts = solver.strict(course.step_to(start, np.zeros(len(start)))).contacts
-        stopped = course.shared(_least(contacts.toi, pair_vertices(mesh, contacts), mesh, per, everywhere)) == 0
-        if everywhere.all(bool(stopped[moves].all())):
-            fraction = np.where(moves, 0.0, 1.0)
-            motion = course.motion_to(fraction)
-            return LineSearchResult(start.copy(), fraction, 0.0, contacts, 1, False, contacts[:0], motion=motion)
-    driven = _Driven(mesh, course, lambda ends: solver.holding(ends, holds), everywhere)
-    fraction = np.ones(mesh.num_vertices)
-    vertices = end.copy()  # the caller's own array may be what `frames` returns
-    common = np.empty(0)  # the fraction of each vertex's world by the first round
-    is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
-    at_start: NDArray[np.uint64] | None = None
-    stopping: list[Contacts] = []
-    is_limited = False
-    num_rounds = 0
-    while num_rounds < max_rounds:
-        result = solver.holding(course.step_to(vertices, fraction), holds)
-        worlds_near = solver.worlds_near if num_rounds == 0 and holds is None else None
-        if worlds_near is not None and not everywhere.all(not len(result.contacts)):
-            # what starts within its distance has a contact, whichever way it moves
-            found_near = worlds_near(start, course.step_to(vertices, fraction), result.contacts)
-            is_near = everywhere.least(np.where(found_near, 0.0, 1.0)) == 0.0
-            if is_near.any():
-                holds = everywhere.least_of_vertices(solver.find_holds(start))
-                holds[~is_near[mesh.vertex_world]] = np.inf  # worlds do not depend on each other
-                result = solver.holding(course.step_to(vertices, fraction), holds)
-        contacts = result.contacts
-        num_rounds += 1
-        corners = _vertices_of(mesh, contacts)
-        is_stopped = ((fraction[corners] == 0) | ~moves[corners]).all(axis=1) | driven.is_at_rest(contacts, corners)
-        if everywhere.all(bool(is_stopped.all())):
-            stopping.append(contacts)
-            break
-        contacts, corners = _chosen(contacts, ~is_stopped), corners[~is_stopped]
-        num_rounds += driven.look(contacts, has_time=max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN)
-        is_driven = driven.among(contacts)
+    search = _Search(mesh, course, on_step, start_distances, per, safety, max_rounds, everywhere or OneProcess())
+    return (search.rested() if begins_at_rest else None) or search.ended()
+
+
+class _Search:
+    """A line search, round by round.
+
+    Attributes:
+        num_rounds: Number of steps that were checked.
+        fraction: Fraction of its displacement by which each vertex moves, so far.
+        vertices: Positions there.
+        distances: Start distances of the vertices; None until these matter.
+        is_limited: Whether individual fractions took too many rounds.
+    """
+
+    def __init__(
+        self,
+        mesh: CollisionMesh,
+        course: Course,
+        on_step: OnStep,
+        start_distances: StartDistances | None,
+        per: str,
+        safety: float,
+        max_rounds: int,
+        everywhere: OneProcess,
+    ) -> None:
+        self._mesh, self._course, self._on_step, self._everywhere = mesh, course, on_step, everywhere
+        self._start_distances, self._per, self._safety, self._max_rounds = start_distances, per, safety, max_rounds
+        self._moves = mesh._is_free[mesh.vertex_body]
+        self._driven = _Driven(mesh, course, self._solved, everywhere)
+        self.num_rounds, self.is_limited = 0, False
+        self.distances: _Floats | None = None
+        self.fraction = np.ones(mesh.num_vertices)
+        self.vertices = course.end.copy()  # the caller's own array may be what `frames` returns
+        self._common = np.empty(0)  # the fraction of each vertex's world by the first round
+        self._is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
+        self._at_start: NDArray[np.uint64] | None = None  # keys of the pairs that touch there
+        self._stopping: list[Contacts] = []
+
+    def _solved(self, ends: Ends) -> Contacts:
+        """The contacts of a step, in which what starts within its distance may part."""
+        return self._on_step(ends, lambda step: step.parting(self.distances).contacts()).contacts
+
+    def _touching_at_start(self) -> Contacts:
+        """The contacts of no motion."""
+        course = self._course
+        ends = course.step_to(course.start, np.zeros(len(course.start)))
+        return self._on_step(ends, lambda step: step.contacts()).contacts
+
+    @property
+    def _has_time(self) -> bool:
+        """Whether rounds are left for bodies or vertices of toi 0 to be checked again."""
+        return self._max_rounds - self.num_rounds >= _ROUNDS_TO_SHORTEN
+
+    def rested(self) -> LineSearchResult | None:
+        """The result where nothing can move from a start at which much is near; otherwise what is near is known."""
+        mesh, course = self._mesh, self._course
+        if self._start_distances is not None:
+            self.distances = self._start_distances.of(course.start)
+            return None
+        if mesh.kinematic.any():
+            return None
+        contacts = self._touching_at_start()
+        is_stopped = course.shared(self._least(contacts.toi, pair_vertices(mesh, contacts), self._per)) == 0
+        if not self._everywhere.all(bool(is_stopped[self._moves].all())):
+            return None
+        fraction = np.where(self._moves, 0.0, 1.0)
+        motion = course.motion_to(fraction)
+        return LineSearchResult(course.start.copy(), fraction, 0.0, contacts, 1, False, contacts[:0], motion=motion)
+
+    def ended(self) -> LineSearchResult:
+        """The result after all rounds."""
+        while self.num_rounds < self._max_rounds:
+            contacts = self._checked()
+            corners = _vertices_of(self._mesh, contacts)
+            is_stopped = ((self.fraction[corners] == 0) | ~self._moves[corners]).all(axis=1)
+            is_stopped |= self._driven.is_at_rest(contacts, corners)
+            if self._everywhere.all(bool(is_stopped.all())):
+                self._stopping.append(contacts)
+                break
+            contacts, corners = contacts[~is_stopped], corners[~is_stopped]
+            self._shorten(contacts, corners, self._resolved_toi(contacts, corners))
+        else:
+            if self._driven.is_any:  # what the last round has stopped may be struck
+                contacts = self._solved(self._course.step_to(self.vertices, self.fraction))
+                self.num_rounds += 1
+        return self._result(contacts)
+
+    def _checked(self) -> Contacts:
+        """The contacts of the step so far; the first time again where something starts within its distance."""
+        ends = self._course.step_to(self.vertices, self.fraction)
+        contacts = self._solved(ends)
+        if self.num_rounds == 0 and self._start_distances is not None and self.distances is None:
+            self.distances = self._start_distances.of_worlds_near(self._course.start, ends, contacts)
+            if self.distances is not None:
+                contacts = self._solved(ends)
+        self.num_rounds += 1
+        return contacts
+
+    def _resolved_toi(self, contacts: Contacts, corners: NDArray[np.int32]) -> _Floats:
+        """The toi of each contact, or where its gap may only be lost in rounding, that of a shorter motion.
+
+        It is 0 of what a shorter step is of no use to, and of all where no round is left to check another step.
+        """
+        self.num_rounds += self._driven.look(contacts, has_time=self._has_time)
+        is_driven = self._driven.among(contacts)
         toi = np.where(is_driven, 0.0, contacts.toi)
-        if not everywhere.all(bool(toi.all())):
-            has_time = max_rounds - num_rounds >= _ROUNDS_TO_SHORTEN
-            if at_start is None and has_time:
-                at_start = np.sort(_keys(solver.strict(course.step_to(start, 0.0 * fraction)).contacts))
-                num_rounds += 1
-            is_all_common = everywhere.all(bool(is_common.all()))
+        if not self._everywhere.all(bool(toi.all())):
+            has_time = self._has_time
+            if self._at_start is None and has_time:
+                self._at_start = np.sort(_keys(self._touching_at_start()))
+                self.num_rounds += 1
+            is_all_common = self._everywhere.all(bool(self._is_common.all()))
             # with too few rounds left, a further attempt could stop other vertices of the world, too
-            can_be_shorter = (fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
-            if at_start is not None:
-                can_be_shorter &= ~_is_among(_keys(contacts), at_start)
+            can_be_shorter = (self.fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
+            if self._at_start is not None:
+                can_be_shorter &= ~_is_among(_keys(contacts), self._at_start)
             can_be_shorter &= ~is_driven
-            least = course.shared(_least(toi, corners, mesh, per, everywhere))
+            least = self._course.shared(self._least(toi, corners, self._per))
             can_be_shorter &= (least[corners] == 0).any(axis=1)
             is_one = corners[:, 0] == corners[:, 3]
-            share = _resolved_share(contacts, start[corners], vertices[corners], is_one)
+            share = _resolved_share(contacts, self._course.start[corners], self.vertices[corners], is_one)
             toi = np.where(can_be_shorter, np.maximum(toi, share), toi)
-        if num_rounds >= max_rounds - 1:
+        if self.num_rounds >= self._max_rounds - 1:
             toi = np.zeros(len(contacts))
-            is_common[:] = True
-        of_world = _least(toi, corners, mesh, "scene" if per == "scene" else "world", everywhere)
-        if len(common) == 0:
-            common = np.minimum(safety * of_world, 1.0)
-        own = safety * toi[:, None] * fraction[corners]
-        if max_rounds - num_rounds > _ROUNDS_BY_WORLD:
-            bound = course.shared(_least(toi, corners, mesh, per, everywhere))
+            self._is_common[:] = True
+        return toi
+
+    def _shorten(self, contacts: Contacts, corners: NDArray[np.int32], toi: _Floats) -> None:
+        """Shorten the motion of the vertices of contacts, and of those that share their fractions."""
+        course, safety, fraction = self._course, self._safety, self.fraction
+        of_world = self._least(toi, corners, "scene" if self._per == "scene" else "world")
+        if len(self._common) == 0:
+            self._common = np.minimum(safety * of_world, 1.0)
+        alone = safety * toi[:, None] * fraction[corners]
+        if self._max_rounds - self.num_rounds > _ROUNDS_BY_WORLD:
+            bound = course.shared(self._least(toi, corners, self._per))
             touched = np.isfinite(bound)
             fraction[touched] *= safety * bound[touched]
         else:
             # Worlds that touch move by one fraction each, and in the end not at all. The other worlds stay as this
             # round has found them free, so that even the last round needs no further one.
-            is_limited = True
+            self.is_limited = True
             touched = np.isfinite(of_world)
             shorter = fraction[touched] * safety * of_world[touched]
-            fraction[touched] = np.where(is_common[touched], shorter, common[touched])
-            is_common |= touched
-        fraction[~moves] = 1.0
-        vertices = course.at(fraction)
-        stops = (course.at(own, corners) == start[corners]).all(axis=(1, 2))
-        stopping.append(_chosen(contacts, stops))
-    else:
-        if driven.is_any:  # what the last round has stopped may be struck
-            contacts = solver.holding(course.step_to(vertices, fraction), holds).contacts
-            num_rounds += 1
-    is_at_start = course.are_at_start(vertices, fraction)
-    return LineSearchResult(
-        vertices=vertices,
-        vertex_fraction=fraction,
-        fraction=float(everywhere.least(fraction[moves].min(initial=1.0, keepdims=True))[0]),
-        touching=_stationary_contacts(mesh, stopping, is_at_start),
-        num_rounds=num_rounds,
-        is_limited=is_limited,
-        struck=_chosen(contacts, driven.is_any & ~np.asarray(is_at_start[_vertices_of(mesh, contacts)].all(axis=1))),
-        motion=course.motion_to(fraction),
-    )
+            fraction[touched] = np.where(self._is_common[touched], shorter, self._common[touched])
+            self._is_common |= touched
+        fraction[~self._moves] = 1.0
+        self.vertices = course.at(fraction)
+        stops = (course.at(alone, corners) == course.start[corners]).all(axis=(1, 2))
+        self._stopping.append(contacts[stops])
+
+    def _least(self, toi: _Floats, corners: NDArray[np.int32], per: str) -> _Floats:
+        """For each vertex the least toi of all contacts of vertices that share its fraction, inf if there is none."""
+        mesh, everywhere = self._mesh, self._everywhere
+        least = np.full(mesh.num_vertices, np.inf)
+        np.minimum.at(least, corners, toi[:, None])
+        if per == "scene":
+            return np.full_like(least, everywhere.least(least.min(initial=np.inf, keepdims=True))[0])
+        if per == "vertex":
+            return everywhere.least_of_vertices(least)
+        group, count = (mesh.vertex_body, mesh.num_bodies) if per == "body" else (mesh.vertex_world, mesh.num_worlds)
+        of_group = np.full(count, np.inf)
+        np.minimum.at(of_group, group, least)
+        return everywhere.least(of_group)[group]
+
+    def _result(self, contacts: Contacts) -> LineSearchResult:
+        """The result, given the contacts of the last round."""
+        mesh, fraction = self._mesh, self.fraction
+        is_at_start = self._course.are_at_start(self.vertices, fraction)
+        is_struck = self._driven.is_any & ~np.asarray(is_at_start[_vertices_of(mesh, contacts)].all(axis=1))
+        least = self._everywhere.least(fraction[self._moves].min(initial=1.0, keepdims=True))
+        return LineSearchResult(
+            vertices=self.vertices,
+            vertex_fraction=fraction,
+            fraction=float(least[0]),
+            touching=_stationary_contacts(mesh, self._stopping, is_at_start),
+            num_rounds=self.num_rounds,
+            is_limited=self.is_limited,
+            struck=contacts[is_struck],
+            motion=self._course.motion_to(fraction),
+        )
 
 
 class _Driven:
@@ -301,7 +264,7 @@ class _Driven:
         self,
         mesh: CollisionMesh,
         course: Course,
-        solve: Callable[[Ends], MeshResult],
+        solve: Callable[[Ends], Contacts],
         everywhere: OneProcess,
     ) -> None:
         self.is_any = bool(mesh.kinematic.any())
@@ -317,8 +280,8 @@ class _Driven:
             return 0
         stays, course = mesh._is_free[mesh.vertex_body], self._course
         end = np.where(stays[:, None], course.start, course.end)
-        found = self._solve(course.step_to(end, np.where(stays, 0.0, 1.0)))
-        self._keys = np.sort(_keys(found.contacts))
+        contacts = self._solve(course.step_to(end, np.where(stays, 0.0, 1.0)))
+        self._keys = np.sort(_keys(contacts))
         return 1
 
     def is_at_rest(self, contacts: Contacts, corners: NDArray[np.int32]) -> NDArray[np.bool_]:
@@ -388,27 +351,6 @@ def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_st
     stationary = []
     for part in stopping[::-1]:
         is_stationary: NDArray[np.bool_] = is_at_start[_vertices_of(mesh, part)]
-        stationary.append(_chosen(part, np.flatnonzero(is_stationary.all(axis=1))))
+        stationary.append(part[np.flatnonzero(is_stationary.all(axis=1))])
     contacts = joined(stationary)
-    return _chosen(contacts, np.unique(_keys(contacts), return_index=True)[1])
-
-
-def _least(
-    toi: NDArray[np.float64], corners: NDArray[np.int32], mesh: CollisionMesh, per: str, everywhere: OneProcess
-) -> NDArray[np.float64]:
-    """For each vertex the least toi of all contacts of vertices that share its fraction, inf if there is none."""
-    least = np.full(mesh.num_vertices, np.inf)
-    np.minimum.at(least, corners, toi[:, None])
-    if per == "scene":
-        return np.full_like(least, everywhere.least(least.min(initial=np.inf, keepdims=True))[0])
-    if per == "vertex":
-        return everywhere.least_of_vertices(least)
-    group, count = (mesh.vertex_body, mesh.num_bodies) if per == "body" else (mesh.vertex_world, mesh.num_worlds)
-    of_group = np.full(count, np.inf)
-    np.minimum.at(of_group, group, least)
-    of_group = everywhere.least(of_group)
-    return of_group[group]
-
-
-def _chosen(contacts: Contacts, chosen: NDArray[Any]) -> Contacts:
-    return contacts[chosen]
+    return contacts[np.unique(_keys(contacts), return_index=True)[1]]

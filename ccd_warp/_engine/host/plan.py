@@ -10,15 +10,14 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
+from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
-from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
-from ccd_warp._engine.plan import AT_ONE_TIME, COUNTS_SHAPE, NUM_ALL_COUNTS, Goal, Plan
+from ccd_warp._engine.plan import AT_ONE_TIME, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.status import PairKind
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -31,7 +30,6 @@ _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 NO_PAIRS = dict.fromkeys(PairKind, 0)
-_OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
 _FIELDS = (
@@ -59,32 +57,27 @@ class HostPlan(Plan):
     Attributes:
         most_partners: Number of primitives in the largest set in which partners are searched.
         memory: Memory for the pairs that a search finds.
+        counters: What the kernels count, and the least toi so far.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
-        num_met_by_planes: Vertices that have met planes in this step, or slice.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
     """
 
     @staticmethod
-    def of(
-        workspace: "Workspace", options: "Options", goal: Goal, motion: Motion, *, is_held: bool = False
-    ) -> "HostPlan":
-        """The plan of a workspace for calls with such options, a goal and a motion, where pairs are held or not."""
-        of_options = options.pair_kinds, options.precision, options.norm, options.threads, options.broad_phase
-        key = (goal, of_options, is_held, motion.on_arcs)
+    def of(workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> "HostPlan":
+        """The plan of a workspace for calls with such options, a goal, a norm of separations and a motion."""
+        of_options = options.pair_kinds, options.precision, options.threads, options.broad_phase
+        key = (goal, norm, of_options, motion.on_arcs)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
-            workspace.plans[key] = HostPlan(workspace, options, goal, is_held, motion)
+            workspace.plans[key] = HostPlan(workspace, options, goal, norm, motion)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, is_held: bool, motion: Motion) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
-        norm = norm_of(topology.mesh, options, is_held=is_held, on_arcs=motion.on_arcs)
-        if goal in ("proximities", "displacements"):
-            norm = EUCLIDEAN_NORM
         self._radii = motion.radius, motion.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
@@ -100,9 +93,7 @@ class HostPlan(Plan):
         self._search_values: tuple[float, ...] | None = None
         self.is_idle = False
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
-        self._least_bits = self._counters[NUM_ALL_COUNTS:]
-        self._view = None if execution.is_cuda else _split(self._counters.numpy())
-        self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
+        self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
         self.begin_counts()
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
@@ -119,7 +110,7 @@ class HostPlan(Plan):
             self.tree_pairs,
             self._num_aabbs,
             self._narrow_phase,
-            step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self._least_bits),
+            step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self.counters.least_bits),
             box_radius=self._radii[1],
             is_thick=topology.is_thick or motion.on_arcs,
             boxes=boxes,
@@ -128,7 +119,7 @@ class HostPlan(Plan):
             **of_pairs,
             **slots,
         )
-        self._stages.load(execution, self._sink)
+        self._stages.load(execution, self.sink)
 
     def _minima(self) -> Any:
         """The minima that the calls lower; of others only which vertex is in which world is read."""
@@ -141,19 +132,19 @@ class HostPlan(Plan):
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
         self.num_searches = dict(NO_PAIRS)
-        self.num_batches = self.num_met_by_planes = 0
+        self.num_batches = 0
         self.begin_candidates()
 
-    def begin_candidates(self) -> None:
-        """Count the candidates of the next search."""
-        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: self.num_met_by_planes}
+    def begin_candidates(self, num_with_planes: int = 0) -> None:
+        """Count the candidates of the next search, beside so many pairs of vertices and planes."""
+        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: num_with_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
         if section not in self._recording:
             with self._recording.section(section):
                 record(self._stages, self._recording)
-        self._read = None
+        self.counters.change()
         self._recording.play(section)
 
     def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
@@ -273,7 +264,7 @@ class HostPlan(Plan):
         while True:
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
-            self.clear_counts()
+            self.counters.clear()
             self.play(section, record)
             needed = self._num_needed()
             if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
@@ -330,85 +321,52 @@ class HostPlan(Plan):
 
     def _search_part(self, stages: Stages, part: Part) -> None:
         """Search some items of a tree pair alone, now."""
-        self.clear_counts()
+        self.counters.clear()
         stages.find_some_pairs(self.execution, part.tree_pair, part.items, part.level)
         self.num_searches[part.tree_pair.kind] += 1
 
     def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
-        counts = self.counts()[:, CANDIDATES].tolist()
+        counts = self.counters.counts()[:, CANDIDATES].tolist()
         for kind in self._searched_kinds:
             self.num_candidates[kind] += counts[kind]
         return Batch(found, is_only)
 
-    def _on_host(self) -> _OnHost:
-        """The counts and the least toi; on CUDA this waits for the device, once after what has changed them."""
-        if self._view is not None:
-            return self._view
-        if self._read is None:
-            self._read = _split(self._counters.numpy())
-        return self._read
-
-    def counts(self) -> NDArray[np.int64]:
-        """The counts of the pairs of each kind; on CUDA those after the last launch."""
-        return self._on_host()[0]
-
     def _num_found(self) -> dict[PairKind, int]:
-        counts = self.counts()[:, FOUND].tolist()
+        counts = self.counters.counts()[:, FOUND].tolist()
         return {kind: counts[kind] for kind in self._searched_kinds}
 
     def _num_needed(self) -> dict[PairKind, int]:
         """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
         needed = self._num_found()
         if self.execution.is_cuda:
-            counts = self.counts()
+            counts = self.counters.counts()
             return {kind: max(n, -(-int(counts[kind, CANDIDATES]) // CANDIDATES_EACH)) for kind, n in needed.items()}
         return needed
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
-        counts = self.counts()[:, OPEN].tolist()
+        counts = self.counters.counts()[:, OPEN].tolist()
         return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
-
-    def clear_counts(self) -> None:
-        """Count the pairs of the next launches from 0."""
-        self._read = None
-        if self._view is None:
-            self._counts.zero_()
-        else:
-            self._view[0].fill(0)
 
     def solve(self, *, is_second: bool) -> None:
         """A round of the narrow phase on the pairs of a batch."""
         section = "narrow phase, second round" if is_second else "narrow phase"
-        self.play(section, lambda stages, recording: stages.solve(recording, self._sink, is_second=is_second))
-
-    def meet_planes(self, stages: Stages, recording: Recording) -> None:
-        """Record that vertices meet planes beside the narrow phase."""
-        stages.meet_planes(recording, self._sink, Slot("searched"))
+        self.play(section, lambda stages, recording: stages.solve(recording, self.sink, is_second=is_second))
 
     def measure_pairs(self, sink: int) -> None:
         """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
         self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
-
-    def set_counts(self, column: int, numbers: Mapping[PairKind, int]) -> None:
-        """Let pairs of kinds count as so many: `FOUND` in a batch, or `OPEN`, which share their work."""
-        counts = self.counts()
-        for kind, number in numbers.items():
-            counts[kind, column] = number
-        if self._view is None:
-            self._counts.assign(counts)
 
     def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64], num_open: int) -> None:
         """Make these marked keys the pairs of the second round, which share the work of so many."""
         pairs = self._workspace.buffers.get("open keys", len(keys), wp.int64)
         pairs[: len(keys)].assign(keys)
         self.memory.take_over(kind, pairs, len(keys))
-        counts = np.zeros(COUNTS_SHAPE, dtype=np.int64)
-        counts[kind, FOUND], counts[kind, OPEN] = len(keys), num_open
-        self._counts.assign(counts)
-        self._read = None
+        self.counters.clear()
+        self.counters.set_column(FOUND, {kind: len(keys)})
+        self.counters.set_column(OPEN, {kind: num_open})
 
     def reset_minima(self, num_contacts: wp.array) -> None:
         """Set every toi to infinity."""
@@ -418,23 +376,6 @@ class HostPlan(Plan):
             stages.reset_vertices(recording)
 
         self.play("reset", record)
-
-    def set_least(self, toi: float) -> None:
-        """Set the least toi so far."""
-        if self._view is None:
-            self._least_bits.assign(np.array([toi]).view(np.int64))
-            self._read = None
-        else:
-            self._view[1][0] = toi
-
-    def least(self) -> float:
-        """The least toi so far."""
-        return float(self._on_host()[1][0])
-
-
-def _split(counters: NDArray[np.int64]) -> _OnHost:
-    """The counts and the least toi of an array of both."""
-    return counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE), counters[NUM_ALL_COUNTS:].view(np.float64)
 
 
 def _pieces(count: int, largest: int) -> int:

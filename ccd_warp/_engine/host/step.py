@@ -13,6 +13,7 @@ from ccd_warp._engine.host.plan import NO_PAIRS, Batch, HostPlan
 from ccd_warp._engine.host.plane_stage import PlaneStage
 from ccd_warp._engine.host.stage_timer import StageTimer
 from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice, StepPaths
 from ccd_warp._engine.plan import Goal
@@ -39,13 +40,12 @@ class Step:
         counts: What the step has done, from `finish` on.
         timings: Seconds of its stages.
         counts_survivors: Whether its counts have them.
-        is_held: Whether the vertices have holds.
         oddities: What is odd about it, which is said at its end.
     """
 
     goal: Goal
     bytes_beside = 0
-    counts_survivors = is_held = _has_boxes = False
+    counts_survivors = _has_boxes = False
     counts = Counts()
 
     def __init__(
@@ -86,16 +86,19 @@ class Step:
         if error is None or issubclass(error, Exception):  # a warning that is an error would hide an interrupt
             self.oddities.explain(self.workspace, self.positions, self.options, is_whole=self.ranks.is_alone)
 
+    def norm(self) -> str:
+        """The norm of separations (``kernels.pair.norm``)."""
+        return norm_of(self.mesh, self.options, on_arcs=self.motion.on_arcs)
+
     def begin(self, t_end: float, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
         """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box.
 
         What returns the inflation of the boxes is called when the positions are known.
         """
         with self.timed("input"):
-            arguments = self.workspace, self.options, self.goal
-            self.plan = plan = HostPlan.of(*arguments, self.motion, is_held=self.is_held)
+            self.plan = plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
             self.execution = plan.execution
-            self.planes = PlaneStage(plan) if plan.has_planes else None
+            self.planes = PlaneStage(plan, self.workspace) if plan.has_planes else None
             if part is None or part is self.motion.slices[0]:
                 plan.begin_counts()
             if part is not None:

@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.step_boxes import StepBoxes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
-from ccd_warp._engine.mesh.scene import norm_of, plane_query
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.messages import warn
-from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
-from ccd_warp.kernels.pair.norm import is_ball
 
-_MOST_OPTIONS = 8
+# Structs of the kernels that are kept, enough for the different kinds of calls in a loop.
+_MOST_PACKED = 8
 
 
 class Workspace:
@@ -111,32 +109,15 @@ class Workspace:
         return self._active
 
     @lazy_property
-    def hold(self) -> wp.array:
+    def start_distances(self) -> wp.array:
         """How near each vertex is to anything at the start of a step, float64, shape [V]."""
         return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
 
-    def packed(self, options: Options, length_scale: float, *, is_held: bool = False, turns: Any = None) -> Any:
-        """The options as a struct of the kernels, packed once, since packing takes as long as a launch.
-
-        Those of a slice in which bodies turn, as ``turns`` says, are packed for it alone.
-        """
-        key = (options, length_scale, is_held)
-        if key in self._packed and turns is None:
-            return self._packed[key]
-        stop, radius, hold = self.flag.array, self.topology.radius, self.hold if is_held else None
-        packed = options.for_kernel(length_scale, stop=stop, radius=radius, hold=hold, turns=turns)
-        if turns is None:
-            if len(self._packed) >= _MOST_OPTIONS:
+    def packed_once(self, key: Any, pack: Callable[[], Any]) -> Any:
+        """A struct of the kernels, packed once for what it depends on, since packing takes as long as a launch."""
+        if key not in self._packed:
+            packed = pack()
+            if len(self._packed) >= _MOST_PACKED:
                 self._packed.clear()
             self._packed[key] = packed
-        return packed
-
-    def plane_query(self, options: Options, length_scale: float, *, holds: bool = False) -> Any:
-        """What vertices and planes are asked for, as a struct of the kernels, packed once for options and scale."""
-        key = ("planes", options, length_scale, holds)
-        if key not in self._packed:
-            if len(self._packed) >= _MOST_OPTIONS:
-                self._packed.clear()
-            is_euclidean = is_ball(norm_of(self.topology.mesh, options))
-            self._packed[key] = plane_query(options, length_scale, is_euclidean=is_euclidean, holds=holds)
         return self._packed[key]

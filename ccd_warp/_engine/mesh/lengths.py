@@ -4,12 +4,12 @@ import math
 import sys
 
 
-def half_up(length: float) -> float:
+def half_rounded_up(length: float) -> float:
     """Half a length, rounded up, for the boxes of both primitives of a pair."""
     return 0.0 if length <= 0.0 else next_above(0.5 * length)
 
 
-def sum_up(a: float, b: float) -> float:
+def add_rounded_up(a: float, b: float) -> float:
     """The sum of two lengths, rounded up."""
     return a + b if a == 0.0 or b == 0.0 else next_above(a + b)
 

@@ -1,4 +1,4 @@
-"""The planes of half-spaces on a device, and which vertices are near them or in the solid, on the host."""
+"""The planes of half-spaces on a device, what vertices and they are asked for, and what is near or in the solid."""
 
 import math
 from collections.abc import Callable
@@ -9,10 +9,12 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._scene.half_space import unit_normals
 
 if TYPE_CHECKING:
     from ccd_warp._engine.mesh.topology import Topology
+    from ccd_warp._scene.input.options import Options
     from ccd_warp._scene.mesh import CollisionMesh
 
 _U = 2.0**-53
@@ -123,6 +125,27 @@ def _planes_on(mesh: "CollisionMesh", array: Callable[[NDArray[Any], Any], wp.ar
     planes.meets = array(meets(mesh).astype(np.uint8), wp.uint8)
     planes.excluded = array(excluded_keys(mesh), wp.int64)
     return planes
+
+
+def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, lets_part: bool = False) -> Any:
+    """What vertices and planes are asked for, as the struct of the kernels.
+
+    ``lets_part`` is whether what starts within its distance may part and slide.
+    """
+    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
+    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
+
+    separation = options.separation(length_scale)
+    query = PlaneQuery()
+    query.is_euclidean = int(is_euclidean)
+    query.distance = separation
+    if separation > 0.0 and not is_euclidean:  # a product of two numbers
+        query.distance = next_above(separation)
+    query.start_gap_fraction = options.start_gap_share
+    query.keeps_start_distance = int(lets_part)
+    query.t_max = options.t_max
+    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
+    return query
 
 
 def plane_candidates(

@@ -1,10 +1,9 @@
-"""What the options of a call mean for a scene: kinds of pairs, norm, length scale, what half-spaces are asked."""
+"""What the options of a call mean for a scene: kinds of pairs, norm, length scale, what is near."""
 
 from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
-from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.arguments import shown
 from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
@@ -45,7 +44,7 @@ def norm_of(
     options: "Options",
     *,
     may_change: bool = False,
-    is_held: bool = False,
+    keeps_start_distances: bool = False,
     on_arcs: bool = False,
 ) -> str:
     """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
@@ -54,7 +53,7 @@ def norm_of(
         mesh: The bodies.
         options: The options of the call.
         may_change: Whether radii of 0 may be replaced by others, as on the device.
-        is_held: Whether what starts within its distance is held, so that each pair has a separation of its own.
+        keeps_start_distances: Whether what starts within its distance does, so that each pair has one of its own.
         on_arcs: Whether bodies turn, for which the norm of either shape has one of its own.
 
     Raises:
@@ -63,7 +62,7 @@ def norm_of(
     if mesh.radius is None or not (may_change or mesh.is_thick):
         if on_arcs:
             return ARC_BALL_NORM if is_ball(options.norm) else ARC_BOX_NORM
-        return OWN_BOX_NORM if is_held and not is_ball(options.norm) else options.norm
+        return OWN_BOX_NORM if keeps_start_distances and not is_ball(options.norm) else options.norm
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
@@ -75,28 +74,6 @@ def norm_of(
 def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
     """The unit of tolerance and separation: that of the options, or the size of the mesh."""
     return mesh.length_scale if options.length_scale is None else options.length_scale
-
-
-def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, holds: bool = False) -> Any:
-    """What vertices and planes are asked for, as the struct of the kernels.
-
-    ``holds`` is whether what starts within its distance may part and slide.
-    """
-    from ccd_warp.kernels.narrow_phase.planes import PlaneQuery  # not before a scene needs it
-    from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
-
-    separation = options.separation(length_scale)
-
-    query = PlaneQuery()
-    query.is_euclidean = int(is_euclidean)
-    query.distance = separation
-    if separation > 0.0 and not query.is_euclidean:  # a product of two numbers
-        query.distance = next_above(separation)
-    query.start_gap_fraction = options.start_gap_share
-    query.holds = int(holds)
-    query.t_max = options.t_max
-    query.most_gap = 2.0 * max(options.tolerance, LEAST_TOLERANCE[wp.float64]) * length_scale
-    return query
 
 
 def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:

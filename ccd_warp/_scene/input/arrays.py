@@ -122,6 +122,14 @@ def check_finite(
         raise ValueError(f"{name} holds {array[at]} in {place}; expected finite values")
 
 
+def check_both_finite(a: NDArray[np.float64], b: NDArray[np.float64], names: tuple[str, str], row_name: str) -> None:
+    """Raise a ValueError if a value of two arrays of one shape is not finite."""
+    if a.size <= _FEW and math.isfinite(np.vdot(a, b)):
+        return  # what is not finite makes its product so, and the sum, whatever the other number is
+    for array, name in zip((a, b), names, strict=True):
+        check_finite(array, name, row_name)
+
+
 def as_positions(
     values: ArrayLike,
     name: str,
@@ -188,7 +196,9 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
 
 def is_device_array(value: Any) -> bool:
     """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
-    return is_of_warp(value) or (speaks_dlpack(value) and not isinstance(value, np.ndarray))
+    if type(value) is np.ndarray:
+        return False  # as found below, but at once
+    return is_of_warp(value) or (has_dlpack(value) and not isinstance(value, np.ndarray))
 
 
 def is_of_warp(value: Any) -> bool:
@@ -197,7 +207,7 @@ def is_of_warp(value: Any) -> bool:
     return array is not None and isinstance(value, array)
 
 
-def speaks_dlpack(value: Any) -> bool:
+def has_dlpack(value: Any) -> bool:
     """Whether a value is an array that can be shared, and not a class of such arrays."""
     return hasattr(value, "__dlpack__") and not isinstance(value, type)
 

@@ -18,8 +18,8 @@ def common_dimension(vertices: Mapping[int, Any], names: Sequence[str]) -> int:
         ValueError: If those of some bodies are in the plane and those of others are not.
     """
     columns = {}
-    for b, given in vertices.items():
-        shape = np.shape(as_any_array(given, f"vertices of {body_label(b, names)}", "positions"))
+    for b, values in vertices.items():
+        shape = np.shape(as_any_array(values, f"vertices of {body_label(b, names)}", "positions"))
         if len(shape) == 2:
             columns[b] = shape[1]
     planar = [b for b, count in columns.items() if count == 2]
@@ -62,27 +62,27 @@ def joined_bodies(
     Raises:
         ValueError: If an array is not as :meth:`ccd_warp.CollisionMesh.from_arrays` expects.
     """
-    given = {b: body for b, body in enumerate(bodies) if not isinstance(body, HalfSpace)}
-    for b, body in given.items():
+    body_arrays = {b: body for b, body in enumerate(bodies) if not isinstance(body, HalfSpace)}
+    for b, body in body_arrays.items():
         if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
             raise ValueError(
                 f"{body_label(b, names)} is a {type(body).__name__}; "
                 f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
             )
-    dimension = common_dimension({b: body[0] for b, body in given.items()}, names)
+    dimension = common_dimension({b: body[0] for b, body in body_arrays.items()}, names)
     all_vertices, all_faces, all_edges, offsets = [], [], [np.zeros((0, 2), dtype=np.int64)], [0]
     consists_of_points = np.zeros(len(bodies), dtype=bool)
     for b in range(len(bodies)):
         begin = offsets[-1]
-        if b in given:
-            label, body = body_label(b, names), given[b]
+        if b in body_arrays:
+            label, body = body_label(b, names), body_arrays[b]
             vertices = as_positions(body[0], f"vertices of {label}", dimension)  # which of them count is known later
             faces, edges = (body[1], body[2:]) if dimension == 3 else ((), body[1:])
             if len(edges) == 2:
                 raise ValueError(f"{label} is in the plane and has 3 arrays; expected a pair (vertices, edges)")
             all_vertices.append(vertices)
             all_faces.append(validated_indices(faces, 3, len(vertices), f"faces of {label}") + begin)
-            all_edges += [validated_indices(each, 2, len(vertices), f"edges of {label}") + begin for each in edges]
+            all_edges += [validated_indices(pairs, 2, len(vertices), f"edges of {label}") + begin for pairs in edges]
             consists_of_points[b] = dimension == 2 and len(all_edges[-1]) == 0
             begin += len(vertices)
         else:

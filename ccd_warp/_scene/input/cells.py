@@ -58,7 +58,7 @@ def cells_by_type(cells: Any) -> dict[str, Any]:
     if isinstance(cells, Mapping):
         return dict(cells)
     is_list = isinstance(cells, (list, tuple)) and not any(map(_is_cell, cells))
-    found: dict[str, Any] = {}
+    by_type: dict[str, Any] = {}
     for block in cells if is_list else [cells]:
         kind, values = None, block
         if _is_typed(block):
@@ -69,8 +69,8 @@ def cells_by_type(cells: Any) -> dict[str, Any]:
                 counts = ", ".join(f"{count} of a {kind}" for count, kind in sorted(_BY_CORNERS.items()))
                 raise ValueError(f"cells has shape {rows.shape}; expected (n, corners) with {counts}, or {_EXPECTED}")
             kind = _BY_CORNERS[rows.shape[1]]
-        found[kind] = np.concatenate([found[kind], rows]) if kind in found else rows
-    return found
+        by_type[kind] = np.concatenate([by_type[kind], rows]) if kind in by_type else rows
+    return by_type
 
 
 def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], NDArray[np.bool_]]:
@@ -235,10 +235,10 @@ def _is_mirrored(sides: _Integers, vertices: NDArray[np.float64]) -> NDArray[np.
 
 def _distinct(corners: _Integers) -> _Integers:
     """The corners of each row in ascending order, each once, after as many -1 as are missing."""
-    found = np.sort(corners, axis=1)
-    found[:, 1:][found[:, 1:] == found[:, :-1]] = -1
-    found.sort(axis=1)
-    return found
+    ascending = np.sort(corners, axis=1)
+    ascending[:, 1:][ascending[:, 1:] == ascending[:, :-1]] = -1
+    ascending.sort(axis=1)
+    return ascending
 
 
 def _numbered(rows: _Integers) -> tuple[_Integers, int]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def unique_edges(
-    faces: NDArray[np.integer], given_edges: NDArray[np.integer]
+    faces: NDArray[np.integer], listed_edges: NDArray[np.integer]
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Unique (min, max) pairs sorted by (max, min), and the indices of those in no face; indices within int32.
 
@@ -16,8 +16,8 @@ def unique_edges(
     a, b, c = (faces[:, k] for k in range(3))
     keys = _unique_edge_keys([(a, b), (b, c), (c, a)])
     codimensional = np.zeros(0, dtype=np.int64)
-    if len(given_edges):
-        codimensional = _unique_edge_keys([(given_edges[:, 0], given_edges[:, 1])])
+    if len(listed_edges):
+        codimensional = _unique_edge_keys([(listed_edges[:, 0], listed_edges[:, 1])])
         codimensional = np.setdiff1d(codimensional, keys, assume_unique=True)
         keys = np.sort(np.concatenate([keys, codimensional]))
     edges = np.stack([keys & 0xFFFFFFFF, keys >> 32], axis=1).astype(np.int32)

@@ -32,8 +32,8 @@ class ExcludedPairs(Mapping[str, NDArray[np.int32]]):
 
     def __init__(self, pairs: Mapping[str, NDArray[np.integer[Any]]] | None = None) -> None:
         """Of pairs that are already validated."""
-        given = {key: _in_order(key, np.asarray(rows)) for key, rows in (pairs or {}).items()}
-        self.__setstate__({key: given[key] for key in KEYS if len(given.get(key, ()))})
+        by_key = {key: _in_order(key, np.asarray(rows)) for key, rows in (pairs or {}).items()}
+        self.__setstate__({key: by_key[key] for key in KEYS if len(by_key.get(key, ()))})
 
     def __getstate__(self) -> dict[str, NDArray[np.int32]]:
         return self._pairs
@@ -86,15 +86,15 @@ def validated_excluded_pairs(values: Any, mesh: Any) -> ExcludedPairs:
             "(of a launch what to_host() gives)"
         )
         raise ValueError(f"exclude_pairs is {shown(values)}; expected {expected}")
-    found = {}
+    by_key = {}
     for key, pairs in values.items():
         if key not in KEYS:
             keys = ", ".join(map(repr, KEYS[:-1])) + f" or {KEYS[-1]!r}"
             raise ValueError(f"exclude_pairs has the key {shown(key)}; expected {keys}")
         name = f"exclude_pairs[{key!r}]"
         rows = _with_indices(pairs, name, mesh.names) if key == "bodies" else pairs
-        found[key] = _validated_rows(rows, name, *_columns(key, mesh))
-    return ExcludedPairs(found)
+        by_key[key] = _validated_rows(rows, name, *_columns(key, mesh))
+    return ExcludedPairs(by_key)
 
 
 def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | None], ...]:
@@ -114,8 +114,8 @@ def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | N
         "point_point": (point, point),
         "vertex_plane": (vertex, ("plane", len(mesh.planes), None)),
     }
-    chosen: tuple[tuple[str, int, NDArray[np.int32] | None], ...] = columns[key]
-    return chosen
+    columns_of_key: tuple[tuple[str, int, NDArray[np.int32] | None], ...] = columns[key]
+    return columns_of_key
 
 
 def _with_indices(pairs: Any, name: str, names: tuple[str, ...]) -> Any:

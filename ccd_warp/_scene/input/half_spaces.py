@@ -55,15 +55,15 @@ def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
     """
     if not isinstance(values, Mapping):
         raise ValueError(f"half_spaces is {shown(values)}; expected a mapping from numbers of bodies to HalfSpace")
-    found = {}
+    by_body = {}
     for body, half_space in values.items():
         is_number = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
         if not is_number or not 0 <= body <= np.iinfo(np.int32).max:
             raise ValueError(f"half_spaces has the key {shown(body)}; expected the number of a body")
         if not isinstance(half_space, HalfSpace):
             raise ValueError(f"half_spaces holds {shown(half_space)} for body {body}; expected a HalfSpace")
-        found[int(body)] = half_space
-    return dict(sorted(found.items()))
+        by_body[int(body)] = half_space
+    return dict(sorted(by_body.items()))
 
 
 def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:

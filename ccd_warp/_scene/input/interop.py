@@ -8,7 +8,7 @@ import warp as wp
 
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._scene.input.arguments import check_unmasked, shown
-from ccd_warp._scene.input.arrays import is_of_jax, place_of, reason_of, speaks_dlpack
+from ccd_warp._scene.input.arrays import has_dlpack, is_of_jax, place_of, reason_of
 
 # Device types of CUDA in DLPack: memory of a GPU, host memory that CUDA has pinned, and memory that it manages.
 _CUDA, _PINNED, _MANAGED = 2, 3, 13
@@ -36,7 +36,7 @@ def as_warp(value: Any, name: str) -> wp.array:
         if value.dtype not in (np.float32, np.float64):
             raise ValueError(f"{name} has dtype {shown(value.dtype)}; expected float32 or float64")
         return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
-    if not speaks_dlpack(value):
+    if not has_dlpack(value):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
     kind, index = place_of(value, name)
     if kind == _CUDA and index >= wp.get_cuda_device_count():
@@ -99,7 +99,7 @@ def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]],
     Raises:
         ValueError: If it is not an array that can be shared.
     """
-    is_array = isinstance(value, (wp.array, np.ndarray)) or speaks_dlpack(value)
+    is_array = isinstance(value, (wp.array, np.ndarray)) or has_dlpack(value)
     if not is_array or len(value.shape) not in (2, 3):
         return value
     is_vector = isinstance(value, wp.array) and value.dtype in _VECTORS[dimension].values()

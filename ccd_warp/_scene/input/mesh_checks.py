@@ -24,7 +24,7 @@ def validated_static(
     static: Iterable[int | str], kinematic: Iterable[int | str], names: Sequence[str]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which bodies are static, and which are kinematic, bool, shape [B] each, or a ValueError; none may be both."""
-    is_static, is_kinematic = _chosen_bodies("static", static, names), _chosen_bodies("kinematic", kinematic, names)
+    is_static, is_kinematic = _listed_bodies("static", static, names), _listed_bodies("kinematic", kinematic, names)
     for body in np.flatnonzero(is_static & is_kinematic)[:1].tolist():
         raise ValueError(f"static and kinematic both hold {body_label(body, names)}; expected it in one of them")
     return is_static, is_kinematic
@@ -34,16 +34,16 @@ def validated_rigid(
     rigid: Iterable[int | str], names: Sequence[str], is_half_space: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Which bodies are rigid, bool, shape [B], or a ValueError; half-spaces have no shape to keep."""
-    is_rigid = _chosen_bodies("rigid", rigid, names)
+    is_rigid = _listed_bodies("rigid", rigid, names)
     for body in np.flatnonzero(is_rigid & is_half_space)[:1].tolist():
         raise ValueError(f"rigid holds {body_label(body, names)}, a half-space; expected bodies with vertices")
     return is_rigid
 
 
-def _chosen_bodies(name: str, values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
+def _listed_bodies(name: str, values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
     """Bodies given by their indices or names, bool, shape [B]."""
     num_bodies = len(names)
-    chosen = np.zeros(num_bodies, dtype=bool)
+    is_listed = np.zeros(num_bodies, dtype=bool)
     for body in check_items(name, values, "a list of body indices"):
         if isinstance(body, str) and body in names:
             body = names.index(body)
@@ -52,8 +52,8 @@ def _chosen_bodies(name: str, values: Iterable[int | str], names: Sequence[str])
             raise ValueError(
                 f"{name} holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies"
             )
-        chosen[int(body)] = True
-    return chosen
+        is_listed[int(body)] = True
+    return is_listed
 
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
@@ -115,20 +115,20 @@ def validated_radius(
     array = as_any_array(values, "radius", expected)
     if array.shape not in ((), (num_bodies,), (num_vertices,)):
         raise ValueError(f"radius has shape {array.shape}; expected {expected}")
-    given = as_float64(np.atleast_1d(array), "radius", "entry")
-    is_invalid = ~(np.isfinite(given) & (given >= 0))
+    radii = as_float64(np.atleast_1d(array), "radius", "entry")
+    is_invalid = ~(np.isfinite(radii) & (radii >= 0))
     if is_invalid.any():
         at = int(np.argmax(is_invalid))
-        owner = where(at) if num_bodies != len(given) == num_vertices else ""
-        raise ValueError(f"radius holds {given[at]} in entry {at}{owner}; expected finite lengths of at least 0")
-    given = given + 0.0  # a copy, with -0.0 as 0.0
+        owner = where(at) if num_bodies != len(radii) == num_vertices else ""
+        raise ValueError(f"radius holds {radii[at]} in entry {at}{owner}; expected finite lengths of at least 0")
+    radii = radii + 0.0  # a copy, with -0.0 as 0.0
     if array.ndim == 0:
-        return np.full(num_vertices, given[0])
-    for body, label in half_spaces.items() if half_spaces and len(given) == num_bodies else ():
-        if given[body] != 0.0:
-            raise ValueError(f"radius holds {given[body]} for {label}; expected 0, as a half-space has no radius")
-    of_bodies = np.repeat(given, np.diff(first_vertices)) if len(given) == num_bodies else given
-    if len(given) == num_vertices and not np.array_equal(given, of_bodies):
+        return np.full(num_vertices, radii[0])
+    for body, label in half_spaces.items() if half_spaces and len(radii) == num_bodies else ():
+        if radii[body] != 0.0:
+            raise ValueError(f"radius holds {radii[body]} for {label}; expected 0, as a half-space has no radius")
+    of_bodies = np.repeat(radii, np.diff(first_vertices)) if len(radii) == num_bodies else radii
+    if len(radii) == num_vertices and not np.array_equal(radii, of_bodies):
         raise ValueError(
             f"radius has shape {array.shape}, as many entries as there are bodies and vertices, and bodies with "
             f"several vertices or none; expected a number, or bodies of one vertex each"

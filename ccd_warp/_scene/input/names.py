@@ -33,8 +33,8 @@ def distinct_names(names: Sequence[Any]) -> list[str]:
     """Names taken from files and scenes, made printable; of equal ones the second gets the ending " (2)", and so on."""
     distinct: list[str] = []
     taken = set()
-    for index, given in enumerate(names):
-        name = printable(str(given)) if given is not None and str(given).strip() else f"body {index}"
+    for index, original in enumerate(names):
+        name = printable(str(original)) if original is not None and str(original).strip() else f"body {index}"
         number, candidate = 1, name
         while candidate in taken:
             number += 1

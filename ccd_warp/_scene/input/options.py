@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
@@ -38,7 +38,7 @@ _FIELDS = (
     "max_work",
     "method",
 )
-# The value of ``start_gap_fraction`` with which what starts within its distance may part and slide.
+# The value of ``start_gap_fraction`` with which what starts within its distance keeps its start distance.
 HOLD = "hold"
 # Values of these types are immutable; others may change, or be readable only once.
 _PLAIN = frozenset((float, int, str, type(None)))
@@ -118,14 +118,14 @@ class Options:
         return _PRECISIONS[self.precision]
 
     @property
-    def holds(self) -> bool:
+    def keeps_start_distances(self) -> bool:
         """Whether what starts within its distance may part and slide, in the calls that shorten a step."""
         return self.start_gap_fraction == HOLD
 
     @property
     def start_gap_share(self) -> float:
         """The fraction of its gap at the start that a pair keeps at most; 0 where it keeps its separation."""
-        return 0.0 if self.start_gap_fraction is None or self.holds else float(self.start_gap_fraction)
+        return 0.0 if self.start_gap_fraction is None or self.keeps_start_distances else float(self.start_gap_fraction)
 
     @property
     def norm(self) -> str:
@@ -162,7 +162,7 @@ class Options:
         max_iterations: int | None = None,
         stop: wp.array | None = None,
         radius: wp.array | None = None,
-        hold: wp.array | None = None,
+        start_distances: wp.array | None = None,
         turns: Any = None,
     ) -> Any:
         """The options as the struct that the kernels take.
@@ -172,11 +172,11 @@ class Options:
             max_iterations: Limit in place of the option of this name.
             stop: Flag that ends the kernel.
             radius: Radius of each vertex on the device, where the pairs are those of a mesh that has radii.
-            hold: How near each vertex was to anything at the start, on the device, where pairs are held.
+            start_distances: How near each vertex was to anything at the start, on the device, where that matters.
             turns: How vertices turn in a slice of the step, as the struct of the kernels.
         """
         separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
-        if (hold is not None or turns is not None) and length_scale is not None:
+        if (start_distances is not None or turns is not None) and length_scale is not None:
             separation = self.separation(length_scale)  # each pair has a length of its own
         values = (
             self.tolerance,
@@ -195,11 +195,20 @@ class Options:
         packed = _packed(self.real, values, stop)
         if radius is not None:
             packed.radius = radius
-        if hold is not None:
-            packed.hold = hold
+        if start_distances is not None:
+            packed.start_distance = start_distances
         if turns is not None:
             packed.turns = turns
         return packed
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, without what is kept with them."""
+        return {name: value for name, value in vars(self).items() if name != "of_first_round"}
+
+    @cached_property
+    def of_first_round(self) -> Any:
+        """The struct of :meth:`for_kernel` for the first round of the pair functions, kept with the options."""
+        return self.for_kernel(self.length_scale, max_iterations=self.first_iterations)
 
     @property
     def threads(self) -> int:
@@ -208,14 +217,14 @@ class Options:
 
 
 def options_of(
-    function: str, kind: type[Mapping[str, object]], given: Mapping[str, Any], *, others: Collection[str] = ()
+    function: str, kind: type[Mapping[str, object]], values: Mapping[str, Any], *, others: Collection[str] = ()
 ) -> Options:
     """The options of a call.
 
     Args:
         function: Name of the public function, for the messages.
         kind: Typed dictionary of the options that it takes.
-        given: Options of the call.
+        values: Options of the call.
         others: Its other keyword arguments, which may have been misspelled.
 
     Raises:
@@ -223,12 +232,14 @@ def options_of(
         ValueError: If one is out of its range.
     """
     names = kind.__optional_keys__  # type: ignore[attr-defined]
-    if not given.keys() <= names:
-        name = next(name for name in given if name not in names)
+    if not values.keys() <= names:
+        name = next(name for name in values if name not in names)
         raise TypeError(_why_not_taken(function, name, {*names, *others}))
-    make = _made_once if all(type(value) in _PLAIN for value in given.values()) else _made
-    with naming(function):
-        return make(**given)
+    make = _made_once if not values or all(type(value) in _PLAIN for value in values.values()) else _made
+    try:
+        return make(**values)
+    except ValueError as error:
+        raise ValueError(f"{function}: {error}") from error.__cause__
 
 
 @contextmanager
@@ -240,9 +251,9 @@ def naming(function: str) -> Iterator[None]:
         raise ValueError(f"{function}: {error}") from error.__cause__
 
 
-def _made(**given: Any) -> Options:
+def _made(**values: Any) -> Options:
     """Validated options, including the device."""
-    options = Options(**given)
+    options = Options(**values)
     resolve_device(options.device)
     return options
 
@@ -300,11 +311,11 @@ def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
     """Kinds given as themselves, by name or by number, each once and in their order, or a ValueError."""
     names = {kind.name.lower(): kind for kind in PairKind}
     expected = f"a list of {', '.join(map(repr, names))}"
-    given = check_items("pair_kinds", values, expected)
-    chosen = set()
-    for value in given:
+    items = check_items("pair_kinds", values, expected)
+    kinds = set()
+    for value in items:
         is_number = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
-        chosen.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
-    if not chosen or not chosen <= set(PairKind):
-        raise ValueError(f"pair_kinds is {shown(given)}; expected {expected}")
-    return tuple(kind for kind in PairKind if kind in chosen)
+        kinds.add(names.get(value) if isinstance(value, str) else int(value) if is_number else None)
+    if not kinds or not kinds <= set(PairKind):
+        raise ValueError(f"pair_kinds is {shown(items)}; expected {expected}")
+    return tuple(kind for kind in PairKind if kind in kinds)

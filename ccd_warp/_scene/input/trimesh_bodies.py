@@ -30,7 +30,7 @@ class TrimeshBody:
     is_cloud: bool
 
 
-def trimesh_bodies(given: Any) -> list[TrimeshBody]:
+def trimesh_bodies(objects: Any) -> list[TrimeshBody]:
     """The bodies of one object, or of a list of objects.
 
     Raises:
@@ -38,47 +38,47 @@ def trimesh_bodies(given: Any) -> list[TrimeshBody]:
         ValueError: If a path is curved, or a scene is empty.
     """
     bodies: list[TrimeshBody] = []
-    for index, each in enumerate(objects_of(given, "bodies")):
-        if _is_scene(each):
-            bodies += _bodies_of_scene(each, index)
-        elif isinstance(each, HalfSpace):
-            bodies.append(TrimeshBody(None, each, False))
+    for index, item in enumerate(objects_of(objects, "bodies")):
+        if _is_scene(item):
+            bodies += _bodies_of_scene(item, index)
+        elif isinstance(item, HalfSpace):
+            bodies.append(TrimeshBody(None, item, False))
         else:
-            bodies.append(TrimeshBody(None, *_arrays_of(each, f"body {index}")))
+            bodies.append(TrimeshBody(None, *_arrays_of(item, f"body {index}")))
     if any(body.name for body in bodies):
         names = distinct_names([body.name for body in bodies])
         bodies = [TrimeshBody(name, body.arrays, body.is_cloud) for name, body in zip(names, bodies, strict=True)]
     return bodies
 
 
-def check_single_body(name: str, given: Any) -> None:
+def check_single_body(name: str, body: Any) -> None:
     """Check that an argument is an object of trimesh that is one body.
 
     Raises:
         TypeError: If it is none.
         ValueError: If it is several.
     """
-    if not (_is_shape(given) or _is_scene(given)):
-        raise TypeError(f"{name} is {shown(given)}; expected a trimesh.Trimesh, Path3D, PointCloud or Scene")
-    num_bodies = len(trimesh_bodies(given))
+    if not (_is_shape(body) or _is_scene(body)):
+        raise TypeError(f"{name} is {shown(body)}; expected a trimesh.Trimesh, Path3D, PointCloud or Scene")
+    num_bodies = len(trimesh_bodies(body))
     if num_bodies != 1:
         raise ValueError(f"{name} is {num_bodies} bodies; expected an object of trimesh that is one")
 
 
-def objects_of(given: Any, name: str = "others") -> list[Any]:
+def objects_of(objects: Any, name: str = "others") -> list[Any]:
     """One object, or the objects of a list, of an argument.
 
     Raises:
         TypeError: If it is neither.
     """
-    if _is_shape(given) or _is_scene(given) or isinstance(given, HalfSpace):
-        return [given]
-    if not isinstance(given, Iterable) or isinstance(given, (str, bytes, bytearray, memoryview, Mapping)):
-        raise TypeError(f"{name} is {shown(given)}; expected {_OBJECTS}, or a list of these")
+    if _is_shape(objects) or _is_scene(objects) or isinstance(objects, HalfSpace):
+        return [objects]
+    if not isinstance(objects, Iterable) or isinstance(objects, (str, bytes, bytearray, memoryview, Mapping)):
+        raise TypeError(f"{name} is {shown(objects)}; expected {_OBJECTS}, or a list of these")
     try:
-        return list(given)
+        return list(objects)
     except Exception as error:  # an array without dimensions, or whatever an iterator of the caller raises
-        raise TypeError(f"{name} is {shown(given)}; expected {_OBJECTS}, or a list of these") from error
+        raise TypeError(f"{name} is {shown(objects)}; expected {_OBJECTS}, or a list of these") from error
 
 
 def transformed(vertices: ArrayLike, matrix: ArrayLike) -> NDArray[np.float64]:

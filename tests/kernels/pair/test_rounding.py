@@ -33,9 +33,9 @@ def make_probe(real):
         for name in "patch query solver sub_patch inclusion volume advance moving_clip facets".split()
     )
     Options, Corners, corners_at, Hull = query.Options, patch.Corners, patch.corners_at, volume.Hull
-    normalise, sub_corners, fall = solver.normalise, sub_patch.sub_corners, moving_clip.fall
+    normalise, sub_corners, crossing = solver.normalise, sub_patch.sub_corners, moving_clip.crossing
     clip, clip_corner, offset = inclusion.clip, inclusion.clip_corner, inclusion.offset
-    hull_fall, restrict, separation_offset = volume.fall, volume.restrict, volume.separation_offset
+    hull_crossing, restrict, separation_offset = volume.crossing, volume.restrict, volume.separation_offset
     advance_volume, direction, clip_facet = advance.advance_volume, facets.direction, facets.clip_facet
     half, num_clips = wp.constant(real(0.5)), wp.constant(12)
     module = wp.get_module(f"test_rounding.{real.__name__}")
@@ -86,8 +86,8 @@ def make_probe(real):
         hull.c1 = h[1]
         hull.c2 = h[2]
         hull.c3 = h[3]
-        s.hull = hull_fall(hull)
-        s.zero = fall(h[0], h[1], h[2])
+        s.hull = hull_crossing(hull)
+        s.zero = crossing(h[0], h[1], h[2])
         c_t = corners_at(start, end, g.t)
         c_x = corners_at(start, end, g.x)
         number = real(3 * g.facet[0] + 3 + g.facet[1])

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contact_place import ContactPlace
 from ccd_warp._results.contacts import Contacts
-from ccd_warp._rigid.near_parts import NearParts
+from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._scene.half_space import Planes
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
@@ -80,7 +80,7 @@ def _mesh(
         kinematic=none.copy(),
         rigid=np.array(rigid),
         self_collision=none.copy(),
-        given_edges=np.array(edges, dtype=np.int32).reshape(-1, 2),
+        listed_edges=np.array(edges, dtype=np.int32).reshape(-1, 2),
         with_codimensional_points=has_points,
         with_inner_vertices=none.copy(),
         body_pairs=pairs,
@@ -112,8 +112,8 @@ class PartMesh:
     rank: NDArray[np.intp]
 
     @classmethod
-    def of(cls, parts: NearParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
-        """The mesh of primitives, as ``NearParts.primitives`` has them, in so many worlds, ascending."""
+    def of(cls, parts: BodyParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
+        """The mesh of primitives, as ``BodyParts.primitives`` has them, in so many worlds, ascending."""
         one = parts.mesh
         size = one.num_vertices
         corners, kind, number = parts.primitives(row)
@@ -125,10 +125,10 @@ class PartMesh:
         body_keys, sizes = np.unique(world * one.num_bodies + body, return_counts=True)
         world_of_body, body = np.divmod(body_keys, one.num_bodies)
         planes = one.planes  # their bodies come last
-        num_own = len(body)
+        first_plane = len(body)
         body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
         world_of_body = np.append(world_of_body, np.zeros(len(planes), dtype=world_of_body.dtype))
-        planes = replace(planes, bodies=(num_own + np.arange(len(planes))).astype(np.int32))
+        planes = replace(planes, bodies=(first_plane + np.arange(len(planes))).astype(np.int32))
         rigid = one.rigid[body]
         is_used = np.zeros((count, int(one.rigid.sum())), dtype=bool)
         is_used[world_of_body[rigid], parts.row_of[body[rigid]]] = True
@@ -145,10 +145,10 @@ class PartMesh:
         if len(contacts) == 0:
             return contacts
         numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
-            "vertex": lambda own: self.vertex[own],
-            "face": lambda own: self.face[own],
-            "plane": lambda own: own,
-            "edge": lambda own: _edges(mesh, self.vertex[self.mesh.edges[own]]),
+            "vertex": lambda index: self.vertex[index],
+            "face": lambda index: self.face[index],
+            "plane": lambda index: index,
+            "edge": lambda index: _edges(mesh, self.vertex[self.mesh.edges[index]]),
         }
         primitives = contacts.primitives.copy()
         for kind in PairKind:

@@ -11,7 +11,7 @@ from ccd_warp._scene.input.interop import as_positions, without_worlds
 
 
 @dataclass(frozen=True)
-class Given:
+class CallerArrays:
     """The arrays of a caller that get gradients, None for those that do not require one, and what their rows are.
 
     Attributes:
@@ -29,9 +29,9 @@ class Given:
     rows: tuple[int, int]
 
     @classmethod
-    def of(cls, given: tuple[Any, Any], radius: Any, form: Form, rows: tuple[int, int]) -> "Given":
+    def of(cls, positions: tuple[Any, Any], radius: Any, form: Form, rows: tuple[int, int]) -> "CallerArrays":
         """Of the arguments of a launch, and the radii."""
-        t0, t1, r = (x if isinstance(x, wp.array) and x.requires_grad else None for x in (*given, radius))
+        t0, t1, r = (x if isinstance(x, wp.array) and x.requires_grad else None for x in (*positions, radius))
         return cls(t0, t1, r, form, rows)
 
     @property
@@ -42,11 +42,11 @@ class Given:
     def gradients(self, topology: Topology) -> tuple[wp.array | None, wp.array | None]:
         """The gradients of the positions, with a row for each as a launch reads them."""
         mesh, device = topology.mesh, topology.device
-        found: list[wp.array | None] = []
+        gradients: list[wp.array | None] = []
         for name, count in zip(("vertices_t0", "vertices_t1"), self.rows, strict=True):
             array = getattr(self, name)
             if array is not None:
                 grad = without_worlds(array.grad, name, mesh.rows_by_world, mesh.dimension)
                 array = as_positions(grad, name, device, {count: "as given"}, mesh.dimension)
-            found.append(array)
-        return found[0], found[1]
+            gradients.append(array)
+        return gradients[0], gradients[1]

@@ -21,7 +21,7 @@ _ERROR = 256.0 * EPS  # of a path, its places and rotations, relative to all its
 _TIME_ERROR = 16.0 * EPS  # of the times of slices, which are 1 at most
 
 
-class BodySweeps(NamedTuple):
+class SweptBounds(NamedTuple):
     """Bodies in slices of the step; n slices of B bodies.
 
     Attributes:
@@ -43,7 +43,7 @@ class BodySweeps(NamedTuple):
     reach: Array
 
     @classmethod
-    def of(cls, paths: BodyPaths, t_begin: Array, t_end: Array) -> BodySweeps:
+    def of(cls, paths: BodyPaths, t_begin: Array, t_end: Array) -> SweptBounds:
         """Bodies in slices of the step, each with as many paths, those of one slice after those of another.
 
         The origin of a body moves by no more than |velocity| + |turning| + |ω| |pivot| in all of the step, and the

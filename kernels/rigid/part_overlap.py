@@ -1,16 +1,14 @@
-"""Which parts of bodies that turn may touch in a slice of the step: trees of boxes, halved in space and in time.
+"""Which parts of bodies that turn may touch in a slice of the step: trees of boxes, tested from the top.
 
 The parts of a body are the leaves of a tree without pointers: node n of the 2^(d + 1) - 1 nodes of a body with 2^d
 parts has the children 2n + 1 and 2n + 2. A node has a sphere and an oriented box around the same centre, in the frame
-of its body. Times of a slice are halved alike: window 1 is the slice, and the windows 2m and 2m + 1 are the halves of
-window m.
+of its body.
 
-**Any direction is a proof.** Two nodes cannot touch in a window if in its middle they are farther apart along some
-direction d than their points come nearer along it in half of the window: no more than |d·v| h + A h²/2 + ω r h, with v
+**Any direction is a proof.** Two nodes cannot touch in a slice if in its middle they are farther apart along some
+direction d than their points come nearer along it in half of the slice: no more than |d·v| h + A h²/2 + ω r h, with v
 the velocity of their centres against each other in the middle, A a bound of what the paths of the centres bend, and r
 the radii of the nodes, which turn by ω h; and no more than their points move at all. Directions are those of the
-centres and of the sides of both boxes. Otherwise what takes most in the best of them is halved: the window, or the
-larger of both nodes.
+centres and of the sides of both boxes. Otherwise the larger of both nodes is divided into its children.
 """
 
 import warp as wp
@@ -21,12 +19,10 @@ from ..pair.rounding import UNIT_ROUNDOFF
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# A traversal keeps the second halves of what it has halved: of both trees, no deeper than 28 as primitives are numbered
-# in 31 bits, and of a slice, halved a few times.
+# A traversal keeps the second children of nodes of both trees, no deeper than 28 as primitives are numbered in 31 bits.
 _STACK = 64
 _TWO = wp.constant(wp.float64(2.0))
 _ZERO = wp.constant(wp.float64(0.0))
-_HALF = wp.constant(wp.float64(0.5))
 # Of places, lengths and distances, relative to the coordinates of both.
 _ERROR = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154.
@@ -56,9 +52,7 @@ class PartTrees:
 class PartMotion:
     """Where bodies are in slices of the step, and how far they go."""
 
-    num_links: int
-    num_halvings: int  # of a slice
-    # of each link in the middle of each window: [slice, (window - 1) * links + link]
+    # of each link in the middle of each slice: [slice, link]
     position: wp.array2d[wp.vec3d]
     rotation: wp.array2d[wp.vec4d]  # unit quaternions
     velocity: wp.array2d[wp.vec3d]  # of the origin, times half the slice
@@ -67,24 +61,21 @@ class PartMotion:
     # radians: points go as far as the first and the turn times their arm. Then how far the path of the origin bends
     # from its velocity in the middle at most, and what an arm adds to that, times its length.
     reach: wp.array2d[vec6d]
-    # The first four of a pair of links against each other, with the turns that go with the arms of both; none where
-    # they go as far as both go.
-    relative_reach: wp.array2d[vec6d]
 
 
 @wp.struct
-class NearPairs:
+class PartPairs:
     """Pairs of parts that may touch, in no order; more than the capacity are counted, but not kept."""
 
     count: wp.array2d[wp.int64]  # [1, 1]
-    window: wp.array[wp.int64]  # the slice, times the windows it is halved into, plus the number of one of them
+    row: wp.array[wp.int32]  # the slice
     a: wp.array[wp.int32]
     b: wp.array[wp.int32]
 
 
 @wp.struct
-class Axes:
-    """Three directions."""
+class Sides:
+    """The directions of the sides of a box."""
 
     x: wp.vec3d
     y: wp.vec3d
@@ -93,11 +84,11 @@ class Axes:
 
 @wp.struct
 class PlacedNode:
-    """A node in the world, in the middle of a window."""
+    """A node in the world, in the middle of a slice."""
 
     centre: wp.vec3d
     velocity: wp.vec3d  # of the centre
-    axes: Axes
+    sides: Sides
     bend: wp.float64  # how far points may be from where the velocity of the centre takes it
 
 
@@ -110,32 +101,29 @@ def turned(q: wp.vec4d, x: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def in_axes(axes: Axes, x: wp.vec3d) -> wp.vec3d:
-    """A vector along each of three directions."""
-    return wp.vec3d(wp.dot(axes.x, x), wp.dot(axes.y, x), wp.dot(axes.z, x))
+def along_sides(sides: Sides, x: wp.vec3d) -> wp.vec3d:
+    """A vector along each side."""
+    return wp.vec3d(wp.dot(sides.x, x), wp.dot(sides.y, x), wp.dot(sides.z, x))
 
 
 @wp.func
-def placed(
-    trees: PartTrees, motion: PartMotion, row: int, window: int, share: wp.float64, link: int, n: int
-) -> PlacedNode:
+def placed(trees: PartTrees, motion: PartMotion, row: int, link: int, n: int) -> PlacedNode:
     """Node n of a link, or of a body that stands."""
     r = PlacedNode()
     r.centre = trees.centre[n]
-    r.axes.x = trees.axes[n, 0]
-    r.axes.y = trees.axes[n, 1]
-    r.axes.z = trees.axes[n, 2]
+    r.sides.x = trees.axes[n, 0]
+    r.sides.y = trees.axes[n, 1]
+    r.sides.z = trees.axes[n, 2]
     if link >= 0:
-        k = (window - 1) * motion.num_links + link
-        q = motion.rotation[row, k]
+        q = motion.rotation[row, link]
         reach = motion.reach[row, link]
         arm = turned(q, r.centre)
-        r.centre = motion.position[row, k] + arm
-        r.velocity = motion.velocity[row, k] + wp.cross(motion.omega[row, k], arm)
-        r.axes.x = turned(q, r.axes.x)
-        r.axes.y = turned(q, r.axes.y)
-        r.axes.z = turned(q, r.axes.z)
-        bent = (reach[4] + reach[5] * trees.arm[n]) * (share * share) + (reach[2] * share + reach[3]) * trees.radius[n]
+        r.centre = motion.position[row, link] + arm
+        r.velocity = motion.velocity[row, link] + wp.cross(motion.omega[row, link], arm)
+        r.sides.x = turned(q, r.sides.x)
+        r.sides.y = turned(q, r.sides.y)
+        r.sides.z = turned(q, r.sides.z)
+        bent = reach[4] + reach[5] * trees.arm[n] + (reach[2] + reach[3]) * trees.radius[n]
         r.bend = bent + reach[1] + reach[3] * trees.arm[n]
     return r
 
@@ -154,12 +142,10 @@ def along(size: wp.vec3d, d: wp.vec3d) -> wp.float64:
 
 @wp.struct
 class Separation:
-    """How far two nodes stay apart in a window along the best direction, and what takes how much of that."""
+    """How far two nodes stay apart in a slice along the best direction, and what motion and both nodes take of that."""
 
     least: wp.float64
-    moves: wp.float64
-    of_a: wp.float64
-    of_b: wp.float64
+    lost: wp.float64
 
 
 @wp.func
@@ -169,9 +155,7 @@ def better(best: Separation, apart: wp.float64, moves: wp.float64, of_a: wp.floa
     least = apart - moves - of_a - of_b
     if least > best.least:
         r.least = least
-        r.moves = moves
-        r.of_a = of_a
-        r.of_b = of_b
+        r.lost = moves + of_a + of_b
     return r
 
 
@@ -182,7 +166,6 @@ def separation(
     b: PlacedNode,
     m: int,
     n: int,
-    share: wp.float64,
     most: wp.float64,
     turns: wp.float64,
 ) -> Separation:
@@ -191,7 +174,7 @@ def separation(
     Spheres turn into themselves; the points of a box do not, and have longer arms than the centre.
     """
     apart = b.centre - a.centre
-    speed = share * (b.velocity - a.velocity)
+    speed = b.velocity - a.velocity
     bend = a.bend + b.bend
     radius_a = trees.radius[m]
     radius_b = trees.radius[n]
@@ -200,23 +183,21 @@ def separation(
     distance = wp.length(apart)
     r = Separation()
     r.least = distance - most - radius_a - radius_b
-    r.moves = most
-    r.of_a = radius_a
-    r.of_b = radius_b
+    r.lost = most + radius_a + radius_b
     most += turns
-    apart_a = in_axes(a.axes, apart)
-    apart_b = in_axes(b.axes, apart)
-    speed_a = in_axes(a.axes, speed)
-    speed_b = in_axes(b.axes, speed)
+    apart_a = along_sides(a.sides, apart)
+    apart_b = along_sides(b.sides, apart)
+    speed_a = along_sides(a.sides, speed)
+    speed_b = along_sides(b.sides, speed)
     if distance > _ZERO:
         moves = wp.min(most, wp.abs(wp.dot(apart, speed)) / distance + bend)
         towards_a = wp.min(radius_a, along(half_a, apart_a) / distance)
         towards_b = wp.min(radius_b, along(half_b, apart_b) / distance)
         r = better(r, distance, moves, towards_a, towards_b)
-    # the axes of a in those of b, and the other way round
-    x = in_axes(b.axes, a.axes.x)
-    y = in_axes(b.axes, a.axes.y)
-    z = in_axes(b.axes, a.axes.z)
+    # the sides of a along those of b, and the other way round
+    x = along_sides(b.sides, a.sides.x)
+    y = along_sides(b.sides, a.sides.y)
+    z = along_sides(b.sides, a.sides.z)
     of_b = wp.vec3d(along(half_b, x), along(half_b, y), along(half_b, z))
     x = wp.abs(x)
     y = wp.abs(y)
@@ -229,40 +210,36 @@ def separation(
 
 
 @wp.kernel
-def find_near_parts(
+def find_overlapping_parts(
     begin: int,
     # in
-    pairs: wp.array[wp.vec3i],  # two bodies, the first a link, and the row of ``relative_reach``, or -1
+    body_pairs: wp.array[wp.vec2i],  # the first is a link
     trees: PartTrees,
     motion: PartMotion,
     reach: wp.float64,
     stop: wp.array[wp.int32],
     # out
-    near: NearPairs,
+    pairs: PartPairs,
 ):
     """List the pairs of parts of a pair of bodies that may come within ``reach`` in a slice."""
     item = begin + wp.tid()
-    num_pairs = pairs.shape[0]
+    num_pairs = body_pairs.shape[0]
     row = item / num_pairs
-    pair = pairs[item % num_pairs]
-    link_a = trees.link[pair[0]]
-    link_b = trees.link[pair[1]]
-    first_a = trees.first[pair[0]]
-    first_b = trees.first[pair[1]]
-    inner_a = trees.num_parts[pair[0]] - 1  # so many nodes of the body have children
-    inner_b = trees.num_parts[pair[1]] - 1
-    last = wp.int32(1) << motion.num_halvings  # the first of the shortest windows
-    goes = motion.reach[row, link_a]
+    bodies = body_pairs[item % num_pairs]
+    link_a = trees.link[bodies[0]]
+    link_b = trees.link[bodies[1]]
+    first_a = trees.first[bodies[0]]
+    first_b = trees.first[bodies[1]]
+    inner_a = trees.num_parts[bodies[0]] - 1  # so many nodes of the body have children
+    inner_b = trees.num_parts[bodies[1]] - 1
+    goes_a = motion.reach[row, link_a]
     goes_b = vec6d()
     if link_b >= 0:
         goes_b = motion.reach[row, link_b]
-    goes = vec6d(goes[0] + goes_b[0], goes[1] + goes_b[1], goes[2], goes[3], goes_b[2], goes_b[3])
-    if pair[2] >= 0:
-        goes = motion.relative_reach[row, pair[2]]
+    turn_a = goes_a[2] + goes_a[3]
+    turn_b = goes_b[2] + goes_b[3]
     nodes_a = Stack()
     nodes_b = Stack()
-    windows = Stack()
-    windows[0] = 1
     size = wp.int32(1)
     while size > 0:
         if is_stopped(stop):
@@ -270,49 +247,33 @@ def find_near_parts(
         size -= 1
         a = nodes_a[size]
         b = nodes_b[size]
-        window = windows[size]
-        share = wp.float64(1.0)  # of half the slice that half the window is
-        w = window
-        while w > 1:
-            w = w >> 1
-            share = share * _HALF
         m = first_a + a
         n = first_b + b
-        of_a = placed(trees, motion, row, window, share, link_a, m)
-        of_b = placed(trees, motion, row, window, share, link_b, n)
-        turn_a = goes[2] * share + goes[3]
-        turn_b = goes[4] * share + goes[5]
-        most = goes[0] * share + goes[1] + turn_a * trees.arm[m] + turn_b * trees.arm[n]
+        node_a = placed(trees, motion, row, link_a, m)
+        node_b = placed(trees, motion, row, link_b, n)
+        most = goes_a[0] + goes_b[0] + (goes_a[1] + goes_b[1]) + turn_a * trees.arm[m] + turn_b * trees.arm[n]
         turns = turn_a * trees.radius[m] + turn_b * trees.radius[n]
-        found = separation(trees, of_a, of_b, m, n, share, most, turns)
-        lengths = reach + trees.thickness[m] + trees.thickness[n] + found.moves + found.of_a + found.of_b
-        rounding = _ERROR * (largest(of_a.centre) + largest(of_b.centre) + trees.radius[m] + trees.radius[n] + lengths)
-        if found.least > reach + trees.thickness[m] + trees.thickness[n] + rounding + _UNDERFLOW:
+        best = separation(trees, node_a, node_b, m, n, most, turns)
+        lengths = reach + trees.thickness[m] + trees.thickness[n] + best.lost
+        size_of_both = largest(node_a.centre) + largest(node_b.centre) + trees.radius[m] + trees.radius[n] + lengths
+        if best.least > reach + trees.thickness[m] + trees.thickness[n] + _ERROR * size_of_both + _UNDERFLOW:
             continue  # not where a number is none, which is near
         splits_a = a < inner_a
         splits_b = b < inner_b
-        if window < last and (not (splits_a or splits_b) or found.moves > wp.max(found.of_a, found.of_b)):
-            for k in range(2):
-                nodes_a[size] = a
-                nodes_b[size] = b
-                windows[size] = 2 * window + 1 - k
-                size += 1
-        elif splits_a and (not splits_b or trees.radius[m] >= trees.radius[n]):
+        if splits_a and (not splits_b or trees.radius[m] >= trees.radius[n]):
             for k in range(2):
                 nodes_a[size] = 2 * a + 2 - k
                 nodes_b[size] = b
-                windows[size] = window
                 size += 1
         elif splits_b:
             for k in range(2):
                 nodes_a[size] = a
                 nodes_b[size] = 2 * b + 2 - k
-                windows[size] = window
                 size += 1
         else:
-            place = claim(near.count, 0, 0, 1)
-            if place < wp.int64(near.a.shape[0]):
+            place = claim(pairs.count, 0, 0, 1)
+            if place < wp.int64(pairs.a.shape[0]):
                 k = wp.int32(place)
-                near.window[k] = wp.int64(row) * wp.int64(last) + wp.int64(window - last)
-                near.a[k] = trees.first_part[pair[0]] + a - inner_a
-                near.b[k] = trees.first_part[pair[1]] + b - inner_b
+                pairs.row[k] = row
+                pairs.a[k] = trees.first_part[bodies[0]] + a - inner_a
+                pairs.b[k] = trees.first_part[bodies[1]] + b - inner_b

@@ -27,7 +27,7 @@ def distinct(keys: NDArray[np.int64]) -> NDArray[np.int64]:
 
 
 class PartNodes(NamedTuple):
-    """Nodes of trees of parts (`near_parts`), those of a tree one after another.
+    """Nodes of trees of parts (`overlap`), those of a tree one after another.
 
     Attributes:
         centre: Centre of a sphere around each node, in the frame of its body, shape [N, 3].
@@ -67,20 +67,20 @@ class PartTrees:
         self._rows = [np.argsort(body, kind="stable") for body in bodies]  # by body, for each kind
         every = np.arange(mesh.num_bodies + 1)
         self._first = [np.searchsorted(body[rows], every) for body, rows in zip(bodies, self._rows, strict=True)]
-        found: dict[tuple[bytes, ...], int] = {}
+        tree_of_key: dict[tuple[bytes, ...], int] = {}
         self.of_body = np.zeros(mesh.num_bodies, dtype=np.intp)
         parts: list[Any] = []
         for body in range(mesh.num_bodies):
             of_vertices = slice(*mesh.body_vertex_range[body : body + 2])
-            own = [
+            corners_of_body = [
                 x[rows[first[body] : first[body + 1]]] - self._first_vertex[body]
                 for x, rows, first in zip(corners, self._rows, self._first, strict=True)
             ]
             thickness = b"" if mesh.radius is None else mesh.radius[of_vertices].tobytes()
-            key = (vertices[of_vertices].tobytes(), thickness, *(x.tobytes() for x in own))
-            self.of_body[body] = found.setdefault(key, len(found))
+            key = (vertices[of_vertices].tobytes(), thickness, *(x.tobytes() for x in corners_of_body))
+            self.of_body[body] = tree_of_key.setdefault(key, len(tree_of_key))
             if self.of_body[body] == len(parts):
-                parts.append(_halved(own, vertices[of_vertices]))
+                parts.append(_halved(corners_of_body, vertices[of_vertices]))
                 parts[-1][0][:] += self._first_vertex[body]
         # the primitives of all trees: vertices of the first body that has the tree, kinds, and numbers in the body
         self._corners, self._kind, self._number = (np.concatenate(x) for x in list(zip(*parts, strict=True))[:3])
@@ -98,20 +98,20 @@ class PartTrees:
     def primitives(
         self, body: NDArray[np.intp], number: NDArray[np.intp]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Primitives of bodies, by their numbers in the order of the parts of their bodies (`NearParts.primitives`)."""
+        """Primitives of bodies, by their numbers in the order of the parts of their bodies (`BodyParts.primitives`)."""
         tree = self.of_body[body]
         row = self._first_row[tree] + number
         corners = self._corners[row] + (self._first_vertex[body] - self._origin[tree])[:, None]
         kind, number = self._kind[row], self._number[row]
-        found = np.empty(len(row), dtype=np.intp)
-        for each, (rows, first) in enumerate(zip(self._rows, self._first, strict=True)):
-            own = kind == each
-            found[own] = rows[first[body[own]] + number[own]]
-        return corners, kind, found
+        primitive = np.empty(len(row), dtype=np.intp)
+        for kind_number, (rows, first) in enumerate(zip(self._rows, self._first, strict=True)):
+            is_of_kind = kind == kind_number
+            primitive[is_of_kind] = rows[first[body[is_of_kind]] + number[is_of_kind]]
+        return corners, kind, primitive
 
     def _nodes(self, vertices: NDArray[np.float64], radius: NDArray[np.float64] | None, num_nodes: int) -> PartNodes:
         """The nodes of all trees, level by level."""
-        found = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (), (3, 3), (3,), ())]
+        arrays = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (), (3, 3), (3,), ())]
         part = np.repeat(np.arange(len(self.begins) - 1), np.diff(self.begins))
         of_part, vertex = np.divmod(distinct((part[:, None] * len(vertices) + self._corners).ravel()), len(vertices))
         first_vertex = np.searchsorted(of_part, np.arange(len(self.begins)))
@@ -123,12 +123,12 @@ class PartTrees:
             step = self.num_parts[tree] // size
             part = self.first_part[tree] + number * step
             begin, end = first_vertex[part], first_vertex[part + step]
-            own = vertex[ranges(begin, end - begin)]
-            rows = _bounds(vertices[own], None if radius is None else radius[own], end - begin)
-            for values, row in zip(found, rows, strict=True):
+            node_vertices = vertex[ranges(begin, end - begin)]
+            rows = _bounds(vertices[node_vertices], None if radius is None else radius[node_vertices], end - begin)
+            for values, row in zip(arrays, rows, strict=True):
                 values[self.first_node[tree] + size - 1 + number] = row
             size *= 2
-        return PartNodes(*found)
+        return PartNodes(*arrays)
 
 
 def _halved(
@@ -169,9 +169,9 @@ def _bounds(
         spread[:, j, k] = spread[:, k, j] = np.add.reduceat(from_mean[j] * from_mean[k], starts)
     spread[~np.isfinite(spread).all(axis=(1, 2))] = 0.0
     upright = np.broadcast_to(np.eye(3), spread.shape)
-    found = [_box(columns, starts, node, axes) for axes in (upright, np.linalg.eigh(spread)[1].transpose(0, 2, 1))]
-    is_less = _surface(found[1][-1]) < _surface(found[0][-1])
-    best = [np.where(is_less.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(*found, strict=True)]
+    boxes = [_box(columns, starts, node, axes) for axes in (upright, np.linalg.eigh(spread)[1].transpose(0, 2, 1))]
+    is_less = _surface(boxes[1][-1]) < _surface(boxes[0][-1])
+    best = [np.where(is_less.reshape(-1, *[1] * (x.ndim - 1)), y, x) for x, y in zip(*boxes, strict=True)]
     thickness = np.zeros(len(counts)) if radii is None else np.maximum.reduceat(radii, starts)
     return *best, thickness
 
@@ -180,8 +180,8 @@ def _box(
     columns: NDArray[np.float64], starts: NDArray[np.intp], node: NDArray[np.intp], axes: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ...]:
     """Centre, arm, radius, axes and half sides of boxes along axes, shape [N, 3, 3], around the corners of nodes."""
-    own = _along(columns, node, axes)
-    lower, upper = (f.reduceat(own, starts, axis=1) for f in (np.minimum, np.maximum))
+    along_axes = _along(columns, node, axes)
+    lower, upper = (f.reduceat(along_axes, starts, axis=1) for f in (np.minimum, np.maximum))
     centre = np.einsum("nji,nj->ni", axes, (0.5 * lower + 0.5 * upper).T)
     from_centre = columns - centre.T[:, node]
     half = np.maximum.reduceat(np.abs(_along(from_centre, node, axes)), starts, axis=1).T * _UP

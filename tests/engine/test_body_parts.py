@@ -9,9 +9,9 @@ import warp as wp
 from laws.turning import turned
 
 import ccd_warp as ccd
-from ccd_warp._rigid import near_parts
-from ccd_warp._rigid.body_sweeps import BodySweeps
-from ccd_warp._rigid.near_parts import NearParts
+from ccd_warp._rigid.parts import overlap
+from ccd_warp._rigid.parts.bounds import SweptBounds
+from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
 
@@ -36,7 +36,7 @@ def test_points_keep_to_the_bounds_of_a_slice_and_come_near_them(path, scale, tu
     paths = ccd.RigidMotion(poses, twist=twist, path=path, within=within, **pivot)._body_paths
     begin = rng.uniform(0, 0.9, COUNT)
     end = begin + rng.uniform(0, 0.1, COUNT)
-    found = BodySweeps.of(paths, begin, end)
+    found = SweptBounds.of(paths, begin, end)
     points = rng.normal(size=(2 * COUNT, 3)) * rng.choice([0.0, 0.1, 10.0], (2 * COUNT, 1))
     arm, velocity, omega = np.linalg.norm(points, axis=1), found.velocity.reshape(-1, 3), found.omega.reshape(-1, 3)
     origin, error, turns, wrong, bend, bend_of_arm = found.reach.reshape(-1, 6).T
@@ -83,17 +83,17 @@ scene = pytest.fixture(bodies_and_boxes, scope="module")
 
 def near(parts, motion, begin, end, reach, slices=None):
     execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
-    return parts.near(motion, np.arange(SLICES) if slices is None else slices, begin, end, reach, execution)
+    return parts.overlapping(motion, np.arange(SLICES) if slices is None else slices, begin, end, reach, execution)
 
 
 @pytest.mark.parametrize("reach", [0.05, 0.2])
 def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(scene, reach, monkeypatch):
     mesh, motion = scene
-    parts = NearParts(mesh, mesh.vertices)
+    parts = BodyParts(mesh, mesh.vertices)
     assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
     # slices in several launches, and more pairs than the capacity at first
-    monkeypatch.setattr(near_parts, "_MOST_ITEMS", 5 * len(parts.pairs))
-    monkeypatch.setattr(near_parts, "_CAPACITY", 16)
+    monkeypatch.setattr(overlap, "_MOST_ITEMS", 5 * len(parts.pairs))
+    monkeypatch.setattr(overlap, "_CAPACITY", 16)
     rng = np.random.default_rng(5)
     begin = rng.uniform(0, 0.7, SLICES)
     end = begin + rng.uniform(0.01, 0.3, SLICES)
@@ -127,7 +127,7 @@ def test_parts_with_coordinates_that_are_no_numbers_are_near_everything(scene):
     mesh, motion = scene
     vertices, times = mesh.vertices.copy(), np.zeros(SLICES)
     vertices[5] = np.nan
-    parts = NearParts(mesh, vertices)
+    parts = BodyParts(mesh, vertices)
     _, a, b = near(parts, motion, times, times + 0.1, 0.0)
     corners = parts.primitives(np.arange(parts.begins[-1]))[0]
     wrong = np.flatnonzero([np.isnan(vertices[x]).any() for x in np.split(corners, parts.begins[1:-1])])
@@ -150,7 +150,7 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
     mesh = ccd.CollisionMesh.from_arrays(triangles, rigid=moving, static=static, self_collision=False)
     poses = np.concatenate([rng.normal(size=(count, 2, 3)), rng.normal(size=(count, 2, 4))], axis=2)
     twist = 0.6 * rng.normal(size=(count, 2, 6)) * rng.choice([0.0, 1.0], (count, 1, 6))
-    motion, parts = ccd.RigidMotion(poses[:, moving], twist=twist[:, moving]), NearParts(mesh, mesh.vertices)
+    motion, parts = ccd.RigidMotion(poses[:, moving], twist=twist[:, moving]), BodyParts(mesh, mesh.vertices)
     weights = np.array([(i, j, 12 - i - j) for i in range(13) for j in range(13 - i)]) / 12
     least, rows = np.full(count, np.inf), len(moving) * np.arange(count)
     for t in np.linspace(0, 1, 33):
@@ -172,8 +172,8 @@ def test_triangles_are_near_at_the_distance_to_which_they_come(arm, both_move):
 def test_many_bodies_meet_by_the_boxes_of_all_slices(radius, monkeypatch):
     """Which pairs of bodies are tested at all leaves out no pair of parts."""
     (mesh, motion), begin, found = bodies_and_boxes(radius), np.linspace(0, 0.7, SLICES), []
-    parts = NearParts(mesh, mesh.vertices)
+    parts = BodyParts(mesh, mesh.vertices)
     for many in (1 << 20, 1):
-        monkeypatch.setattr(near_parts, "_MANY", many)
+        monkeypatch.setattr(overlap, "_MANY", many)
         found.append({*zip(*(x.tolist() for x in near(parts, motion, begin, begin + 0.1, 0.05)), strict=True)})
     assert found[0] == found[1] and len(found[0]) > 100

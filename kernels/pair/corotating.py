@@ -33,13 +33,13 @@ Vec3 = simd.Vec3
 zero = wp.constant(wp.float64(0.0))
 two = wp.constant(wp.float64(2.0))
 quarter = wp.constant(wp.float64(0.25))
-frame_error = wp.constant(wp.float64(FRAME * UNIT_ROUNDOFF[wp.float64]))
+corotating_error = wp.constant(wp.float64(FRAME * UNIT_ROUNDOFF[wp.float64]))
 # How much longer a vector may be, in the maximum norm, that is turned by at most a slice.
 longest_turned = wp.constant(wp.float64(1.75))
 
 
 @wp.struct
-class Framed:
+class CorotatingWindow:
     """A window in the frame of the second body."""
 
     at_end: Points
@@ -105,17 +105,17 @@ def acceleration(of_x: Flow, of_q: Flow, z: Vec3, arcs: Arcs, h: Lanes) -> Lanes
 
 
 @simd.func
-def framed_point(q: Vec3, z: Vec3, spin: Vec3, h: Lanes) -> Vec3:
+def corotating_point(q: Vec3, z: Vec3, spin: Vec3, h: Lanes) -> Vec3:
     """y at the end of a window."""
     return q + turned(z, simd.minus(spin), h)
 
 
 @simd.func
-def framed_window(
+def corotating_window(
     kind: int, a: Points, b: Points, arcs: Arcs, at_begin: Points, at_end: Points, begin: Lanes, h: Lanes
-) -> Framed:
+) -> CorotatingWindow:
     """A window in the frame of the second body, from the points at its ends in the world."""
-    r = Framed()
+    r = CorotatingWindow()
     r.at_end = at_begin
     q = at_begin.p1
     q_end = at_end.p1
@@ -129,22 +129,22 @@ def framed_window(
     of_x = flow_of(a.p0, b.p0, arcs.v0, arcs.spin_a, begin)
     z = at_begin.p0 - q
     z_end = at_end.p0 - q_end
-    r.at_end.p0 = framed_point(q, z_end, arcs.spin_b, h)
+    r.at_end.p0 = corotating_point(q, z_end, arcs.spin_b, h)
     most = acceleration(of_x, of_q, z, arcs, h)
     size = simd.greatest(squared(z), squared(z_end))
     if kind == EDGE_EDGE:
         of_x = flow_of(a.p1, b.p1, arcs.v1, arcs.spin_a, begin)
         z = at_begin.p1 - q
         z_end = at_end.p1 - q_end
-        r.at_end.p1 = framed_point(q, z_end, arcs.spin_b, h)
+        r.at_end.p1 = corotating_point(q, z_end, arcs.spin_b, h)
         most = simd.greatest(most, acceleration(of_x, of_q, z, arcs, h))
         size = simd.greatest(size, simd.greatest(squared(z), squared(z_end)))
-    r.sagitta = eighth_up * h * h * most + frame_error * simd.square_root(size)
+    r.sagitta = eighth_up * h * h * most + corotating_error * simd.square_root(size)
     return r
 
 
 @simd.func
-def chosen(m: simd.Mask, a: Points, b: Points) -> Points:
+def selected(m: simd.Mask, a: Points, b: Points) -> Points:
     """The first points where the mask is set, the second elsewhere."""
     r = Points()
     r.p0 = simd.select(m, a.p0, b.p0)

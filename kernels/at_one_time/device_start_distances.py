@@ -1,4 +1,4 @@
-"""The holds of vertices (`hold`) in a line search on the device."""
+"""The start distances of vertices (`start_distance`) in a line search on the device."""
 
 import warp as wp
 
@@ -10,13 +10,13 @@ _INFINITY = wp.constant(wp.float64(float("inf")))
 
 
 @wp.kernel
-def clear_holds(
+def clear_start_distances(
     begin: int,
     # out
-    hold: wp.array[wp.float64],
+    start_distance: wp.array[wp.float64],
 ):
-    """Hold nothing."""
-    hold[begin + wp.tid()] = _INFINITY
+    """Let no vertex keep a distance."""
+    start_distance[begin + wp.tid()] = _INFINITY
 
 
 @wp.kernel
@@ -56,20 +56,20 @@ def note_near_bodies(
 
 
 @wp.kernel
-def keep_holds(
+def keep_start_distances(
     begin: int,
     # in
     m: Minima,
     # out
-    hold: wp.array[wp.float64],
+    start_distance: wp.array[wp.float64],
 ):
-    """Keep the holds that a search has found as minima of the vertices.
+    """Keep the start distances that a search has found as minima of the vertices.
 
     A pair beyond the capacity has lowered those of its vertices to 0, which would let others come as near: its world,
-    which has a flag, holds nothing.
+    which has a flag, keeps none.
     """
     v = begin + wp.tid()
     least = wp.cast(m.vertex[v], wp.float64)
     if (m.world_flags[world_of(m, v)] & PAIRS_OVERFLOW) != 0:
         least = _INFINITY
-    hold[v] = least
+    start_distance[v] = least

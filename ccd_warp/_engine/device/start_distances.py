@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Any
 import warp as wp
 
 from ccd_warp._engine.boxes.trees import search_options
-from ccd_warp._engine.mesh.hold_distance import corners_by_kind, hold_distance
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
+from ccd_warp._engine.mesh.start_distances import corners_by_kind, largest_start_distance
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._runtime.lanes import narrow_phase_on
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.at_one_time import device_hold as kernels
-from ccd_warp.kernels.narrow_phase.sinks import HOLD
+from ccd_warp.kernels.at_one_time import device_start_distances as kernels
+from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
 from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from ccd_warp._scene.input.options import Options
 
 
-class DeviceHold:
-    """The holds of the vertices in a line search, and the launches that find them.
+class DeviceStartDistances:
+    """How near vertices are to anything at the start of a line search, and the launches that find it.
 
     The first pass is strict. Where it finds a contact in a world that may start within its distance, the distances at
     the start are searched for there, and the pass is made again. All passes are solved in float64, each pair with a
     separation of its own: in float32 the margin of a pair would be lost anew in each search.
 
     Attributes:
-        hold: The hold of each vertex, infinite where nothing is held, float64, shape [V].
+        of_vertex: The start distance of each vertex, infinite where it keeps none, float64, shape [V].
         is_near: Whether the first pass has found such a contact, int32, shape [1].
     """
 
@@ -52,19 +52,20 @@ class DeviceHold:
         """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
         mesh, device = topology.mesh, topology.device
         self._topology, self._contacts = topology, contacts
-        self.hold: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
+        self.of_vertex: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
         self._near: wp.array = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
         self._world_near: wp.array = wp.empty(mesh.num_worlds, dtype=wp.int32, device=device)
         self.is_near: wp.array = wp.empty(1, dtype=wp.int32, device=device)
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
-        distance = hold_distance(mesh, options, mesh._largest_radius)
-        norm = norm_of(mesh, options, may_change=True, is_held=True, on_arcs=on_arcs)
+        distance = largest_start_distance(mesh, options, mesh._largest_radius)
+        norm = norm_of(mesh, options, may_change=True, keeps_start_distances=True, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
         self._narrow_phase = narrow_phase_on(device, exact.real, norm)
-        self._options = partial(exact.for_kernel, length_scale, stop=flag.array, radius=radii, hold=self.hold)
+        arrays: dict[str, Any] = {"stop": flag.array, "radius": radii, "start_distances": self.of_vertex}
+        self._options = partial(exact.for_kernel, length_scale, **arrays)
         # boxes of static bodies stay as they are, and those of the others make up for it
         inflation = next_above(stages.inflation + (distance - separation))
         self._of_start: dict[str, Any] = {
@@ -75,12 +76,12 @@ class DeviceHold:
         self._no_end: wp.array | None = wp.empty(0, dtype=wp.vec3d, device=device) if on_arcs else None
 
     def stages(self, stages: Stages) -> Stages:
-        """These stages, with pairs that are held."""
+        """These stages, with pairs that keep their start distances."""
         return replace(stages, narrow_phase=self._narrow_phase, options=self._options(turns=stages.turns))
 
     def record_begin(self, recording: Recording) -> None:
-        """Record that nothing is held."""
-        recording.launch(kernels.clear_holds, len(self.hold), inputs=[], outputs=[self.hold])
+        """Record that nothing keeps a start distance."""
+        recording.launch(kernels.clear_start_distances, len(self.of_vertex), inputs=[], outputs=[self.of_vertex])
         near = [self._near, self._world_near, self.is_near]
         recording.launch(kernels.clear_near, max(map(len, near)), inputs=[], outputs=near)
 
@@ -92,7 +93,7 @@ class DeviceHold:
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(
-            specialised("at_one_time.start_holds", norm=self._norm).note_near_contacts,
+            specialised("at_one_time.start_distances", norm=self._norm).note_near_contacts,
             len(contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), start, end, self._of_start["reach"], minima],
             outputs=[self._world_near],
@@ -100,12 +101,15 @@ class DeviceHold:
         inputs = [moving, self._world_near, minima]
         recording.launch(kernels.note_near_bodies, len(moving), inputs=inputs, outputs=[self._near, self.is_near])
 
-    def record_holds(
+    def record_distances(
         self, recording: Recording, stages: Stages, record_search: Callable[[Stages, wp.array], None]
     ) -> None:
-        """Record the launches that find the holds, after a reset; ``record_search`` records those of a search."""
+        """Record the launches that find the distances, after a reset; ``record_search`` records those of a search."""
         start = stages.step.vertices_t0
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
-        of_start.measure_pairs(recording, HOLD, self._norm)
-        recording.launch(kernels.keep_holds, len(self.hold), inputs=[stages.step.minima], outputs=[self.hold])
+        of_start.measure_pairs(recording, START_DISTANCE, self._norm)
+        outputs = [self.of_vertex]
+        recording.launch(
+            kernels.keep_start_distances, len(self.of_vertex), inputs=[stages.step.minima], outputs=outputs
+        )

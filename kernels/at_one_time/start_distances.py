@@ -1,8 +1,8 @@
-"""How near vertices are to anything at the start: where that matters, and the holds of `hold`.
+"""How near vertices are to anything at the start: where that matters, and a reset (`start_distance`).
 
 It matters where a contact starts within its distance; the least distance of a pair is proved in the norm of the
 separation. And it matters where a contact only passes by: a vertex that slides at its distance over a mesh starts a
-rounding beyond it, and meets a face that it was not near to a rounding within it. The holds themselves are lowered by
+rounding beyond it, and meets a face that it was not near to a rounding within it. The distances are lowered by
 `measure_pairs`, after a search at one time.
 """
 
@@ -95,10 +95,10 @@ def note_near_contacts(
 
 
 @wp.kernel
-def reset_holds(
+def reset_start_distances(
     begin: int,
     # out
     minima: Minima,
 ):
-    """Hold nothing."""
+    """Let no vertex keep a distance."""
     minima.vertex[begin + wp.tid()] = _INFINITY_BITS

@@ -1,8 +1,8 @@
 """Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
-A part has a sphere and a box in the frame of its body, which go with it (`part_trees`). Two parts cannot touch in a
-slice if in the middle of it they are farther apart than their points can come nearer in half of it (`_body_sweeps`).
-Trees of the parts of two bodies are tested from the top (`kernels.rigid.near_parts`).
+A part has a sphere and a box in the frame of its body, which go with it (`trees`). Two parts cannot touch in a
+slice if in the middle of it they are farther apart than their points can come nearer in half of it (`bounds`).
+Trees of the parts of two bodies are tested from the top (`kernels.rigid.part_overlap`).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.body_sweeps import BodySweeps
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.part_trees import PartTrees, distinct, ranges
+from ccd_warp._rigid.parts.bounds import SweptBounds
+from ccd_warp._rigid.parts.trees import PartTrees, distinct, ranges
 from ccd_warp._rigid.rotations import EPS, rotated
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
@@ -28,15 +28,15 @@ _MANY = 1 << 12  # pairs of bodies from which boxes say first which meet at all
 _ERROR = 1024.0 * EPS  # of these boxes, relative to their coordinates
 
 
-def spans(each: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+def spans(count: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
     """So many slices of [0, t_max] for each world: the world, the begin and the end of each slice."""
-    world = np.repeat(np.arange(len(each)), each)
-    number = np.arange(len(world)) - np.repeat(np.cumsum(each) - each, each)
-    begin, end = (t_max * (number + k) / each[world] for k in (0, 1))
-    return world, begin, np.where(number + 1 == each[world], t_max, end)
+    world = np.repeat(np.arange(len(count)), count)
+    number = np.arange(len(world)) - np.repeat(np.cumsum(count) - count, count)
+    begin, end = (t_max * (number + k) / count[world] for k in (0, 1))
+    return world, begin, np.where(number + 1 == count[world], t_max, end)
 
 
-class NearParts:
+class BodyParts:
     """The parts of the bodies of a mesh of one world, and which of them may touch.
 
     Attributes:
@@ -79,7 +79,7 @@ class NearParts:
         keys = distinct(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
-    def near(
+    def overlapping(
         self,
         motion: RigidMotion,
         world: NDArray[np.intp],
@@ -106,28 +106,28 @@ class NearParts:
         are in such a pair; and a primitive that comes so near to a half-space is in a pair of its part with itself.
         That holds for slices whose ends are off by a few units in the last place of 1.
         """
-        found: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
+        near_pairs: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
         if len(self.pairs):
-            each = max(1, min(_MOST_ITEMS // len(self.pairs), _MOST_POSES // motion.num_bodies))
+            slices_at_once = max(1, min(_MOST_ITEMS // len(self.pairs), _MOST_POSES // motion.num_bodies))
             capacity = _CAPACITY
-            for first in range(0, len(world), each):
-                some = slice(first, first + each)
-                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
+            for first in range(0, len(world), slices_at_once):
+                some = slice(first, first + slices_at_once)
+                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
                 near, capacity = self._near(swept, reach, execution, capacity)
-                found.append((near[0] + first, *near[1:]))
+                near_pairs.append((near[0] + first, *near[1:]))
         if len(self.mesh.planes):
             rigid = np.flatnonzero(self.mesh.rigid)
-            each = max(1, _MOST_POSES // motion.num_bodies)
-            for first in range(0, len(world), each):
-                some = slice(first, first + each)
-                swept = BodySweeps.of(motion._of_worlds(world[some]), begin[some], end[some])
+            slices_at_once = max(1, _MOST_POSES // motion.num_bodies)
+            for first in range(0, len(world), slices_at_once):
+                some = slice(first, first + slices_at_once)
+                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
                 row, part = self._near_planes(swept, rigid, reach)
-                found.append((first + row, *2 * [part.astype(np.int32)]))
-        of_slice, a, b = (np.concatenate(x) for x in zip(*found, strict=True))
+                near_pairs.append((first + row, *2 * [part.astype(np.int32)]))
+        of_slice, a, b = (np.concatenate(x) for x in zip(*near_pairs, strict=True))
         return of_slice, a, b
 
     def _near_planes(
-        self, swept: BodySweeps, rigid: NDArray[np.intp], reach: float
+        self, swept: SweptBounds, rigid: NDArray[np.intp], reach: float
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Slices, and parts of rigid bodies that may meet a half-space in them: bodies first, then their parts."""
         trees = self._trees
@@ -144,10 +144,10 @@ class NearParts:
         return row[near], part[near]
 
     def _meets_plane(
-        self, swept: BodySweeps, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
+        self, swept: SweptBounds, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
     ) -> NDArray[np.bool_]:
         """Whether nodes of rigid bodies may come within a distance of the solid of a half-space in slices."""
-        nodes, found = self._trees.nodes, np.zeros(len(row), dtype=bool)
+        nodes, is_near = self._trees.nodes, np.zeros(len(row), dtype=bool)
         with np.errstate(all="ignore"):
             rotation, origin = swept.rotation[row, number], swept.position[row, number]
             centre = origin + rotated(rotation, nodes.centre[node])
@@ -161,54 +161,52 @@ class NearParts:
                 box = (np.abs(np.einsum("nij,nj->ni", nodes.axes[node], sides)) * nodes.half[node]).sum(axis=1)
                 least = height - moved - np.minimum(radius, box + turned) - nodes.thickness[node] - reach
                 size = np.abs(centre).max(axis=1) + np.abs(point).max() + np.abs(height) + moved + radius
-                found |= ~(least > _ERROR * size)  # also where a number is none
-        return found
+                is_near |= ~(least > _ERROR * size)  # also where a number is none
+        return is_near
 
     def _near(
-        self, swept: BodySweeps, reach: float, execution: Execution, capacity: int
+        self, swept: SweptBounds, reach: float, execution: Execution, capacity: int
     ) -> tuple[list[NDArray[Any]], int]:
         """The pairs in some slices, and the capacity for them from now on."""
-        from ccd_warp.kernels.rigid import near_parts as kernels  # few programs need it
+        from ccd_warp.kernels.rigid import part_overlap as kernels  # few programs need it
 
         def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
             return wp.array(values, dtype=dtype, device=execution.device, copy=execution.is_cuda)
 
         num_slices = len(swept.position)
-        given = kernels.PartMotion()  # slices are not halved, and nothing is known of bodies against each other
-        given.num_links, given.num_halvings = swept.position.shape[1], 0
-        given.position, given.velocity, given.omega = (
+        motion = kernels.PartMotion()
+        motion.position, motion.velocity, motion.omega = (
             on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
         )
-        given.rotation = on_device(swept.rotation, wp.vec4d)
-        given.reach = on_device(swept.reach, kernels.vec6d)
-        given.relative_reach = wp.zeros((num_slices, 0), dtype=kernels.vec6d, device=execution.device)
-        chosen = self.pairs
-        if len(chosen) > _MANY:
-            chosen = chosen[self._meet(swept, reach)]
-        given_pairs = np.column_stack([chosen, np.full(len(chosen), -1)])
-        pairs: wp.array = wp.array(given_pairs, dtype=wp.vec3i, device=execution.device)
-        num_items, trees, stop = num_slices * len(chosen), self._trees_on(execution.device), execution.flag
+        motion.rotation = on_device(swept.rotation, wp.vec4d)
+        motion.reach = on_device(swept.reach, kernels.vec6d)
+        of_bodies = self.pairs
+        if len(of_bodies) > _MANY:
+            of_bodies = of_bodies[self._meet(swept, reach)]
+        body_pairs: wp.array = wp.array(of_bodies, dtype=wp.vec2i, device=execution.device)
+        num_items, trees, stop = num_slices * len(of_bodies), self._trees_on(execution.device), execution.flag
         assert stop is not None
         while True:
-            near = kernels.NearPairs()
-            near.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
-            near.window = wp.empty(capacity, dtype=wp.int64, device=execution.device)
-            near.a, near.b = (wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(2))
+            pairs = kernels.PartPairs()
+            pairs.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
+            pairs.row, pairs.a, pairs.b = (
+                wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(3)
+            )
             execution.launch(
-                kernels.find_near_parts,
+                kernels.find_overlapping_parts,
                 num_items,
-                inputs=[pairs, trees, given, reach, stop.array],
-                outputs=[near],
+                inputs=[body_pairs, trees, motion, reach, stop.array],
+                outputs=[pairs],
                 grain=256,
                 parts_per_thread=8,
                 is_long=lambda: num_items > _LONG,
             )
-            found = int(near.count.numpy()[0, 0])
-            if found <= capacity:
-                return [x.numpy()[:found].copy() for x in (near.window, near.a, near.b)], capacity
-            capacity = found + found // 8
+            count = int(pairs.count.numpy()[0, 0])
+            if count <= capacity:
+                return [x.numpy()[:count].copy() for x in (pairs.row, pairs.a, pairs.b)], capacity
+            capacity = count + count // 8
 
-    def _meet(self, swept: BodySweeps, reach: float) -> NDArray[np.bool_]:
+    def _meet(self, swept: SweptBounds, reach: float) -> NDArray[np.bool_]:
         """Which pairs of bodies meet by the boxes around them in all slices."""
         trees, count = self._trees, self.mesh.num_bodies
         root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
@@ -228,15 +226,15 @@ class NearParts:
             wide = _ERROR * (np.abs(lower) + np.abs(upper) + arm[:, None] + size[:, None])
             lower, upper = lower - wide, upper + wide
             a, b = self.pairs.T
-            found = np.ones(len(a), dtype=bool)
+            meets = np.ones(len(a), dtype=bool)
             for k in range(3):  # what is no number meets all
-                found &= ~((lower[a, k] > upper[b, k]) | (lower[b, k] > upper[a, k]))
-        return found
+                meets &= ~((lower[a, k] > upper[b, k]) | (lower[b, k] > upper[a, k]))
+        return meets
 
     def _trees_on(self, device: Any) -> Any:
         """The trees on a device."""
         if str(device) not in self._on_device:
-            from ccd_warp.kernels.rigid import near_parts as kernels
+            from ccd_warp.kernels.rigid import part_overlap as kernels
 
             trees = self._trees
             arrays = {
@@ -246,11 +244,11 @@ class NearParts:
                 "link": np.where(self.mesh.rigid, self.row_of, -1),
                 **trees.nodes._asdict(),
             }
-            found = kernels.PartTrees()
+            part_trees = kernels.PartTrees()
             for name, values in arrays.items():
                 dtype = wp.int32 if values.dtype == np.intp else wp.float64 if values.ndim == 1 else wp.vec3d
-                setattr(found, name, wp.array(values, dtype=dtype, device=device))
-            self._on_device[str(device)] = found
+                setattr(part_trees, name, wp.array(values, dtype=dtype, device=device))
+            self._on_device[str(device)] = part_trees
         return self._on_device[str(device)]
 
 

@@ -1,7 +1,7 @@
 """Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
 
-Slices of all worlds are tested by boxes (`near_parts`), and the parts that may touch in some slice of a world are the
-bodies of this world in a mesh of parts (`part_mesh`), along the paths of the whole bodies: so the answers are those of
+Slices of all worlds are tested by boxes (`overlap`), and the parts that may touch in some slice of a world are the
+bodies of this world in a mesh of parts (`mesh`), along the paths of the whole bodies: so the answers are those of
 whole bodies, in every bit.
 """
 
@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 
 from ccd_warp._rigid.mesh_paths import TURN_OF_A_SLICE, MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.near_parts import NearParts, spans
-from ccd_warp._rigid.part_mesh import MOST_BODIES, PartMesh, rows_within
-from ccd_warp._rigid.part_trees import distinct, ranges
+from ccd_warp._rigid.parts.mesh import MOST_BODIES, PartMesh, rows_within
+from ccd_warp._rigid.parts.overlap import BodyParts, spans
+from ccd_warp._rigid.parts.trees import distinct, ranges
 from ccd_warp._runtime.launch import Execution
 
 _T = TypeVar("_T")
 _MOST_ROWS = 1 << 19  # primitives of a mesh of parts
 
 
-class NearWorlds:
+class WorldsOfParts:
     """The parts of all worlds of a motion, for a mesh of one, that may touch.
 
     Attributes:
@@ -32,7 +32,7 @@ class NearWorlds:
 
     def __init__(
         self,
-        parts: NearParts,
+        parts: BodyParts,
         motion: RigidMotion,
         t_max: float,
         reach: float,
@@ -44,16 +44,16 @@ class NearWorlds:
         self.parts = parts
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
         turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
-        each = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
-        of_slice, begin, end = spans(each, t_max)
-        slices, a, b = self.parts.near(motion, of_slice, begin, end, reach, execution)
+        num_slices = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
+        of_slice, begin, end = spans(num_slices, t_max)
+        slices, a, b = self.parts.overlapping(motion, of_slice, begin, end, reach, execution)
         count = len(self.parts.body)
         of_pair = of_slice[slices] * count
         self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
         self._sizes = np.diff(self.parts.begins)[self._part]
         self.num_primitives = int(self._sizes.sum())
 
-    def each(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
+    def search(self, work: Callable[[PartMesh, MeshPaths], _T]) -> Iterator[tuple[NDArray[np.intp], PartMesh, _T]]:
         """What some work on a mesh finds, along paths, for some worlds at a time; of the others nothing is near."""
         first, sizes = self.parts.begins, self._sizes
         worlds, start = np.unique(self._world, return_index=True)
@@ -68,10 +68,10 @@ class NearWorlds:
                 for of, most in ((before, self._most_rows), (bodies, MOST_BODIES))
             )
             last = min(max(k + 1, min(fits)), len(worlds))
-            chosen, rows = worlds[k:last], slice(bounds[k], bounds[last])
-            of_part = np.searchsorted(chosen, self._world[rows])
-            own, counts = self._part[rows], sizes[rows]
-            parts = PartMesh.of(self.parts, len(chosen), np.repeat(of_part, counts), ranges(first[own], counts))
-            given = self._motion._of_worlds(chosen).rows(np.flatnonzero(parts.is_used.ravel()))
-            yield chosen, parts, work(parts, MeshPaths.of_checked(parts.mesh, given, turn=self._turn))
+            batch, rows = worlds[k:last], slice(bounds[k], bounds[last])
+            of_part = np.searchsorted(batch, self._world[rows])
+            part, counts = self._part[rows], sizes[rows]
+            parts = PartMesh.of(self.parts, len(batch), np.repeat(of_part, counts), ranges(first[part], counts))
+            paths = self._motion._of_worlds(batch).rows(np.flatnonzero(parts.is_used.ravel()))
+            yield batch, parts, work(parts, MeshPaths.of_checked(parts.mesh, paths, turn=self._turn))
             k = last

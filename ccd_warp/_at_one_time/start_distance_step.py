@@ -1,0 +1,72 @@
+"""How near vertices are to anything at the start of a step, and in which worlds it matters."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from ccd_warp._at_one_time.proximity_step import StepAtOneTime
+from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
+from ccd_warp._engine.mesh.start_distances import corners_by_kind
+from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._results.results import Contacts
+from ccd_warp._runtime.launch import Execution
+from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
+from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.template import specialised
+
+
+class StartDistanceStep(StepAtOneTime):
+    """The start distance of each vertex."""
+
+    goal = "start distances"
+
+    def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
+        """Begin at the first of these positions; the others are those at the end of the step."""
+        super().__init__(workspace, positions, *arguments)
+        self._end = positions[1]
+
+    def norm(self) -> str:
+        """The norm of separations."""
+        return norm_of(self.mesh, self.options)
+
+    def start_distances(self, distance: float) -> NDArray[np.float64]:
+        """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
+        from ccd_warp.kernels.at_one_time import start_distances as kernels  # few programs need it
+
+        plan = self.search(distance)
+        minima = self.workspace.contacts.minima
+        with self.timed("pairs"):
+            self.execution.launch(kernels.reset_start_distances, self.mesh.num_vertices, inputs=[], outputs=[minima])
+            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            batches = plan.batches(self.capacity())
+        return self.least_of_vertices(plan, batches, START_DISTANCE)
+
+    def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
+        """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
+
+        Or passes by on a straight way to the positions at the end.
+        """
+        topology, device = self.topology, self.topology.device
+        near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
+        if len(contacts):
+            values = {"kind": wp.int32, "primitives": wp.vec2i}
+            listed: list[wp.array] = [
+                wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
+            ]
+            count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
+            x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
+            x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
+            kept = self.options.separation(length_scale_of(self.mesh, self.options))
+            reach = reach_of(topology.radius, distance, self.workspace.flag.array, kept)
+            self.execution = Execution(device, self.options.threads, self.workspace.flag)
+            kernels = specialised("at_one_time.start_distances", norm=shape_of(self.norm()))
+            self.execution.launch(
+                kernels.note_near_contacts,
+                len(contacts),
+                inputs=[count, *listed, *corners_by_kind(topology), x, x_t1, reach, self.workspace.contacts.minima],
+                outputs=[near],
+            )
+        return near.numpy() != 0

@@ -1,0 +1,248 @@
+"""Launches of a pipeline: its steps on the device, their capacities, and where static bodies stand."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from ccd_warp._calls.motions import paths_of
+from ccd_warp._engine.device.input import PreparedLaunch
+from ccd_warp._engine.device.line_search import DeviceLineSearch
+from ccd_warp._engine.device.step import MOST_CONTACTS, MOST_PAIRS, Capacities, DeviceStep
+from ccd_warp._engine.host.oddities import DistanceInEdges
+from ccd_warp._engine.mesh.scene import length_scale_of, possible_kinds
+from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._results.device_results import LaunchResult
+from ccd_warp._rigid.affine_motion import AffineMotion
+from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.tape import wants_gradient
+from ccd_warp._scene.input.arguments import check_count, shown
+from ccd_warp._scene.input.interop import without_worlds
+from ccd_warp._scene.input.options import Options, naming
+
+if TYPE_CHECKING:
+    from ccd_warp._gradients.line_search_tape import TapedLineSearch
+    from ccd_warp._gradients.toi_tape import TapedLaunch
+    from ccd_warp._rigid.arc_step import DeviceArcStep
+
+_DeviceStepT = TypeVar("_DeviceStepT", bound=Any)
+# Warns once of a distance of pairs that is many edges long, with a message that is made only then.
+Warn = Callable[[Callable[[], str]], None]
+
+
+class Launches:
+    """Steps on the device, which a launch takes out while it uses them and puts back only if it succeeds.
+
+    One thread at a time calls them.
+
+    Attributes:
+        capacities: Those of the steps.
+    """
+
+    def __init__(self, topology: Topology, options: Options) -> None:
+        """Have no step yet."""
+        self._topology, self._mesh, self._options = topology, topology.mesh, options
+        self.capacities = Capacities.default(self._mesh)
+        self._layout = self._mesh._vertices_in_space
+        self._step: DeviceLineSearch | None = None
+        self._arc_step: DeviceArcStep | None = None  # of launches with a motion
+        self._at_one_time: dict[type, Any] = {}
+        self._interrupted: DeviceStep | None = None  # the step of a launch that was interrupted
+        self._is_placing = False  # whether that launch may have moved some of the static bodies
+        self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
+        self._is_distance_checked = False  # at the positions of a launch
+
+    @lazy_property
+    def radius(self) -> wp.array | None:
+        """The radii of the vertices; None if the mesh was made without."""
+        radius = self._mesh.radius
+        return None if radius is None else self._topology.array(radius, wp.float64)
+
+    def set_capacities(self, max_pairs: int | None, max_contacts: int | None) -> None:
+        """Let steps that are made from now on have these capacities, where they are given."""
+        self.capacities = self._with_capacities(max_pairs, max_contacts)
+
+    def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
+        capacities = self.capacities
+        if max_pairs is not None:
+            capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
+        if max_contacts is not None:
+            capacities = replace(capacities, max_contacts=check_count("max_contacts", max_contacts, MOST_CONTACTS))
+        return capacities
+
+    def reserve(
+        self, max_pairs: int | None, max_contacts: int | None, vertices: ArrayLike | None, warn: Warn
+    ) -> LaunchResult:
+        """Make the device step (:meth:`ccd_warp.CollisionPipeline.reserve`)."""
+        if self._topology.device.is_capturing:
+            raise RuntimeError("a graph is being captured; call reserve() before the capture")
+        with naming("reserve"):
+            capacities = self._with_capacities(max_pairs, max_contacts)
+        layout = None
+        if vertices is not None:
+            layout = self._mesh._in_space(self._mesh._placed(self._mesh.frame(vertices, "vertices").copy()))
+        self._check_distance(lambda: self._layout if layout is None else layout, warn)
+        return self._make_step(capacities, layout).result
+
+    def _check_distance(self, start: Callable[[], NDArray[np.float64]], warn: Warn) -> None:
+        """Warn once of a distance of pairs that is many edges long at the start positions of launches."""
+        separation = self._options.separation(length_scale_of(self._mesh, self._options))
+        if not separation > 0.0 and self._mesh.radius is None:
+            return
+        radius = None if self.radius is None else self.radius.numpy()
+        distance = DistanceInEdges.of(self._topology, start(), separation, radius, self._mesh.exclusion_rings)
+        if distance is not None:
+            warn(distance.described)
+
+    def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch, warn: Warn) -> None:
+        """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
+        if not self._topology.device.is_capturing:
+            self._check_distance(lambda: step.start_of(prepared), warn)
+            self._is_distance_checked = True
+
+    def _make_step(self, capacities: Capacities, layout: NDArray[np.float64] | None) -> DeviceLineSearch:
+        """Make the device step, laid out for other positions if they are given."""
+        before = self._step or self._interrupted
+        placed = self._layout if before is None else before.static_positions()
+        is_new_layout = layout is not None
+        if layout is not None:
+            placed = layout
+        layout = self._layout if layout is None else layout
+        try:
+            arguments = self._topology, self._options, capacities, layout, placed, self.radius
+            step = _made(DeviceLineSearch, *arguments)
+        except RuntimeError as error:  # of Warp; what it has allocated so far is freed
+            if "allocate" not in str(error):
+                raise
+            num_kinds = len(possible_kinds(self._mesh, self._options))
+            least = capacities.num_bytes(num_kinds, is_cuda=self._topology.device.is_cuda)
+            raise MemoryError(
+                f"max_pairs is {capacities.max_pairs:,} and max_contacts is {capacities.max_contacts:,}, which take "
+                f"{least:,} bytes on {self._topology.device.alias} besides the boxes; expected capacities for which "
+                f"it has memory"
+            ) from error
+        if placed is layout:
+            self._is_placing = False
+        if is_new_layout:
+            self._placed_by = None
+        elif self._placed_by is not None and not self._placed_by.on_arcs:
+            self._placed_by = step
+        self.capacities, self._layout, self._step = capacities, layout, step
+        self._at_one_time.clear()
+        self._arc_step = None
+        return step
+
+    def launch(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None, warn: Warn, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
+        given = vertices_t0, vertices_t1
+        is_taped = wants_gradient(*given, self.radius)
+        if is_taped and motion is not None:
+            raise ValueError(
+                "a launch with a motion is not recorded, and an array on the tape requires a gradient; expected none "
+                "that does, or no tape, and for gradients result.to_host().contacts.toi_gradient(), which "
+                "motion.gradient_by_poses() and gradient_by_twist() take"
+            )
+        name_t1 = arguments.get("name_t1", "vertices_t1")
+        vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self._mesh.rows_by_world, self._mesh.dimension)
+        vertices_t1 = without_worlds(vertices_t1, name_t1, self._mesh.rows_by_world, self._mesh.dimension)
+        if motion is not None:
+            return self._launch_on_arcs(vertices_t0, vertices_t1, motion, warn, **arguments)
+        if self._step is None and self._topology.device.is_capturing:
+            raise RuntimeError("nothing is reserved; call reserve() before the capture")
+        step = self._step or self._make_step(self.capacities, None)
+        prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
+        if not self._is_distance_checked:
+            self._check_first_distance(step, prepared, warn)
+        taped = self._taped(step, prepared, given) if is_taped else None
+        if self._is_placing and not prepared.places_static:
+            raise RuntimeError(
+                "a launch was interrupted while it placed static bodies; "
+                "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
+            )
+        self._check_places(step, prepared)
+        self._interrupted, self._is_placing = step, prepared.places_static
+        self._step = None
+        result = (step if taped is None else taped).launch(prepared)
+        self._step = step
+        self._interrupted, self._is_placing = None, False
+        return step.result if result is None else result
+
+    def _launch_on_arcs(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, warn: Warn, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on the device step of bodies that turn, which the first such launch makes."""
+        from ccd_warp._rigid.arc_step import DeviceArcStep  # few programs need it
+
+        if isinstance(motion, AffineMotion):
+            raise ValueError(
+                f"motion is {shown(motion)}; expected a RigidMotion for a launch, or vertices_t0 and vertices_t1 at "
+                f"motion.positions_t0 and motion.positions_t1, between which they move straight, and no motion"
+            )
+        mesh = self._mesh
+        paths = paths_of(mesh, self._options, motion)
+        step, self._arc_step = self._arc_step, None
+        if step is None:
+            if self._topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
+            layout = paths.at(mesh, mesh._vertices_in_space, mesh._vertices_in_space, 0.0)
+            of_step = self._topology, self._options, self.capacities, layout, self._layout, self.radius
+            step = _made(DeviceArcStep, *of_step)
+        prepared = step.prepare_on_paths(vertices_t0, vertices_t1, paths, **arguments)
+        if not self._is_distance_checked:
+            self._check_first_distance(step, prepared, warn)
+        self._check_places(step, prepared)
+        step.launch_on_paths(prepared, motion, paths)
+        self._arc_step = step
+        return step.result
+
+    def _check_places(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
+        """Check that a step knows where static bodies stand; launches with and without a motion keep places apart."""
+        if prepared.places_static:
+            self._placed_by = step
+        elif self._placed_by is not None and self._placed_by is not step:
+            raise RuntimeError(
+                "static bodies were placed by a launch with a motion, and now there is none, or the other way round; "
+                "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
+            )
+
+    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> "TapedLaunch | TapedLineSearch":
+        """A launch, or a line search, that is recorded on the active tape."""
+        taped: Any
+        if prepared.form.line_search is None:
+            from ccd_warp._gradients.toi_tape import TapedLaunch as taped  # few programs need them
+        else:
+            from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
+        return taped(step, prepared, given, self.radius)
+
+    def launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
+        """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
+        for name, array in (("positions", positions), ("radius", self.radius)):
+            if wants_gradient(array):
+                raise ValueError(
+                    f"{name} requires a gradient and a tape is recording, but this launch finds no times of impact, "
+                    "which alone have gradients; expected an array that requires none, or no tape"
+                )
+        step = self._at_one_time.get(kind)
+        if step is None:
+            if self._topology.device.is_capturing:
+                raise RuntimeError("a graph is being captured, and this launch was not called before the capture")
+            of_step = self._topology, self._options, self.capacities, self._layout, self.radius
+            step = _made(kind, *of_step)
+        prepared = step.prepare_positions(positions)
+        self._at_one_time.pop(kind, None)
+        step.launch_within(prepared, step.values(length))
+        self._at_one_time[kind] = step
+        return step.arrays
+
+
+def _made(kind: Callable[..., _DeviceStepT], *arguments: Any) -> _DeviceStepT:
+    """A step on the device whose arrays are filled already: the stream that reads them first may be another one."""
+    step = kind(*arguments)
+    wp.synchronize_device(step.topology.device)
+    return step

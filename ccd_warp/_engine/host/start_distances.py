@@ -1,0 +1,70 @@
+"""How near vertices are to anything at the start of a step, found where something starts within its distance."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ccd_warp._engine.host.course import Ends
+from ccd_warp._engine.host.one_process import OneProcess
+from ccd_warp._results.contacts import Contacts
+
+_Positions = NDArray[np.float64]
+
+
+class StartDistances:
+    """What a call asks that shortens a step, where pairs keep a distance within which they may start.
+
+    A step is strict until something is known to start within its distance, as hardly anything does.
+    """
+
+    def __init__(
+        self,
+        distance: float,
+        vertex_world: NDArray[np.int32],
+        on_step: Callable[[Callable[[Any], Any], _Positions, _Positions], Any],
+        everywhere: OneProcess | None = None,
+    ) -> None:
+        """Of vertices in worlds, here and ``everywhere``.
+
+        Args:
+            distance: Up to which distance it matters how near vertices are, radii besides.
+            vertex_world: The world of each vertex.
+            on_step: Does some work on a ``StartDistanceStep`` between two positions.
+            everywhere: The processes that share the mesh; by default this one alone.
+        """
+        self._distance, self._vertex_world, self._on_step = distance, vertex_world, on_step
+        self._everywhere = everywhere or OneProcess()
+
+    def of(self, start: _Positions) -> _Positions | None:
+        """How near each vertex is to anything, inf beyond the distance, shape [V]; None where that is so of all."""
+        distances = self._search(start)
+        return None if self._everywhere.all(not np.isfinite(distances).any()) else distances
+
+    def of_worlds_near(self, start: _Positions, ends: Ends, contacts: Contacts) -> _Positions | None:
+        """The same in worlds where one of all contacts of a step starts within its distance, or passes by at it.
+
+        Such a contact is one whichever way its vertices move. ``start`` are the positions in the world. Other worlds
+        have inf, as worlds do not depend on each other; None where all are such.
+        """
+        if self._everywhere.all(not len(contacts)):
+            return None
+        is_straight, distance = ends.paths is None, self._distance
+        near = self._on_step(
+            lambda step: step.worlds_near(contacts, distance, is_straight=is_straight),
+            start,
+            ends.end if is_straight else start,
+        )
+        is_near = self._everywhere.least(np.where(near, 0.0, 1.0)) == 0.0
+        if not is_near.any():
+            return None
+        distances = self._search(start)
+        distances[~is_near[self._vertex_world]] = np.inf
+        return distances
+
+    def _search(self, start: _Positions) -> _Positions:
+        distance = self._distance
+        return self._everywhere.least_of_vertices(
+            self._on_step(lambda step: step.start_distances(distance), start, start)
+        )
