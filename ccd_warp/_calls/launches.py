@@ -140,8 +140,8 @@ class Launches:
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None, warn: Warn, **arguments: Any
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
-        given = vertices_t0, vertices_t1
-        is_taped = wants_gradient(*given, self.radius)
+        positions = vertices_t0, vertices_t1
+        is_taped = wants_gradient(*positions, self.radius)
         if is_taped and motion is not None:
             raise ValueError(
                 "a launch with a motion is not recorded, and an array on the tape requires a gradient; expected none "
@@ -159,7 +159,7 @@ class Launches:
         prepared = step.prepare(vertices_t0, vertices_t1, **arguments, is_taped=is_taped)
         if not self._is_distance_checked:
             self._check_first_distance(step, prepared, warn)
-        taped = self._taped(step, prepared, given) if is_taped else None
+        taped = self._taped(step, prepared, positions) if is_taped else None
         if self._is_placing and not prepared.places_static:
             raise RuntimeError(
                 "a launch was interrupted while it placed static bodies; "
@@ -211,14 +211,16 @@ class Launches:
                 "pass vertices_t0 with a row for every vertex, or call reserve(vertices=...)"
             )
 
-    def _taped(self, step: DeviceLineSearch, prepared: PreparedLaunch, given: Any) -> "TapedLaunch | TapedLineSearch":
+    def _taped(
+        self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: Any
+    ) -> "TapedLaunch | TapedLineSearch":
         """A launch, or a line search, that is recorded on the active tape."""
         taped: Any
         if prepared.form.line_search is None:
             from ccd_warp._gradients.toi_tape import TapedLaunch as taped  # few programs need them
         else:
             from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
-        return taped(step, prepared, given, self.radius)
+        return taped(step, prepared, positions, self.radius)
 
     def launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
         """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""

@@ -97,8 +97,8 @@ def find_candidates(
     boxes of two primitives that come within ``inflation`` of each other (L∞) during the step overlap; where there are
     radii, those of two that come within ``inflation`` and both radii.
     """
-    chosen = options_of("find_candidates", CandidateOptions, options, others=["inflation", "motion"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("find_candidates", CandidateOptions, options, others=["inflation", "motion"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation, motion=motion)
 
 
@@ -147,8 +147,8 @@ def find_intersections(
     Guarantee: every pair that passes the filter and intersects is found, exactly once, and no other pair, for all
     finite positions. Float64 decides where a bound on its errors allows it, and integer arithmetic everything else.
     """
-    chosen = options_of("find_intersections", IntersectionOptions, options)
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("find_intersections", IntersectionOptions, options)
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_intersections(positions)
 
 
@@ -187,8 +187,8 @@ def find_proximity(
     Among subnormal numbers the unit counts besides: no pair is farther apart by more than 2⁻¹⁰⁶⁹, and the distance is
     exact to within 2⁻¹⁰⁷⁴.
     """
-    chosen = options_of("find_proximity", ProximityOptions, options, others=["distance"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("find_proximity", ProximityOptions, options, others=["distance"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_proximity(positions, distance)
 
 
@@ -228,8 +228,8 @@ def displacement_bounds(
     that passes the mesh's filter comes to touch (or within ``minimum_distance`` plus radii), by whatever paths they
     move. Bounds are rounded down.
     """
-    chosen = options_of("displacement_bounds", DisplacementOptions, options, others=["search_radius"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("displacement_bounds", DisplacementOptions, options, others=["search_radius"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.displacement_bounds(positions, search_radius)
 
 
@@ -273,8 +273,8 @@ def mesh_ccd(
     the mesh has codimensional primitives or half-spaces, point-segment, point-point and vertex-plane): no toi that
     covers the pair is late, and ``inf`` is certain.
     """
-    chosen = options_of("mesh_ccd", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("mesh_ccd", MeshOptions, options, others=["motion", "check_start"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.mesh_ccd(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -316,7 +316,7 @@ def rigid_ccd(
     Guarantee: that of :mod:`ccd_warp`, for the trajectories of :class:`ccd_warp.RigidMotion`, on which vertices move on
     arcs: no toi is late, and ``inf`` is certain.
     """
-    chosen = options_of("rigid_ccd", MeshOptions, options, others=["path", "pivot", "twist"])
+    checked_options = options_of("rigid_ccd", MeshOptions, options, others=["path", "pivot", "twist"])
     motion = RigidMotion(poses_t0, poses_t1, path=path, pivot=pivot, twist=twist)
     check_instance("mesh", mesh, CollisionMesh)
     bodies = mesh._all_rigid
@@ -328,7 +328,7 @@ def rigid_ccd(
             f"poses_t0 is of {shown_bodies(motion.turns.shape)}; expected {counted(count, 'body', 'bodies')}, those of "
             f"the mesh but half-spaces, static ones included{further}"
         )
-    with CollisionPipeline.borrowed(bodies, chosen) as pipeline:
+    with CollisionPipeline.borrowed(bodies, checked_options) as pipeline:
         return pipeline.mesh_ccd(bodies.vertices, bodies.vertices, motion=motion)
 
 
@@ -359,8 +359,8 @@ def collision_free_step(
     touches before the returned fraction, or comes within its distance, or, where one of its vertices was closer than
     that to something at the start, closer than it was (less 1.2e-13 of the size and motion of the pair).
     """
-    chosen = options_of("collision_free_step", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("collision_free_step", MeshOptions, options, others=["motion", "check_start"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.collision_free_step(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -390,8 +390,8 @@ def is_step_collision_free(
 
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
-    chosen = options_of("is_step_collision_free", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("is_step_collision_free", MeshOptions, options, others=["motion", "check_start"])
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         return pipeline.is_step_collision_free(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -466,8 +466,8 @@ def line_search(
     at most whole worlds were moved back to their start, and with kinematic bodies one more finds what these strike.)
     """
     others = ["per", "safety", "max_rounds", "motion", "check_start"]
-    chosen = options_of("line_search", LineSearchOptions, options, others=others)
-    with CollisionPipeline.borrowed(mesh, chosen) as pipeline:
+    checked_options = options_of("line_search", LineSearchOptions, options, others=others)
+    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
         further: dict[str, Any] = {"max_rounds": max_rounds, "motion": motion, "check_start": check_start}
         return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, **further)
 

@@ -100,10 +100,10 @@ class PairResult(Placed):
         """
         from ccd_warp._gradients.toi_slopes import of_pairs  # its kernels are loaded by those who ask for gradients
 
-        asked = getattr(self, "_place", None)
-        if asked is None or not isinstance(self.toi, np.ndarray):
+        call = getattr(self, "_place", None)
+        if call is None or not isinstance(self.toi, np.ndarray):
             raise ValueError("a PairResult has gradients of NumPy arrays that a pair function has returned")
-        kind, options = asked
+        kind, options = call
         ends = [_validated_points(kind, x, f"points_t{k}") for k, x in enumerate((points_t0, points_t1))]
         for k, end in enumerate(ends):
             if (len(end), end.shape) != (len(self.toi), ends[0].shape):
@@ -115,8 +115,8 @@ class PairResult(Placed):
         return of_pairs(query, kind, (ends[0], ends[1]), self.toi, self.status)
 
     def __getstate__(self) -> dict[str, Any]:
-        asked = getattr(self, "_place", None)
-        place = asked and (asked[0], replace(asked[1], device=None))  # a device stays where it is
+        call = getattr(self, "_place", None)
+        place = call and (call[0], replace(call[1], device=None))  # a device stays where it is
         return {**vars(self), "_place": place}
 
     def __repr__(self) -> str:
@@ -206,9 +206,9 @@ _POINTS = {
 }
 
 
-def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, given: PairOptions) -> PairResult:
+def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, keywords: PairOptions) -> PairResult:
     function = f"{kind.name.lower()}_ccd"
-    options = options_of(function, PairOptions, given)
+    options = options_of(function, PairOptions, keywords)
     on_device = is_device_array(points_t0)
     if is_device_array(points_t1) != on_device:
         raise ValueError(

@@ -97,9 +97,9 @@ class CollisionPipeline:
             ValueError: If an option is out of its range.
             TypeError: If there is no such option.
         """
-        chosen = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
+        checked_options = options_of("CollisionPipeline", MeshOptions, options, others=["max_pairs", "max_contacts"])
         check_instance("mesh", mesh, CollisionMesh)
-        self._set_up(chosen, Workspace(mesh, resolve_device(chosen.device)))
+        self._set_up(checked_options, Workspace(mesh, resolve_device(checked_options.device)))
         if max_pairs is not None or max_contacts is not None:
             with naming("CollisionPipeline"):
                 self._launches.set_capacities(max_pairs, max_contacts)
@@ -161,12 +161,12 @@ class CollisionPipeline:
                 idle.append(pipeline._workspace)
 
     def __repr__(self) -> str:
-        given = [
-            f", {each.name}={shown(value)}"
-            for each in fields(self._options)
-            if (value := getattr(self._options, each.name)) != each.default
+        changed = [
+            f", {option.name}={shown(value)}"
+            for option in fields(self._options)
+            if (value := getattr(self._options, option.name)) != option.default
         ]
-        return f"CollisionPipeline({self.mesh!r}{''.join(given)}, on {self._topology.device})"
+        return f"CollisionPipeline({self.mesh!r}{''.join(changed)}, on {self._topology.device})"
 
     def __reduce__(self) -> NoReturn:
         """Refuse to be copied or pickled: its contents live on a device and belong to this process."""
@@ -326,8 +326,8 @@ class CollisionPipeline:
         a static body that moves, has toi 0.
         """
         if (vertices_t1 is None) == (displacements is None):
-            given = "both" if vertices_t1 is not None else "neither"
-            raise ValueError(f"{given} of vertices_t1 and displacements is given; expected one of them")
+            which = "both" if vertices_t1 is not None else "neither"
+            raise ValueError(f"{which} of vertices_t1 and displacements is given; expected one of them")
         if displacements is None:
             return self._launch(vertices_t0, vertices_t1, motion)
         return self._launch(vertices_t0, displacements, motion, name_t1="displacements", is_displacement=True)

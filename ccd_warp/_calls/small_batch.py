@@ -46,9 +46,9 @@ def table_inputs(kind: PairKind, packed: Any, count: int, counts: wp.array | Non
     return [pairs, packed, Round(), count]
 
 
-def table_outputs(points: Sequence[wp.array], found: Mapping[str, wp.array]) -> list[Any]:
+def table_outputs(points: Sequence[wp.array], columns: Mapping[str, wp.array]) -> list[Any]:
     """Its outputs, where these arrays take what is found of pairs that have these points at both ends."""
-    table = struct_of(Table, {"points_t0": points[0], "points_t1": points[1], **found})
+    table = struct_of(Table, {"points_t0": points[0], "points_t1": points[1], **columns})
     return [table, Minima(), ContactList(), LeastToi()]
 
 

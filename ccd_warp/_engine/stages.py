@@ -167,14 +167,14 @@ class Stages:
 
         def value(of: Any) -> Any:
             if isinstance(of, dict):
-                return {name: value(each) for name, each in of.items()}
+                return {name: value(attribute) for name, attribute in of.items()}
             if isinstance(of, tuple):
                 return tuple(map(value, of))
             if isinstance(of, StructFields):
                 return of.packed(values)
             return values[of.name] if isinstance(of, Slot) else of
 
-        return replace(self, **{each.name: value(getattr(self, each.name)) for each in fields(self)})
+        return replace(self, **{attribute.name: value(getattr(self, attribute.name)) for attribute in fields(self)})
 
     def load(self, launcher: Launcher, sink: int) -> None:
         """Load what a step with a narrow phase launches, side by side where it has to be compiled."""
@@ -216,7 +216,7 @@ class Stages:
     def fill_boxes(self, launcher: Launcher, sets: list[BoxSet], only_if: wp.array | None = None) -> None:
         """Compute the boxes of sets from the AABBs of the vertices; with a flag on the device only where it is set."""
         if sets:
-            sets[0].fill(sets, self.vertex_aabbs, launcher, lambda each: self.boxes[each.name], only_if)
+            sets[0].fill(sets, self.vertex_aabbs, launcher, lambda box_set: self.boxes[box_set.name], only_if)
 
     def fill_slender(self, launcher: Launcher, sets: list[BoxSet], active: wp.array) -> None:
         """Compute the boxes for pairs within slender bodies, after all others, whose AABBs of vertices they replace."""
@@ -555,7 +555,8 @@ class Stages:
     ) -> None:
         """Launch solvers that share the pairs of a kind, chunk by chunk; only the device knows how many these are."""
         solvers = num_solvers or _SOLVERS_PER_THREAD * launcher.num_threads
-        found: Any = None if launcher.is_cuda else self.step.counts.numpy()[kind]  # a view of what the search has found
+        # a view of what the search has found
+        counts: Any = None if launcher.is_cuda else self.step.counts.numpy()[kind]
         launcher.launch(
             kernel,
             solvers,
@@ -563,6 +564,6 @@ class Stages:
             outputs=outputs,
             grain=1,
             parts_per_thread=_SOLVERS_PER_THREAD,
-            num_needed=lambda: 0 if only_open and not found[OPEN] else -(-int(found[FOUND]) // chunk),
-            is_long=lambda: bool(found[OPEN] or found[FOUND] > _LONG_PART * solvers),
+            num_needed=lambda: 0 if only_open and not counts[OPEN] else -(-int(counts[FOUND]) // chunk),
+            is_long=lambda: bool(counts[OPEN] or counts[FOUND] > _LONG_PART * solvers),
         )

@@ -167,11 +167,11 @@ class ContactPlace:
         """Whether the points are known."""
         return self.points is not None or self.frames is not None
 
-    def chosen(self, index: Any) -> "ContactPlace":
+    def subset(self, index: Any) -> "ContactPlace":
         """The place of some of the contacts."""
         columns = {name: getattr(self, name) for name in ("points", "relative_velocity", "vertices", "world")}
-        chosen: Any = {name: None if each is None else each[index] for name, each in columns.items()}
-        return replace(self, **chosen)
+        columns_of_rows: Any = {name: None if column is None else column[index] for name, column in columns.items()}
+        return replace(self, **columns_of_rows)
 
     def points_of(self, contacts: Contacts) -> NDArray[np.float64] | None:
         """The points of the contacts to which this belongs; None if they are not known."""
@@ -187,7 +187,7 @@ class ContactPlace:
 
     def unique_of(self, contacts: Contacts) -> Contacts:
         """One contact for each two features that touch."""
-        return contacts._chosen(distinct(contacts, None if self.frames is None else self.frames.at))
+        return contacts._subset(distinct(contacts, None if self.frames is None else self.frames.at))
 
     def first_of(self, contacts: Contacts) -> int:
         """The index of the first contact, as `Outcome.first` has it; without velocities of the earliest in the list."""
@@ -278,16 +278,16 @@ def _points(frames: MovingVertices, contacts: Contacts, radii: Radii | None) -> 
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
         for k in range(0, len(of_kind), _CHUNK):
-            chosen: Any = of_kind[k : k + _CHUNK]
-            if chosen[-1] - chosen[0] == len(chosen) - 1:
-                chosen = slice(chosen[0], chosen[-1] + 1)  # contacts are mostly sorted by kind
-            corners = pair_corners(frames.mesh, kind, contacts.primitives[chosen])
-            toi, parameters = contacts.toi[chosen, None], contacts.parameters[chosen]
-            of_chosen = None if world is None else world[chosen]
+            rows: Any = of_kind[k : k + _CHUNK]
+            if rows[-1] - rows[0] == len(rows) - 1:
+                rows = slice(rows[0], rows[-1] + 1)  # contacts are mostly sorted by kind
+            corners = pair_corners(frames.mesh, kind, contacts.primitives[rows])
+            toi, parameters = contacts.toi[rows, None], contacts.parameters[rows]
+            world_of_rows = None if world is None else world[rows]
             if kind == PairKind.VERTEX_PLANE:
-                points[chosen] = _at_planes(frames, contacts.primitives[chosen], toi, of_chosen)
+                points[rows] = _at_planes(frames, contacts.primitives[rows], toi, world_of_rows)
             else:
-                points[chosen] = _midpoints(kind, corners, frames, toi, parameters, of_chosen)
+                points[rows] = _midpoints(kind, corners, frames, toi, parameters, world_of_rows)
     if radii is not None and len(contacts):
         first, second = radii_of_pairs(contacts.kind, pair_vertices(frames.mesh, contacts), *radii).T
         points[:, : contacts.normal.shape[1]] += (0.5 * (second - first))[:, None] * contacts.normal

@@ -63,12 +63,12 @@ class Contacts(Placed, ClosePairs):
             if not -len(self) <= index < len(self):
                 raise IndexError(f"index is {index}; expected one of {len(self)} contacts")
             k = int(index) % len(self)
-            return Contact(self._chosen(slice(k, k + 1)), k)
-        return self._chosen(index)
+            return Contact(self._subset(slice(k, k + 1)), k)
+        return self._subset(index)
 
-    def _chosen(self, index: Any) -> "Contacts":
-        chosen = super()._chosen(index)
-        return chosen if self._place is None else chosen._of(self._place.chosen(index))
+    def _subset(self, index: Any) -> "Contacts":
+        contacts = super()._subset(index)
+        return contacts if self._place is None else contacts._of(self._place.subset(index))
 
     def __iter__(self) -> Iterator["Contact"]:
         if self._place is not None and len(self):  # for all at once, and not for each
@@ -99,7 +99,7 @@ class Contacts(Placed, ClosePairs):
         a + u (b − a); p and q; or v and the point of the plane below it. With radii a closest point of a surface is the
         radius of its primitive from that of the primitive, along ``normal``, and the position is halfway between these.
         """
-        return self._placed("points", self._known().points_of(self))
+        return self._placed("points", self._known_place().points_of(self))
 
     @property
     def relative_velocity(self) -> NDArray[np.float64]:
@@ -109,7 +109,7 @@ class Contacts(Placed, ClosePairs):
         in the unit of the mesh. Divided by the duration of the step it is a velocity in time. Its product with
         ``normal`` is negative where the two approach. The closest points are points of the bodies, with fixed (u, v).
         """
-        return self._placed("relative_velocity", self._known().relative_velocity_of(self))
+        return self._placed("relative_velocity", self._known_place().relative_velocity_of(self))
 
     def toi_gradient(self) -> "ToiGradient":
         """How the toi of each contact changes with the positions of its vertices at both ends of the step.
@@ -121,7 +121,7 @@ class Contacts(Placed, ClosePairs):
             ValueError: If the contacts do not know their step, as those of a line search do not; or with a motion that
                 has a ``within``, or a number as ``start_gap_fraction``.
         """
-        gradient: ToiGradient = self._known().toi_gradient_of(self)
+        gradient: ToiGradient = self._known_place().toi_gradient_of(self)
         return gradient
 
     def unique(self) -> "Contacts":
@@ -140,7 +140,7 @@ class Contacts(Placed, ClosePairs):
         Raises:
             ValueError: If the contacts do not know their mesh, or their relative velocities.
         """
-        unique: Contacts = self._known().unique_of(self)
+        unique: Contacts = self._known_place().unique_of(self)
         return unique
 
     def sorted_by_toi(self) -> "Contacts":
@@ -161,7 +161,7 @@ class Contacts(Placed, ClosePairs):
         return values
 
     def _known_mesh(self) -> "CollisionMesh":
-        mesh: CollisionMesh = self._known().mesh
+        mesh: CollisionMesh = self._known_place().mesh
         return mesh
 
     def _mesh_or_none(self) -> "CollisionMesh | None":
@@ -173,7 +173,7 @@ class Contacts(Placed, ClosePairs):
     def _kept(self) -> dict[str, Any]:
         return {} if self._place is None else vars(self._place)
 
-    def _known(self) -> Any:
+    def _known_place(self) -> Any:
         """The place of the contacts, or a ValueError."""
         if self._place is None:
             raise ValueError("contacts were made of arrays alone; expected those of a result, which knows its mesh")
@@ -287,8 +287,8 @@ class Contact:
 
     def _cells(self) -> tuple[str, ...]:
         """The cells of a table that holds this contact."""
-        known = self._row._known()
-        point = point_text(self.point) if known.has_points else ""
+        place = self._row._known_place()
+        point = point_text(self.point) if place.has_points else ""
         return kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
 
 

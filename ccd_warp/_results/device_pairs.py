@@ -33,7 +33,7 @@ class DevicePairs(OnDevice, Placed):
     @property
     def vertices(self) -> wp.array:
         """Vertices of each pair, as in :class:`ccd_warp.Contacts`, vec4i, shape [max_contacts]."""
-        return self._known().contact_arrays.vertices()
+        return self._known_step().contact_arrays.vertices()
 
     @property
     def weights(self) -> wp.array:
@@ -42,19 +42,19 @@ class DevicePairs(OnDevice, Placed):
         As in :class:`ccd_warp.Contacts`: a force of magnitude f that pushes the two apart is f times the weight times
         ``normal`` on each vertex.
         """
-        return self._known().contact_arrays.weights()
+        return self._known_step().contact_arrays.weights()
 
     @property
     def bodies(self) -> wp.array:
         """Bodies of the first and the second primitive of each pair, vec2i, shape [max_contacts]."""
-        return self._known().contact_arrays.bodies()
+        return self._known_step().contact_arrays.bodies()
 
     @property
     def world(self) -> wp.array:
         """World of each pair, int32, shape [max_contacts]."""
-        return self._known().contact_arrays.world()
+        return self._known_step().contact_arrays.world()
 
-    def _known(self) -> Any:
+    def _known_step(self) -> Any:
         """The step to which the pairs belong, or a ValueError."""
         if self._place is None:
             raise ValueError("contacts were made of arrays alone; expected those of a launch, which knows its mesh")
@@ -116,7 +116,7 @@ class DeviceContacts(DevicePairs):
             ValueError: If there was no launch, so that no positions are known.
             RuntimeError: If a graph is being captured, and the points were not asked for before.
         """
-        return self._known().contact_points()
+        return self._known_step().contact_points()
 
     def points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
         """Position of each contact at its toi in a step between given positions.
@@ -134,7 +134,7 @@ class DeviceContacts(DevicePairs):
             ValueError: If an array is not as described.
             RuntimeError: If a graph is being captured and there was no earlier call with arrays of this dtype.
         """
-        return self._known().contact_points_at(vertices_t0, vertices_t1)
+        return self._known_step().contact_points_at(vertices_t0, vertices_t1)
 
     def order_by_toi(self) -> wp.array:
         """Indices of the contacts by ascending toi, those with one toi in the order of :class:`Contacts`.
@@ -146,7 +146,7 @@ class DeviceContacts(DevicePairs):
         Raises:
             RuntimeError: If a graph is being captured and there was no earlier call.
         """
-        return self._known().contact_arrays.order_by_toi()
+        return self._known_step().contact_arrays.order_by_toi()
 
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> Contacts:
         """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.

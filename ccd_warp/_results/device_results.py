@@ -168,7 +168,7 @@ class DeviceProximities(DevicePairs):
         Raises:
             RuntimeError: If a graph is being captured and there was no earlier call.
         """
-        return self._known().contact_arrays.unique(self.features)
+        return self._known_step().contact_arrays.unique(self.features)
 
     def to_host(self) -> Proximities:
         """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.
@@ -178,7 +178,7 @@ class DeviceProximities(DevicePairs):
         Returns:
             A copy that later launches do not change.
         """
-        step = self._known()
+        step = self._known_step()
         mesh, columns = step.topology.mesh, self._rows(Proximities)
         columns["direction"] = columns["direction"][:, : mesh.dimension]
         return Proximities(**columns, mesh=mesh, positions=step.positions(), radius=step.radius())

@@ -169,7 +169,7 @@ class _Groups:
         codes = features_of(contacts.kind[self.rows], self._vertices[self.rows], spans[self.rows])
         self._is_turned = np.zeros(len(contacts), dtype=bool)
         self._is_turned[self.rows] = codes[0] > codes[1]
-        self._tables = [np.unique(each) for each in (np.minimum(*codes), np.maximum(*codes))]
+        self._tables = [np.unique(feature) for feature in (np.minimum(*codes), np.maximum(*codes))]
         self._keys, self.group = np.unique(self._key(self.rows, *codes), return_inverse=True)
         self.count = len(self._keys)
 
@@ -191,9 +191,9 @@ class _Groups:
         is_face = contacts.kind == int(PairKind.VERTEX_FACE)
         is_other = ~is_face & (contacts.kind != int(PairKind.VERTEX_PLANE))
         codes, of = [], []
-        for chosen, pairs in ((is_face, _OF_FACE), (is_other, _OF_EDGES)):
-            rows = np.flatnonzero(chosen).repeat(len(pairs))
-            corners = np.sort(self._vertices[chosen][:, pairs], axis=3).reshape(-1, 4)
+        for is_of_kind, pairs in ((is_face, _OF_FACE), (is_other, _OF_EDGES)):
+            rows = np.flatnonzero(is_of_kind).repeat(len(pairs))
+            corners = np.sort(self._vertices[is_of_kind][:, pairs], axis=3).reshape(-1, 4)
             a, b = feature_number(corners[:, 0], corners[:, 1]), feature_number(corners[:, 2], corners[:, 3])
             at = self._group_of(rows, a, b)
             rows, at, is_turned = rows[at >= 0], at[at >= 0], (a > b)[at >= 0]
@@ -227,8 +227,8 @@ class _Groups:
             k = np.repeat(rows[part], count[part])
             shift = np.cumsum(count[part]) - count[part]
             at = np.arange(len(k)) + np.repeat(begin[part] - shift, count[part])
-            known = since[at] <= until[k]
-            k, at = k[known], at[known]
+            is_in_time = since[at] <= until[k]
+            k, at = k[is_in_time], at[is_in_time]
             is_of_first = (of_side[at] % 2 == 1) ^ self._is_turned[k]
             along = _positions(position_at, vertex[at][:, None], contacts.toi[k])[:, 0]
             along -= np.where(is_of_first[:, None], self._points[0][k], self._points[1][k])

@@ -84,13 +84,13 @@ class Intersections(Crossings, PairTable):
             return "nothing touches or passes through another"
         parts = []
         is_crossing = self.is_crossing
-        for chosen, words in (
+        for pairs, words in (
             (self[is_crossing], ("pair passes", "pairs pass", "through each other")),
             (self[~is_crossing], ("pair touches", "pairs touch", "")),
         ):
-            if len(chosen):
-                text = " ".join(filter(None, [counted(len(chosen), *words[:2]), words[2]]))
-                parts.append(f"{text}: {', '.join(named_counts(chosen.by_bodies()))}")
+            if len(pairs):
+                text = " ".join(filter(None, [counted(len(pairs), *words[:2]), words[2]]))
+                parts.append(f"{text}: {', '.join(named_counts(pairs.by_bodies()))}")
         return "; ".join(parts)
 
     def __repr__(self) -> str:

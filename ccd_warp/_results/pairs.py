@@ -56,11 +56,11 @@ def vertices_of(
     The last vertex of a primitive that has fewer is repeated, and that of the first stands for a plane.
     """
     vertices = np.empty((len(kind), width), dtype=np.int32)
-    for each in kinds:
-        rows: Any = np.flatnonzero(kind == int(each))
+    for member in kinds:
+        rows: Any = np.flatnonzero(kind == int(member))
         if len(rows) == 0:
             continue
-        sides = pair_corners(mesh, each, primitives[rows])
+        sides = pair_corners(mesh, member, primitives[rows])
         if rows[-1] - rows[0] == len(rows) - 1:
             rows = slice(rows[0], rows[-1] + 1)  # tables are mostly sorted by kind
         b = sides[1].shape[1]
@@ -153,9 +153,9 @@ class PairTable:
     def __getitem__(self, index: slice | NDArray[Any] | list[int] | list[bool]) -> Self:
         if isinstance(index, (int, np.integer)):
             raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
-        return self._chosen(index)
+        return self._subset(index)
 
-    def _chosen(self, index: Any) -> Self:
+    def _subset(self, index: Any) -> Self:
         """The pairs with these indices alone."""
         if not isinstance(index, slice):
             index = np.asarray(index) if len(index) else np.zeros(0, dtype=np.int64)
@@ -192,12 +192,12 @@ class ClosePairs(PairTable):
         Raises:
             ValueError: If they are those of a mesh with other primitives.
         """
-        own = self._mesh_or_none()
+        source = self._mesh_or_none()
         for name in ("edges", "faces"):
             of_mesh = getattr(mesh, name)
-            if own is not None and own is not mesh and not np.array_equal(getattr(own, name), of_mesh):
+            if source is not None and source is not mesh and not np.array_equal(getattr(source, name), of_mesh):
                 raise ValueError(
-                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(own, name))} other {name}; expected "
+                    f"exclude_pairs is {self!r} of a mesh with {len(getattr(source, name))} other {name}; expected "
                     f"contacts or proximities of a mesh with the {len(of_mesh)} {name} of this one"
                 )
         return {kind.name.lower(): self.primitives[self.kind == int(kind)] for kind in PairKind}

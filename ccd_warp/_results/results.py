@@ -74,8 +74,8 @@ class Counts:
 
     def _repr_html_(self) -> str:
         rows: list[tuple[str, str]] = []
-        for each in fields(self):
-            value, name = getattr(self, each.name), each.name.removeprefix("num_").replace("_", " ")
+        for entry in fields(self):
+            value, name = getattr(self, entry.name), entry.name.removeprefix("num_").replace("_", " ")
             by_kind = value.items() if isinstance(value, dict) else ()
             rows += [(f"{kind_name(kind)} {name}", f"{count:,}") for kind, count in by_kind]
             rows += [] if isinstance(value, dict) else [(name, f"{value:,}")]
@@ -128,7 +128,7 @@ class MeshResult(Outcome):
         if self.counts.num_contacts_at_start == 0:
             return Counter()
         at_start = self.contacts.status == int(CCDStatus.INITIAL_CONTACT)
-        return pairs_of_bodies(self.contacts._known().mesh.names, self.contacts.bodies[at_start])
+        return pairs_of_bodies(self.contacts._known_place().mesh.names, self.contacts.bodies[at_start])
 
     def __repr__(self) -> str:
         at_start = start_sentence(self.pairs_at_start)

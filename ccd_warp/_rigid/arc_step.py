@@ -96,7 +96,7 @@ class DeviceArcStep(DeviceLineSearch):
         active: Any,
         *,
         is_first: bool = True,
-        asked: Callable[[Stages], Stages] = lambda stages: stages,
+        adapt: Callable[[Stages], Stages] = lambda stages: stages,
         gaps_moved: float = 0.0,
         **solved: Any,
     ) -> Stages:
@@ -119,7 +119,7 @@ class DeviceArcStep(DeviceLineSearch):
                 stages.fill_boxes(recording, self.static_trees)
             self._record_search(recording, stages, active)
             gaps = gaps_moved * (part.t_end - part.t_begin)  # the motion of a pair is that in the slice
-            self._record_narrow_phase(recording, asked(stages), active, gaps_moved=gaps, **solved)
+            self._record_narrow_phase(recording, adapt(stages), active, gaps_moved=gaps, **solved)
         return of_slices[0]
 
     def _record_start(self, recording: Recording, form: Form) -> None:

@@ -33,7 +33,7 @@ class WorldsResult(MeshResult):
         if owner not in ("vertex", "body") or kind not in ("toi", "contact"):
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         contacts, num_worlds = self.contacts, len(self.world_toi)
-        mesh = contacts._known().mesh
+        mesh = contacts._known_place().mesh
         size, owners = {
             "vertex": (mesh.num_vertices, contacts.vertices),
             "body": (mesh.num_bodies, contacts.bodies),
@@ -71,7 +71,7 @@ def result_of(
     contacts = joined(contact_lists) if contact_lists else located(Contacts(*_NO_CONTACTS), mesh)
     contacts = contacts[_in_order(contacts, has_axis=has_axis)]
     if frames is not None and len(contacts):
-        place = contacts._known()
+        place = contacts._known_place()
         place.frames, place.touch, place.radii = frames.copied(contacts), touch, radii_of(mesh)
     world_contact = firsts(contacts.toi, contacts.world[:, None], num_worlds)[1]
     of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()

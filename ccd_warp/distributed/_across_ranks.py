@@ -75,19 +75,19 @@ class AcrossRanks(OneProcess):
 
     def own_batch(self, plan: HostPlan, batch: Batch) -> Batch:
         """What is left of a batch without the pairs that belong to other ranks."""
-        own = {kind: self._keep_own(plan, kind, count) for kind, count in batch.found.items()}
-        plan.counters.set_column(FOUND, {kind: count for kind, count in own.items() if count != batch.found[kind]})
-        return Batch(own, batch.is_only)
+        num_kept = {kind: self._keep_own(plan, kind, count) for kind, count in batch.found.items()}
+        plan.counters.set_column(FOUND, {kind: count for kind, count in num_kept.items() if count != batch.found[kind]})
+        return Batch(num_kept, batch.is_only)
 
     def _keep_own(self, plan: HostPlan, kind: PairKind, count: int) -> int:
         """Keep the keys of this rank's pairs among the ``count`` of a kind; returns their number."""
         if count == 0:
             return 0
         keys = plan.memory.keys(kind, count).numpy()
-        own = self.topology.own_pairs(kind, keys >> 32, keys & 0xFFFFFFFF)
-        if isinstance(own, slice):
+        selection = self.topology.own_pairs(kind, keys >> 32, keys & 0xFFFFFFFF)
+        if isinstance(selection, slice):
             return count
-        kept = keys[own]
+        kept = keys[selection]
         if len(kept):
             plan.memory.keys(kind, len(kept)).assign(kept)
         return len(kept)
@@ -131,10 +131,10 @@ def work_by_vertex(step: Step, num_vertices: int, of_candidate: float, of_pair: 
     result = np.full(num_vertices, of_candidate * sum(step.counts.num_candidates.values()) / max(num_vertices, 1))
     if plan.num_batches != 1:
         return result
-    for kind, found in zip(PairKind, plan.counters.counts()[:, FOUND].tolist(), strict=True):
-        if found == 0:
+    for kind, num_pairs in zip(PairKind, plan.counters.counts()[:, FOUND].tolist(), strict=True):
+        if num_pairs == 0:
             continue
-        keys = plan.memory.keys(kind, found).numpy()
+        keys = plan.memory.keys(kind, num_pairs).numpy()
         corners = topology.corners[topology.corner_arrays(kind)[0]].numpy()
         # of an edge that is searched for in faces by its point, the vertices come after that
         column = int(kind == PairKind.VERTEX_FACE)

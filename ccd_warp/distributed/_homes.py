@@ -24,14 +24,14 @@ class Homes:
     ranks: Ranks
     first: NDArray[np.int64]
 
-    def ask(self, rows: NDArray[Any], numbers: NDArray[np.int64]) -> Asked:
+    def ask(self, rows: NDArray[Any], numbers: NDArray[np.int64]) -> Queries:
         """Send each row to the home of its number, and get those whose home this rank is; collective."""
         sent = numbering.by_destination(numbering.home_of(self.first, numbers), self.ranks.size)
-        return Asked(self.ranks, sent, self.ranks.swap([rows[items] for items in sent]))
+        return Queries(self.ranks, sent, self.ranks.swap([rows[items] for items in sent]))
 
 
 @dataclass(frozen=True)
-class Asked:
+class Queries:
     """What ranks have asked their homes.
 
     Attributes:

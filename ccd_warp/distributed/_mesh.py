@@ -134,10 +134,10 @@ class DistributedMesh:
                 self.dimension = dimension = self._common_dimension(vertices)
                 self._half_spaces = half_spaces_by_body({} if half_spaces is None else half_spaces)
                 of_all = dimension, self._half_spaces
-                given = handed_in(*of_all, vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
-                self._number_vertices(given)
+                part = handed_in(*of_all, vertices, faces, vertex_ids, edges, bodies, vertex_world, radius, owned)
+                self._number_vertices(part)
                 self._take_tables(
-                    given,
+                    part,
                     (static, kinematic),
                     rigid,
                     self_collision,
@@ -146,7 +146,7 @@ class DistributedMesh:
                     exclusion_rings,
                     exclude_pairs,
                 )
-                self._number_primitives(given)
+                self._number_primitives(part)
                 self._measure()
                 self._choose_samples()
                 between = self.numbers[self.primitives["edge"].corners]
@@ -175,23 +175,23 @@ class DistributedMesh:
             )
         return 2 if len(planar) else 3
 
-    def _number_vertices(self, given: HandedIn) -> None:
+    def _number_vertices(self, part: HandedIn) -> None:
         """Number the vertices of the whole mesh by their ids, and find their owners."""
         ranks = self.ranks
-        self.vertices, self.vertex_ids, self._order = given.vertices, given.vertex_ids, given.order
-        self.bodies, self.worlds, self.radius = given.bodies, given.worlds, given.radius
-        has = [(given.owned >= 0).any(), (given.owned < 0).any(), self.radius is not None, self.radius is None]
+        self.vertices, self.vertex_ids, self._order = part.vertices, part.vertex_ids, part.order
+        self.bodies, self.worlds, self.radius = part.bodies, part.worlds, part.radius
+        has = [(part.owned >= 0).any(), (part.owned < 0).any(), self.radius is not None, self.radius is None]
         some = ranks.most(np.array(has, dtype=np.int64))
         for name, flags in (("owned", some[:2]), ("radius", some[2:])):
             if flags.all():
                 raise ValueError(f"{name} is given on some ranks and not on others; expected it on all or on none")
         of_ids = Homes(ranks, numbering.splitters(ranks.every(numbering.id_samples(self.vertex_ids)), ranks.size))
-        asked = of_ids.ask(np.stack([self.vertex_ids, given.owned, self.bodies, self.worlds], axis=1), self.vertex_ids)
-        ids, owned, bodies, worlds = asked.rows.T
-        home = numbering.vertices_at_home(ids, asked.holder, owned, {"bodies": bodies, "vertex_world": worlds})
+        queries = of_ids.ask(np.stack([self.vertex_ids, part.owned, self.bodies, self.worlds], axis=1), self.vertex_ids)
+        ids, owned, bodies, worlds = queries.rows.T
+        home = numbering.vertices_at_home(ids, queries.holder, owned, {"bodies": bodies, "vertex_world": worlds})
         before = ranks.sum_before(len(home.ids))
         self._check_bodies(home.ids, bodies[home.first])
-        answers = asked.answers(np.stack([before + home.place, home.owner[home.place]], axis=1))
+        answers = queries.answers(np.stack([before + home.place, home.owner[home.place]], axis=1))
         self.numbers, self.owner = np.ascontiguousarray(answers.T)
         self._ordered = self.numbers[self._order]
         self.is_owned = self.owner == ranks.rank
@@ -247,15 +247,15 @@ class DistributedMesh:
             rows: Rows of the array for them; by default all in order.
         """
         targets = numbering.by_destination(owner, self.ranks.size)
-        asked = self.ranks.swap([numbers[items] for items in targets])
+        requested = self.ranks.swap([numbers[items] for items in targets])
         if rows is not None:
             targets = [rows[items] for items in targets]
-        sources = [self._order[np.searchsorted(self._ordered, each)].astype(np.intp) for each in asked]
+        sources = [self._order[np.searchsorted(self._ordered, wanted)].astype(np.intp) for wanted in requested]
         return Exchange(self.ranks, sources, targets)
 
     def _take_tables(
         self,
-        given: HandedIn,
+        part: HandedIn,
         prescribed: tuple[Iterable[int], Iterable[int]],
         rigid: Iterable[int],
         self_collision: bool | Sequence[bool],
@@ -275,7 +275,9 @@ class DistributedMesh:
             )
         if len(self._half_spaces) == self.num_bodies:
             raise ValueError("half_spaces holds all bodies; expected at least one body with vertices")
-        self.planes = planes_of(((b, f"body {b}", each) for b, each in self._half_spaces.items()), self.dimension)
+        self.planes = planes_of(
+            ((b, f"body {b}", half_space) for b, half_space in self._half_spaces.items()), self.dimension
+        )
         self.static[self.planes.bodies] = True
         self._is_static = self.static[self.bodies]
         self._has_static = bool(self._is_static.any())
@@ -306,14 +308,14 @@ class DistributedMesh:
         same += [np.asarray(self.exclusion_rings), excluded]
         text = b"".join(bytes(str(array.shape), "ascii") + array.tobytes() for array in same)
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
-        if any(each != least for each, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
+        if any(mine != least for mine, least in zip((digest, -digest), self.ranks.agree(digest, -digest), strict=True)):
             raise ValueError(
                 "static, kinematic, rigid, self_collision, codimensional_points, body_pairs, exclusion_rings, "
                 "exclude_pairs or half_spaces differs between ranks; expected the same on all"
             )
         if self.dimension == 2:
             has_edges = np.zeros(self.num_bodies, dtype=np.int64)
-            has_edges[self.bodies[given.edges]] = 1
+            has_edges[self.bodies[part.edges]] = 1
             self._with_points |= self.ranks.most(has_edges) == 0  # such a body consists of points
         if len(excluded):
             self._excluded = self._numbers_of(excluded)
@@ -322,21 +324,23 @@ class DistributedMesh:
         """Pairs of ids as pairs of numbers; a rank gives those of its own vertices."""
         ordered = self.vertex_ids[self._order]
         place = np.minimum(np.searchsorted(ordered, ids), max(len(ordered) - 1, 0))
-        found = np.full(ids.shape, -1, dtype=np.int64)
+        numbers = np.full(ids.shape, -1, dtype=np.int64)
         if len(ordered):
             is_here = ordered[place] == ids
-            found[is_here] = self._ordered[place[is_here]]
-        found = self.ranks.most(found)
-        if (found < 0).any():
-            raise ValueError(f"exclude_pairs['vertices'] holds id {ids[found < 0][0]}; expected ids of the whole mesh")
-        return found
+            numbers[is_here] = self._ordered[place[is_here]]
+        numbers = self.ranks.most(numbers)
+        if (numbers < 0).any():
+            raise ValueError(
+                f"exclude_pairs['vertices'] holds id {ids[numbers < 0][0]}; expected ids of the whole mesh"
+            )
+        return numbers
 
-    def _number_primitives(self, given: HandedIn) -> None:
+    def _number_primitives(self, part: HandedIn) -> None:
         """Number edges and faces of the whole mesh, and choose for each the rank that answers for it."""
-        edges, self.num_edges = numbered_edges(self._homes, self.numbers, self._order, given.faces, given.edges)
-        faces, self.num_faces = numbered_faces(self._homes, self.numbers, given.faces)
+        edges, self.num_edges = numbered_edges(self._homes, self.numbers, self._order, part.faces, part.edges)
+        faces, self.num_faces = numbered_faces(self._homes, self.numbers, part.faces)
         is_used, has_primitives = np.zeros(len(self.numbers)), np.zeros(self.num_bodies, dtype=np.int64)
-        for corners in (given.faces, given.edges[given.edges[:, 0] != given.edges[:, 1]]):
+        for corners in (part.faces, part.edges[part.edges[:, 0] != part.edges[:, 1]]):
             is_used[corners], has_primitives[self.bodies[corners]] = 1.0, 1
         is_used_by_any = is_used.copy()
         self.copies.back(is_used, is_used_by_any, np.add)
@@ -352,8 +356,8 @@ class DistributedMesh:
             where=lambda row: f" (vertex id {self.vertex_ids[row]})",
             but=np.flatnonzero(self.is_unused),
         )
-        own = np.flatnonzero(self.is_owned & ~self.is_unused)
-        vertices = Primitives(self.numbers[own], own[:, None].astype(np.int64), is_point[own])
+        owned_rows = np.flatnonzero(self.is_owned & ~self.is_unused)
+        vertices = Primitives(self.numbers[owned_rows], owned_rows[:, None].astype(np.int64), is_point[owned_rows])
         self.primitives = {"edge": edges, "face": faces, "vertex": vertices}
 
     def _measure(self) -> None:
@@ -361,9 +365,9 @@ class DistributedMesh:
         self.vertices = self.vertices.copy()
         self.copies.forward([(self.vertices, self.vertices)])
         self._measure_radii()
-        own = self.vertices[self.is_owned & ~self.is_unused]
-        lower = self.ranks.least(own.min(axis=0, initial=np.inf))
-        upper = self.ranks.most(own.max(axis=0, initial=-np.inf))
+        positions = self.vertices[self.is_owned & ~self.is_unused]
+        lower = self.ranks.least(positions.min(axis=0, initial=np.inf))
+        upper = self.ranks.most(positions.max(axis=0, initial=-np.inf))
         with np.errstate(over="ignore"):
             side = float((upper - lower).max()) if self.num_vertices else 0.0
         self.length_scale = min(side, float(np.finfo(np.float64).max)) or 1.0
@@ -392,14 +396,14 @@ class DistributedMesh:
             ((k, n) for k, n in (("edge", self.num_edges), ("face", self.num_faces)) if n),
             ("vertex", self.num_vertices),
         )
-        own = self.primitives[kind]
+        primitives = self.primitives[kind]
         wanted = uneven_samples(count, NUM_SAMPLES)
-        corners = np.full((NUM_SAMPLES, own.corners.shape[1]), -1, dtype=np.int64)
-        if len(own.numbers):
-            order = np.argsort(own.numbers)
-            place = np.minimum(np.searchsorted(own.numbers[order], wanted), len(order) - 1)
-            is_here = own.numbers[order][place] == wanted
-            corners[is_here] = self.numbers[own.corners[order[place[is_here]]]]
+        corners = np.full((NUM_SAMPLES, primitives.corners.shape[1]), -1, dtype=np.int64)
+        if len(primitives.numbers):
+            order = np.argsort(primitives.numbers)
+            place = np.minimum(np.searchsorted(primitives.numbers[order], wanted), len(order) - 1)
+            is_here = primitives.numbers[order][place] == wanted
+            corners[is_here] = self.numbers[primitives.corners[order[place[is_here]]]]
         self.sample_primitives = self.ranks.most(corners).T
         self.sample_vertices = samples = uneven_samples(self.num_vertices, NUM_SAMPLES)
         is_unused = np.isin(samples, self.numbers[self.is_unused]).astype(np.int64)

@@ -21,7 +21,7 @@ class LocalPaths:
     Attributes:
         motion: The motion, the same on all ranks.
         paths: The paths of all bodies of the whole mesh.
-        given: The positions of this rank's vertices at both ends, of rigid bodies in their own frames.
+        positions: The positions of this rank's vertices at both ends, of rigid bodies in their own frames.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class LocalPaths:
                 f"motion is {shown(motion)}; expected a RigidMotion, the same on all ranks; bodies that stretch move "
                 f"straight between rows of vertices_t0 and t1"
             )
-        self._mesh, self.motion, self.given = mesh, motion, (start, end)
+        self._mesh, self.motion, self.positions = mesh, motion, (start, end)
         check_motion(mesh, motion._body_paths)  # type: ignore[arg-type]
         check_worlds_of(mesh.rigid, *mesh.worlds_of_bodies())
         self.paths = MeshPaths.of_checked(mesh, motion._body_paths)  # type: ignore[arg-type]
@@ -45,8 +45,8 @@ class LocalPaths:
         digest = int.from_bytes(hashlib.sha256(text).digest()[:6], "big")
         if list(mesh.ranks.agree(digest, -digest)) != [digest, -digest]:
             raise ValueError("motion differs between ranks; expected the same on all, with a row for every rigid body")
-        own = mesh.owned_rows
-        self._rigid = own[mesh.rigid[mesh.bodies[own]]]
+        owned_rows = mesh.owned_rows
+        self._rigid = owned_rows[mesh.rigid[mesh.bodies[owned_rows]]]
         self._searched = self._rigid[~mesh.is_unused[self._rigid]]
         differs = self._searched[(start[self._searched] != end[self._searched]).any(axis=1)]
         for row in differs[:1].tolist():
@@ -57,10 +57,10 @@ class LocalPaths:
 
     def at(self, t: Any) -> NDArray[np.float64]:
         """Where this rank's own vertices are in the world at a time, one for all or one each; ghosts are anywhere."""
-        start, end = self.given
-        placed, own = np.zeros_like(start), self._mesh.owned_rows
-        times = np.broadcast_to(t, len(start))[own]
-        placed[own] = self.paths.places(self._mesh.bodies[own], start[own], end[own], times)
+        start, end = self.positions
+        placed, owned_rows = np.zeros_like(start), self._mesh.owned_rows
+        times = np.broadcast_to(t, len(start))[owned_rows]
+        placed[owned_rows] = self.paths.places(self._mesh.bodies[owned_rows], start[owned_rows], end[owned_rows], times)
         return placed
 
     def turn(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> None:
@@ -76,7 +76,7 @@ class LocalPaths:
         power of two, so that a plan holds for some more steps.
         """
         rows = self._searched
-        bodies, x = self._mesh.bodies[rows], self.given[0][rows]
+        bodies, x = self._mesh.bodies[rows], self.positions[0][rows]
         x = in_space(x)
         turning = norms(self.paths.velocities(bodies, x, x, 0.0) - self.paths.velocity[bodies])
         angle = norms(self.paths.omega[bodies])

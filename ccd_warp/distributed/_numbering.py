@@ -117,12 +117,12 @@ class PrimitiveHome:
         number: For each copy that was sent, the number of its primitive in the range where this copy is the one that
             counts, and -1 elsewhere.
         count: Number of primitives.
-        chosen: The copy that counts, for each primitive in order.
+        representative: The copy that counts, for each primitive in order.
     """
 
     number: NDArray[np.int64]
     count: int
-    chosen: NDArray[np.intp]
+    representative: NDArray[np.intp]
 
 
 def edges_at_home(edges: NDArray[np.int64], is_of_face: NDArray[np.bool_]) -> tuple[PrimitiveHome, NDArray[np.bool_]]:
@@ -133,10 +133,10 @@ def edges_at_home(edges: NDArray[np.int64], is_of_face: NDArray[np.bool_]) -> tu
     """
     keys = _keys(edges)
     order = np.argsort(keys, kind="stable")  # quick, as those of a rank come in order
-    group, chosen = _groups(keys[order][:, None], order)
-    of_face = np.zeros(len(chosen), dtype=bool)
+    group, representative = _groups(keys[order][:, None], order)
+    of_face = np.zeros(len(representative), dtype=bool)
     of_face[group[is_of_face[order]]] = True
-    return _home(chosen, len(edges)), ~of_face
+    return _home(representative, len(edges)), ~of_face
 
 
 def faces_at_home(faces: NDArray[np.int64]) -> PrimitiveHome:
@@ -147,8 +147,8 @@ def faces_at_home(faces: NDArray[np.int64]) -> PrimitiveHome:
     """
     ordered = np.sort(faces, axis=1)
     order = np.lexsort((*faces.T[::-1], *ordered.T[::-1]))
-    _, chosen = _groups(ordered[order], order)
-    return _home(chosen, len(faces))
+    _, representative = _groups(ordered[order], order)
+    return _home(representative, len(faces))
 
 
 def _groups(rows: NDArray[np.int64], order: NDArray[np.intp]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
@@ -158,10 +158,10 @@ def _groups(rows: NDArray[np.int64], order: NDArray[np.intp]) -> tuple[NDArray[n
     return np.cumsum(is_first, dtype=np.int64) - 1, order[is_first]
 
 
-def _home(chosen: NDArray[np.intp], num_copies: int) -> PrimitiveHome:
+def _home(representative: NDArray[np.intp], num_copies: int) -> PrimitiveHome:
     number = np.full(num_copies, -1, dtype=np.int64)
-    number[chosen] = np.arange(len(chosen))
-    return PrimitiveHome(number, len(chosen), chosen)
+    number[representative] = np.arange(len(representative))
+    return PrimitiveHome(number, len(representative), representative)
 
 
 def edges_of_faces(faces: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -203,9 +203,9 @@ class PartTopology(Topology):
         both = below[0].take(first[may_differ]) & below[1].take(second[may_differ])
         if not both.any():
             return slice(None)
-        own = np.ones(len(first), dtype=bool)
-        own[may_differ[both != 0]] = False
-        return own
+        belongs_here = np.ones(len(first), dtype=bool)
+        belongs_here[may_differ[both != 0]] = False
+        return belongs_here
 
     def _below(self, name: str) -> NDArray[np.uint8]:
         """The axes along which the box of each primitive begins below the region, a bit each."""

@@ -64,5 +64,5 @@ class PartIntersectionStep(IntersectionStep):
         if arrays[0] == "vertex":
             # the ends of an edge that meets the region need not
             keys = keys[self._across.part.is_tested[keys >> 32]]
-        own: Keys = keys[topology.own_pairs_of(arrays, keys >> 32, keys & _INDEX)]
-        return own
+        kept: Keys = keys[topology.own_pairs_of(arrays, keys >> 32, keys & _INDEX)]
+        return kept

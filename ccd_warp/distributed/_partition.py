@@ -85,16 +85,16 @@ def bisected(
     pending: list[tuple[Any, Any, int, int, Any]] = [(everything, weights, 0, count, None)]
     num_cuts = 0
     while pending:
-        chosen, work, first, num, parent = pending.pop()
+        boxes, work, first, num, parent = pending.pop()
         if parent is not None:
             parent[0][parent[1]] = ~first if num == 1 else num_cuts
         if num == 1:
             continue
         left = num // 2
         # what reaches in from below counts where it enters
-        begins = np.maximum(lower[:, chosen], low[first][:, None])
-        ends = upper[:, chosen]
-        of_ghosts = np.minimum(ghost_weights[chosen], work)
+        begins = np.maximum(lower[:, boxes], low[first][:, None])
+        ends = upper[:, boxes]
+        of_ghosts = np.minimum(ghost_weights[boxes], work)
         at, coordinate = _best_cut(begins, ends, work, of_ghosts, left / num)
         axis[num_cuts], cut[num_cuts] = at, coordinate
         high[first : first + left, at] = coordinate
@@ -102,8 +102,8 @@ def bisected(
         is_below = begins[at] < coordinate
         is_above = ends[at] >= coordinate
         work_above = np.where(is_below, of_ghosts, work)[is_above]
-        pending.append((chosen[is_above], work_above, first + left, num - left, (above, num_cuts)))
-        pending.append((chosen[is_below], work[is_below], first, left, (below, num_cuts)))
+        pending.append((boxes[is_above], work_above, first + left, num - left, (above, num_cuts)))
+        pending.append((boxes[is_below], work[is_below], first, left, (below, num_cuts)))
         num_cuts += 1
     return Regions(axis, cut, below, above, low, high)
 
@@ -166,27 +166,27 @@ def regions_met(regions: Regions, lower: NDArray[np.float64], upper: NDArray[np.
     Returns:
         For each region the indices of its boxes, ascending. A box stands in the list of a region once.
     """
-    found: list[NDArray[np.intp]] = [np.zeros(0, dtype=np.intp)] * regions.count
+    boxes_by_region: list[NDArray[np.intp]] = [np.zeros(0, dtype=np.intp)] * regions.count
     _descend(
         regions,
         np.arange(lower.shape[1]),
         lambda axis, cut, items: (lower[axis].take(items) < cut, upper[axis].take(items) >= cut),
-        found,
+        boxes_by_region,
     )
-    return found
+    return boxes_by_region
 
 
 def region_of(regions: Regions, points: NDArray[np.float64]) -> NDArray[np.int32]:
     """The region of each point, int32, shape [n]; points have shape [4, n]."""
-    found: list[NDArray[np.intp]] = [np.zeros(0, dtype=np.intp)] * regions.count
+    points_by_region: list[NDArray[np.intp]] = [np.zeros(0, dtype=np.intp)] * regions.count
 
     def sides(axis: int, cut: float, items: NDArray[np.intp]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         is_below = points[axis].take(items) < cut
         return is_below, ~is_below
 
-    _descend(regions, np.arange(points.shape[1]), sides, found)
+    _descend(regions, np.arange(points.shape[1]), sides, points_by_region)
     result = np.empty(points.shape[1], dtype=np.int32)
-    for region, items in enumerate(found):
+    for region, items in enumerate(points_by_region):
         result[items] = region
     return result
 
@@ -195,14 +195,14 @@ def _descend(
     regions: Regions,
     items: NDArray[np.intp],
     sides: Callable[[int, float, NDArray[np.intp]], tuple[NDArray[np.bool_], NDArray[np.bool_]]],
-    found: list[NDArray[np.intp]],
+    items_by_region: list[NDArray[np.intp]],
 ) -> None:
     """Divide items at every cut, by what ``sides`` says of them, down to the regions."""
     pending = [(0 if regions.count > 1 else ~0, items)]
     while pending:
         node, items = pending.pop()
         if node < 0:
-            found[~node] = items
+            items_by_region[~node] = items
             continue
         is_below, is_above = sides(int(regions.axis[node]), float(regions.cut[node]), items)
         pending.append((int(regions.below[node]), items[is_below]))

@@ -108,11 +108,11 @@ class DistributedPipeline:
         self.work: RankWork | None = None
         self._ranks = ranks = mesh.ranks
         with ranks.together("DistributedPipeline"):
-            given: dict[str, Any] = dict(options)
-            if given.get("device") is None:
-                given["device"] = _device_of(ranks.local_rank)
-            given.setdefault("num_threads", ranks.default_num_threads)
-            self._options = options_of("DistributedPipeline", MeshOptions, given)  # type: ignore[arg-type]
+            rank_options: dict[str, Any] = dict(options)
+            if rank_options.get("device") is None:
+                rank_options["device"] = _device_of(ranks.local_rank)
+            rank_options.setdefault("num_threads", ranks.default_num_threads)
+            self._options = options_of("DistributedPipeline", MeshOptions, rank_options)  # type: ignore[arg-type]
             self._device = resolve_device(self._options.device)
             self._check_same_options()
             norm_of(_Thickness(mesh.body_radius, mesh.is_thick), self._options)  # type: ignore[arg-type]
@@ -253,10 +253,10 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedCandidates:
             plan = self._planned
-            found = self._run(CandidateStep, *self._ends, lambda step: step.candidates(inflation), self._paths)
-            candidates = candidates_of(plan.part, plan.topology, found, self._ranks)
+            candidates = self._run(CandidateStep, *self._ends, lambda step: step.candidates(inflation), self._paths)
+            pairs_of_mesh = candidates_of(plan.part, plan.topology, candidates, self._ranks)
             self._finished()
-            return candidates
+            return pairs_of_mesh
 
         with self._together_on("find_candidates", motion):
             with naming("find_candidates"):
@@ -281,10 +281,10 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedProximities:
             plan = self._planned
-            found = self._run(ProximityStep, plan.start, plan.start, lambda step: step.proximities(distance))
-            proximities = of_part(DistributedProximities, plan.part, found, self._ranks)
+            proximities = self._run(ProximityStep, plan.start, plan.start, lambda step: step.proximities(distance))
+            pairs_of_mesh = of_part(DistributedProximities, plan.part, proximities, self._ranks)
             self._finished()
-            return proximities
+            return pairs_of_mesh
 
         with self._together("find_proximity"):
             with naming("find_proximity"):
@@ -313,9 +313,11 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
             plan = self._planned
-            found = self._run(DisplacementStep, plan.start, plan.start, lambda step: step.bounds(search_radius))
+            bounds_of_part = self._run(
+                DisplacementStep, plan.start, plan.start, lambda step: step.bounds(search_radius)
+            )
             with self._timed("results"):
-                bounds = self._to_local(found)
+                bounds = self._to_local(bounds_of_part)
             self._finished()
             return bounds
 
@@ -343,11 +345,13 @@ class DistributedPipeline:
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> DistributedIntersections:
             plan = self._planned
-            found = self._run(PartIntersectionStep, plan.start, plan.start, PartIntersectionStep.intersections)
-            total = int(self._ranks.total(np.array(len(found))))
-            intersections = of_part(DistributedIntersections, plan.part, found, self._ranks, num_intersections=total)
+            intersections = self._run(PartIntersectionStep, plan.start, plan.start, PartIntersectionStep.intersections)
+            total = int(self._ranks.total(np.array(len(intersections))))
+            pairs_of_mesh = of_part(
+                DistributedIntersections, plan.part, intersections, self._ranks, num_intersections=total
+            )
             self._finished()
-            return intersections
+            return pairs_of_mesh
 
         with self._together("find_intersections"):
             # boxes need no enlargement here; with that of a step, a plan serves both
@@ -399,7 +403,7 @@ class DistributedPipeline:
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return self._run(ContactStep, ends.start, ends.end, work, ends.paths)
 
-            found = search_step(
+            result = search_step(
                 plan.part.mesh,
                 course,
                 on_step,
@@ -410,20 +414,22 @@ class DistributedPipeline:
                 everywhere=everywhere,
             )
             fraction = np.full(len(start), np.inf)
-            plan.part.everything.back(found.vertex_fraction, fraction, np.minimum)
-            self._follow(fraction, per, is_limited=found.is_limited, turns=motion is not None)
-            vertices, own = np.empty_like(start), self.mesh.owned_rows
+            plan.part.everything.back(result.vertex_fraction, fraction, np.minimum)
+            self._follow(fraction, per, is_limited=result.is_limited, turns=motion is not None)
+            vertices, owned = np.empty_like(start), self.mesh.owned_rows
             # a step that is free as it was asked for ends with these bits, with the sign of every 0
-            vertices[own] = end[own] if found.num_rounds == 1 else moved(start[own], end[own], fraction[own])
-            if self._local is not None and found.num_rounds > 1:
+            vertices[owned] = end[owned] if result.num_rounds == 1 else moved(start[owned], end[owned], fraction[owned])
+            if self._local is not None and result.num_rounds > 1:
                 self._local.turn(vertices, fraction)
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
             touching, struck = (
-                of_part(DistributedContacts, plan.part, c, self._ranks) for c in (found.touching, found.struck)
+                of_part(DistributedContacts, plan.part, c, self._ranks) for c in (result.touching, result.struck)
             )
             self._finished()
-            of_rounds = found.num_rounds, found.is_limited
-            return DistributedLineSearch(vertices, fraction, found.fraction, touching, *of_rounds, struck, found.motion)
+            of_rounds = result.num_rounds, result.is_limited
+            return DistributedLineSearch(
+                vertices, fraction, result.fraction, touching, *of_rounds, struck, result.motion
+            )
 
         with self._together_on("line_search", motion):
             with naming("line_search"):
@@ -450,11 +456,11 @@ class DistributedPipeline:
 
         least, most = of_group(mesh.worlds, mesh.num_worlds)
         of_body = of_group(mesh.bodies, mesh.num_bodies)[0]
-        own = least if per in ("scene", "world") else of_body
+        own_fraction = least if per in ("scene", "world") else of_body
         if per == "vertex":  # in the last rounds a world has one fraction, and a rigid body always
-            own = np.where(is_limited & (least == most), least, 1.0)
-            own = np.where(turns & mesh.rigid[mesh.bodies], of_body, own)
-        fraction[mesh.is_unused] = np.where(is_free, own, 1.0)[mesh.is_unused]
+            own_fraction = np.where(is_limited & (least == most), least, 1.0)
+            own_fraction = np.where(turns & mesh.rigid[mesh.bodies], of_body, own_fraction)
+        fraction[mesh.is_unused] = np.where(is_free, own_fraction, 1.0)[mesh.is_unused]
 
     @property
     def _start_distances(self) -> StartDistances | None:
@@ -582,7 +588,7 @@ class DistributedPipeline:
             return plan.start, plan.end
         with self._timed("positions"):
             ends = np.empty_like(plan.start), np.empty_like(plan.end)
-            plan.part.everything.forward(list(zip(self._local.given, ends, strict=True)))
+            plan.part.everything.forward(list(zip(self._local.positions, ends, strict=True)))
         return ends
 
     def _run(

@@ -83,9 +83,9 @@ def make_plan(
     bounds = _bounds(whole, *ends, inflation)
     lower, upper = bounds.boxes(*ends, whole.worlds, whole.box_radius)
     regions = _regions(whole, lower, upper, work)
-    corners = {kind: each.corners for kind, each in whole.primitives.items()}
-    found = destinations(regions, lower, upper, corners)
-    messages = [_message(whole, {kind: items[r] for kind, items in found.items()}) for r in range(ranks.size)]
+    corners = {kind: primitives.corners for kind, primitives in whole.primitives.items()}
+    items_by_kind = destinations(regions, lower, upper, corners)
+    messages = [_message(whole, {kind: items[r] for kind, items in items_by_kind.items()}) for r in range(ranks.size)]
     received = ranks.swap(messages)
     part = _part_of(whole, received)
     count = len(part.vertex_numbers)
@@ -136,8 +136,8 @@ def _is_in(points: NDArray[np.float64], region: tuple[NDArray[np.float64], NDArr
 
 def _bounds(whole: DistributedMesh, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float) -> Bounds:
     """The numbers from which the boxes of the plan follow."""
-    own = np.flatnonzero(whole.is_owned & ~whole.is_unused)
-    lower, upper = scene_box(start[own], end[own])
+    owned_rows = np.flatnonzero(whole.is_owned & ~whole.is_unused)
+    lower, upper = scene_box(start[owned_rows], end[owned_rows])
     extent, count = 0.0, 0
     kind = "edge" if whole.num_edges else "face"
     corners = whole.primitives[kind].corners
@@ -168,20 +168,20 @@ def _regions(
     if work is not None:
         of_vertex[whole.owned_rows] = work
         whole.copies.forward([(of_vertex, of_vertex)])
-    kinds = [each for each in whole.primitives.values() if len(each.numbers)]
-    total = sum(len(each.numbers) for each in kinds)
+    kinds = [primitives for primitives in whole.primitives.values() if len(primitives.numbers)]
+    total = sum(len(primitives.numbers) for primitives in kinds)
     total_of_all = int(ranks.total(np.array(total)))
     most = max(LEAST_SAMPLES, SAMPLES_EACH * ranks.size)
     rows = [np.empty((0, 11))]
-    for each in kinds:
-        num = -(-most * len(each.numbers) // max(total_of_all, 1))
-        chosen = each.corners[partition.even_samples(len(each.numbers), num)]
-        stands_for = len(each.numbers) / len(chosen)
-        of_each = WORK_OF_PRIMITIVE + of_vertex[chosen].mean(axis=1) / _PRIMITIVES_A_VERTEX
-        of_ghost = np.full(len(chosen), WORK_OF_PRIMITIVE)
-        box = np.nan_to_num(np.concatenate(united(lower, upper, chosen)))
-        here = np.full((1, len(chosen)), float(ranks.rank))
-        rows.append(np.concatenate([box, stands_for * np.stack([of_each, of_ghost]), here]).T)
+    for primitives in kinds:
+        num = -(-most * len(primitives.numbers) // max(total_of_all, 1))
+        sampled = primitives.corners[partition.even_samples(len(primitives.numbers), num)]
+        stands_for = len(primitives.numbers) / len(sampled)
+        work_of_home = WORK_OF_PRIMITIVE + of_vertex[sampled].mean(axis=1) / _PRIMITIVES_A_VERTEX
+        of_ghost = np.full(len(sampled), WORK_OF_PRIMITIVE)
+        box = np.nan_to_num(np.concatenate(united(lower, upper, sampled)))
+        here = np.full((1, len(sampled)), float(ranks.rank))
+        rows.append(np.concatenate([box, stands_for * np.stack([work_of_home, of_ghost]), here]).T)
     samples = np.ascontiguousarray(ranks.every(np.concatenate(rows)).T)
     regions = partition.bisected(samples[:4], samples[8], ranks.size, samples[4:8], samples[9])
     held = np.zeros((ranks.size, ranks.size))
@@ -191,10 +191,10 @@ def _regions(
 
 def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDArray[np.int64]:
     """Primitives for a rank, with the vertices that they use, as one array; empty where there are none."""
-    chosen = {kind: whole.primitives[kind].corners[rows] for kind, rows in items.items()}
-    if not any(map(len, chosen.values())):
+    corners = {kind: whole.primitives[kind].corners[rows] for kind, rows in items.items()}
+    if not any(map(len, corners.values())):
         return np.zeros(0, dtype=np.int64)
-    rows, place = used_rows(len(whole.numbers), list(chosen.values()))
+    rows, place = used_rows(len(whole.numbers), list(corners.values()))
     vertices = np.empty((len(rows), _VERTEX), dtype=np.int64)
     radius = whole.box_radius if whole.radius is None else whole.radius
     columns = [whole.numbers, whole.vertex_ids, whole.owner, whole.bodies, whole.worlds]
@@ -202,13 +202,13 @@ def _message(whole: DistributedMesh, items: dict[str, NDArray[np.intp]]) -> NDAr
         vertices[:, k] = values[rows]
     vertices[:, _VERTEX - 1] = 0
     is_point = whole.primitives["vertex"].is_codimensional[items["vertex"]]
-    vertices[place[chosen["vertex"][:, 0]], _VERTEX - 1] = _IS_TESTED + _IS_POINT * is_point
+    vertices[place[corners["vertex"][:, 0]], _VERTEX - 1] = _IS_TESTED + _IS_POINT * is_point
     edge, face = whole.primitives["edge"], whole.primitives["face"]
     edges = np.empty((len(items["edge"]), _EDGE), dtype=np.int64)
-    edges[:, 0], edges[:, 1:3] = edge.numbers[items["edge"]], place[chosen["edge"]]
+    edges[:, 0], edges[:, 1:3] = edge.numbers[items["edge"]], place[corners["edge"]]
     edges[:, 3] = edge.is_codimensional[items["edge"]]
     faces = np.empty((len(items["face"]), _FACE), dtype=np.int64)
-    faces[:, 0], faces[:, 1:] = face.numbers[items["face"]], place[chosen["face"]]
+    faces[:, 0], faces[:, 1:] = face.numbers[items["face"]], place[corners["face"]]
     sizes = np.array([len(vertices), len(edges), len(faces)])
     return np.concatenate([sizes, vertices.ravel(), edges.ravel(), faces.ravel()])
 

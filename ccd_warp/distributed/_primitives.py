@@ -31,7 +31,7 @@ def numbered_edges(
     numbers: NDArray[np.int64],
     order: NDArray[np.intp],
     faces: NDArray[np.int64],
-    given: NDArray[np.int64],
+    listed: NDArray[np.int64],
 ) -> tuple[Primitives, int]:
     """The edges that this rank owns, and the number of those of the whole mesh; collective.
 
@@ -40,34 +40,34 @@ def numbered_edges(
         numbers: Number of each vertex on this rank.
         order: Their rows by ascending number.
         faces: Rows of the vertices of the faces that this rank has handed in, shape [f, 3].
-        given: Those of codimensional edges, shape [e, 2].
+        listed: Those of codimensional edges, shape [e, 2].
     """
     # places among the vertices of this rank are ordered as their numbers are
     place = np.empty(len(numbers), dtype=np.int64)
     place[order] = np.arange(len(numbers))
     edges = numbering.edges_of_faces(place[faces])
-    alone = np.sort(place[given], axis=1)
+    alone = np.sort(place[listed], axis=1)
     rows = order[np.concatenate([edges, alone[alone[:, 0] != alone[:, 1]]])]
     copies = np.empty((len(rows), 3), dtype=np.int64)
     copies[:, :2] = numbers[rows]
     copies[:, 2] = np.arange(len(rows)) < len(edges)
-    asked = homes.ask(copies, copies[:, 1])
-    of_all = asked.rows
+    queries = homes.ask(copies, copies[:, 1])
+    of_all = queries.rows
     home, is_codimensional = numbering.edges_at_home(of_all[:, :2], of_all[:, 2] == 1)
     flags = np.zeros(len(of_all), dtype=np.int64)
-    flags[home.chosen] = is_codimensional
+    flags[home.representative] = is_codimensional
     number, count = _numbered(homes, home)
-    found, flags = asked.answers(np.stack([number, flags], axis=1)).T
-    return _owned(found, rows, flags == 1), count
+    owned_numbers, flags = queries.answers(np.stack([number, flags], axis=1)).T
+    return _owned(owned_numbers, rows, flags == 1), count
 
 
 def numbered_faces(homes: Homes, numbers: NDArray[np.int64], faces: NDArray[np.int64]) -> tuple[Primitives, int]:
     """The faces that this rank owns, and the number of those of the whole mesh; collective."""
     copies = numbers[faces]
-    asked = homes.ask(copies, copies.min(axis=1))
-    number, count = _numbered(homes, numbering.faces_at_home(asked.rows))
-    found = asked.answers(number[:, None])[:, 0]
-    return _owned(found, faces, np.zeros(len(faces), dtype=bool)), count
+    queries = homes.ask(copies, copies.min(axis=1))
+    number, count = _numbered(homes, numbering.faces_at_home(queries.rows))
+    owned_numbers = queries.answers(number[:, None])[:, 0]
+    return _owned(owned_numbers, faces, np.zeros(len(faces), dtype=bool)), count
 
 
 def _numbered(homes: Homes, home: numbering.PrimitiveHome) -> tuple[NDArray[np.int64], int]:
@@ -76,8 +76,8 @@ def _numbered(homes: Homes, home: numbering.PrimitiveHome) -> tuple[NDArray[np.i
     return np.where(home.number >= 0, home.number + before, -1), int(homes.ranks.total(np.array(home.count)))
 
 
-def _owned(found: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]) -> Primitives:
+def _owned(numbers: NDArray[np.int64], rows: NDArray[np.integer], codimensional: NDArray[np.bool_]) -> Primitives:
     """The primitives for which a home has chosen this rank, given the rows of their vertices."""
-    items = np.flatnonzero(found >= 0)
-    items = items[np.argsort(found[items], kind="stable")]
-    return Primitives(found[items], rows[items].astype(np.int64), codimensional[items])
+    items = np.flatnonzero(numbers >= 0)
+    items = items[np.argsort(numbers[items], kind="stable")]
+    return Primitives(numbers[items], rows[items].astype(np.int64), codimensional[items])

@@ -49,11 +49,11 @@ class _Duplicate:
         """That of a communicator, made by its first mesh, collectively."""
         if cls._key is None:
             cls._key = comm.Create_keyval()
-        found: _Duplicate | None = comm.Get_attr(cls._key)
-        if found is None:
-            found = cls(comm)
-            comm.Set_attr(cls._key, found)
-        return found
+        duplicate: _Duplicate | None = comm.Get_attr(cls._key)
+        if duplicate is None:
+            duplicate = cls(comm)
+            comm.Set_attr(cls._key, duplicate)
+        return duplicate
 
 
 class Ranks:
@@ -226,25 +226,25 @@ class Ranks:
         with self.after_agreement():
             self.comm.Alltoall(lengths, coming)
         # what comes may not fit into memory, and then nothing is sent
-        found = [np.empty((int(n), *like.shape[1:]), dtype=like.dtype) for n in coming]
+        received = [np.empty((int(n), *like.shape[1:]), dtype=like.dtype) for n in coming]
         byte, requests = self.mpi.BYTE, []
         with self.after_agreement():
             for r in range(self.size):
                 if r != self.rank:
-                    requests += [self.comm.Irecv([part, byte], source=r) for part in _messages(found[r])]
+                    requests += [self.comm.Irecv([part, byte], source=r) for part in _messages(received[r])]
             for r in range(self.size):
                 if r != self.rank:
                     requests += [self.comm.Isend([part, byte], dest=r) for part in _messages(arrays[r])]
                     self.bytes_sent += arrays[r].nbytes
             self.mpi.Request.Waitall(requests)
-        found[self.rank] = arrays[self.rank]
-        return found
+        received[self.rank] = arrays[self.rank]
+        return received
 
 
 def _messages(array: NDArray[Any]) -> list[NDArray[np.uint8]]:
     """The bytes of an array in parts that a message can hold; none of an empty one."""
-    each = array.reshape(-1).view(np.uint8)
-    return [each[k : k + MOST_BYTES] for k in range(0, len(each), MOST_BYTES)]
+    as_bytes = array.reshape(-1).view(np.uint8)
+    return [as_bytes[k : k + MOST_BYTES] for k in range(0, len(as_bytes), MOST_BYTES)]
 
 
 def _agreed(error: BaseException) -> BaseException:

@@ -48,7 +48,7 @@ class OnRanks:
                 "to_root() is called on a copy, or on what it has brought to rank 0; expected the result of a call"
             )
         with ranks.together("to_root"):
-            columns = {name: each for name, each in vars(self).items() if isinstance(each, np.ndarray)}
+            columns = {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
             gathered = ranks.at_root(columns)
         return None if gathered is None else replace(self, **self._in_order(gathered))
 
@@ -75,7 +75,7 @@ class PairsOnRanks(OnRanks):
 
 def of_part(table: type[_PairsT], part: Part, pairs: Any, ranks: Ranks, **more: Any) -> _PairsT:
     """The pairs of a part in a table of the whole mesh, which has the columns of both, and what else is given."""
-    columns = {each.name: getattr(pairs, each.name) for each in fields(table) if each.name not in more}
+    columns = {field.name: getattr(pairs, field.name) for field in fields(table) if field.name not in more}
     kinds = IntersectionKind if isinstance(pairs, Intersections) else PairKind
     columns["primitives"] = whole_pairs(part, kinds, pairs.kind, pairs.primitives)
     columns["vertices"] = part.vertex_ids[pairs.vertices]
@@ -119,11 +119,11 @@ def whole_pairs(
     result = np.empty(pairs.shape, dtype=np.int64)
     numbers = {"vertex": part.vertex_numbers, "edge": part.edge_numbers, "face": part.face_numbers}
     numbers["plane"] = np.arange(len(part.mesh.planes))  # all ranks have all of them
-    for each in kinds:
-        chosen = kind == int(each)
-        if chosen.any():
-            for k, name in enumerate(primitives_of(each)):
-                result[chosen, k] = numbers[name][pairs[chosen, k]]
+    for member in kinds:
+        rows = kind == int(member)
+        if rows.any():
+            for k, name in enumerate(primitives_of(member)):
+                result[rows, k] = numbers[name][pairs[rows, k]]
     return result
 
 
@@ -263,14 +263,14 @@ class DistributedCandidates(OnRanks):
 
 def candidates_of(part: Part, topology: PartTopology, candidates: Candidates, ranks: Ranks) -> DistributedCandidates:
     """The candidates of a part that belong to this rank, in lexicographic order, as pairs of the whole mesh."""
-    found = {}
+    by_kind = {}
     for kind in PairKind:
         pairs: Any = getattr(candidates, kind.name.lower())
         if kind != PairKind.VERTEX_PLANE:  # those are asked for only where they belong
             pairs = pairs[topology.own_pairs(kind, *pairs.T)]
         of_kind = np.full(len(pairs), kind, dtype=np.int32)
-        found[kind.name.lower()] = _in_order(whole_pairs(part, PairKind, of_kind, pairs))
-    return DistributedCandidates(**found)._of(ranks)
+        by_kind[kind.name.lower()] = _in_order(whole_pairs(part, PairKind, of_kind, pairs))
+    return DistributedCandidates(**by_kind)._of(ranks)
 
 
 def _in_order(pairs: Any) -> NDArray[np.int64]:

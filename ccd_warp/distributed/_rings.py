@@ -45,11 +45,11 @@ class Rings:
             return None
         ranks = homes.ranks
         rings = Rings(homes, np.zeros((0, 2), dtype=np.int64))
-        own = np.unique(numbers)
+        vertices = np.unique(numbers)
         near = np.zeros((0, 2), dtype=np.int64)
         if num_rings > 1:
             neighbours = Rings(homes, rings._sent_home(np.concatenate([edges, edges[:, ::-1]])))
-            near = rings._sent_home(np.stack([own, own], axis=1))
+            near = rings._sent_home(np.stack([vertices, vertices], axis=1))
             fresh = near
             for _ in range(num_rings - 1):
                 reached = neighbours.rows_of(fresh[:, 1])
@@ -78,9 +78,9 @@ class Rings:
         """The length of the row of each number, and the rows one after the other; collective."""
         unique, place = np.unique(numbers, return_inverse=True)
         ranks = self.homes.ranks
-        asked = self.homes.ask(unique, unique).received
-        begins = [np.searchsorted(self.keys[:, 0], each, side="left") for each in asked]
-        ends = [np.searchsorted(self.keys[:, 0], each, side="right") for each in asked]
+        requested = self.homes.ask(unique, unique).received
+        begins = [np.searchsorted(self.keys[:, 0], part, side="left") for part in requested]
+        ends = [np.searchsorted(self.keys[:, 0], part, side="right") for part in requested]
         lengths = ranks.swap([end - begin for begin, end in zip(begins, ends, strict=True)])
         rows = ranks.swap([self.keys[_ranges(begin, end - begin), 1] for begin, end in zip(begins, ends, strict=True)])
         # homes hold ascending ranges, so their answers follow each other as the unique numbers do
@@ -107,7 +107,7 @@ def _ranges(begin: NDArray[np.integer], length: NDArray[np.integer]) -> NDArray[
     return np.arange(total) + shift
 
 
-def _without(keys: NDArray[np.int64], known: NDArray[np.int64]) -> NDArray[np.int64]:
+def _without(keys: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.int64]:
     """Rows that are not among others, both unique."""
-    both, counts = np.unique(np.concatenate([keys, known]), axis=0, return_counts=True)
+    both, counts = np.unique(np.concatenate([keys, others]), axis=0, return_counts=True)
     return both[counts == 1]

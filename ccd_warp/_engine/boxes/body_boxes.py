@@ -78,7 +78,7 @@ def bodies_near_boxes(
             return near
         tree, order = _tree(lower, upper, filled, device)
     queries = np.flatnonzero(is_query[order]).astype(np.int32)
-    found: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
+    marks: wp.array = wp.zeros(mesh.num_bodies, dtype=wp.int32, device=device)
     assert execution.flag
     execution.launch(
         kernels.mark_bodies_near,
@@ -89,11 +89,11 @@ def bodies_near_boxes(
             topology.collision_filter,
             execution.flag.array,
         ],
-        outputs=[found],
+        outputs=[marks],
         grain=256,
         is_long=lambda: len(queries) * len(filled) > _LONG_SEARCH,
     )
-    return near | (found.numpy() != 0)
+    return near | (marks.numpy() != 0)
 
 
 def swept_boxes(positions: Positions, first: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

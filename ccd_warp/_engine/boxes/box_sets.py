@@ -100,7 +100,7 @@ class BoxSet(ABC):
         sets: Iterable[Any],
         vertex_aabbs: Any,
         launcher: "Execution | Recording",
-        structs_of: Callable[[Any], tuple[Any, ...]] = lambda each: each.structs,
+        structs_of: Callable[[Any], tuple[Any, ...]] = lambda box_set: box_set.structs,
         only_if: wp.array | None = None,
     ) -> None:
         """Compute the boxes of sets of this class from the vertex AABBs.

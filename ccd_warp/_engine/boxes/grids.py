@@ -121,13 +121,13 @@ class Grid(BoxSet):
 
         So two different hashes are searched in both directions, the second time for pairs of different levels alone.
         """
-        found = []
+        searches = []
         for pair in pairs:
-            found.append(pair)
+            searches.append(pair)
             if not pair.within:
                 turned = {"query": pair.target, "target": pair.query, "swapped": not pair.swapped}
-                found.append(replace(pair, **turned, rise=1))
-        return found
+                searches.append(replace(pair, **turned, rise=1))
+        return searches
 
 
 def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, spare: float = 1.0) -> float:

@@ -116,30 +116,30 @@ class StepBoxes:
             lambda: choose_cell(self.topology, positions, self.quantization),
             self.topology.vertex_group,
         )
-        for each in sets:
-            self._lay_out(each, layout, goes_on)
+        for box_set in sets:
+            self._lay_out(box_set, layout, goes_on)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
-            for each in sets:
-                if each.primitives.is_static and each.name not in self._filled:
-                    each.structs = self._rest[each.name]
-                    each.fill([each], self.vertex_aabbs, execution)
-                    self.keep_in_order(each, execution)
-                    self._filled.add(each.name)
+            for box_set in sets:
+                if box_set.primitives.is_static and box_set.name not in self._filled:
+                    box_set.structs = self._rest[box_set.name]
+                    box_set.fill([box_set], self.vertex_aabbs, execution)
+                    self.keep_in_order(box_set, execution)
+                    self._filled.add(box_set.name)
 
-    def _lay_out(self, each: BoxSet, layout: Layout, goes_on: bool) -> None:
+    def _lay_out(self, box_set: BoxSet, layout: Layout, goes_on: bool) -> None:
         """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
-        is_new = each.name not in self._rest
+        is_new = box_set.name not in self._rest
         if is_new:
-            each.lay_out(layout)
-        is_changed = is_new or each.adapt(layout)
+            box_set.lay_out(layout)
+        is_changed = is_new or box_set.adapt(layout)
         if is_changed:
-            self._rest[each.name] = each.structs
-            self._filled.discard(each.name)
-        if not each.primitives.is_static:
+            self._rest[box_set.name] = box_set.structs
+            self._filled.discard(box_set.name)
+        if not box_set.primitives.is_static:
             if is_changed or not goes_on:
-                each.structs = self._rest[each.name]
-            self.num_boxes += each.primitives.count
+                box_set.structs = self._rest[box_set.name]
+            self.num_boxes += box_set.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""
@@ -181,17 +181,17 @@ class StepBoxes:
             return True
         return bool((of_a[0] <= of_b[1]).all() and (of_b[0] <= of_a[1]).all())
 
-    def keep_in_order(self, each: BoxSet, execution: Execution) -> bool:
+    def keep_in_order(self, box_set: BoxSet, execution: Execution) -> bool:
         """Sort the primitives of a tree by their current positions unless most blocks consist of neighbours.
 
         On CUDA sorting is cheap, and whether it is needed would have to be read back. Returns whether it was sorted.
         """
-        if each.primitives.is_static:
-            self.num_boxes += each.primitives.count
-        if each.is_sorted_when_filled or (not execution.is_cuda and self._is_in_order(each)):
+        if box_set.primitives.is_static:
+            self.num_boxes += box_set.primitives.count
+        if box_set.is_sorted_when_filled or (not execution.is_cuda and self._is_in_order(box_set)):
             return False
-        self._sort(each, execution)
-        each.fill([each], self.vertex_aabbs, execution)
+        self._sort(box_set, execution)
+        box_set.fill([box_set], self.vertex_aabbs, execution)
         return True
 
     def _sort(self, tree: Any, execution: Execution) -> None:
@@ -220,8 +220,8 @@ class StepBoxes:
         are_few = tree.primitives.count <= _FEW_OF_A_WORLD * len(self.topology.world_places.unit)
         if count <= WIDTH or are_few or tree.primitives.is_sample:
             return True
-        chosen = uneven_samples(count, _CHECKED_BLOCKS)
-        boxes = tree.level_boxes(1)[chosen // WIDTH, :, :, :, chosen % WIDTH]
+        checked = uneven_samples(count, _CHECKED_BLOCKS)
+        boxes = tree.level_boxes(1)[checked // WIDTH, :, :, :, checked % WIDTH]
         with np.errstate(invalid="ignore", over="ignore"):
             longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
         longest.sort()

@@ -367,15 +367,15 @@ def sampled_pairs_of(
     Trees of samples that are not in ``trees`` yet are made and added to it. A pair of two primitives of one sample is
     found twice.
     """
-    found = []
+    sampled_pairs = []
     for pair in tree_pairs:
         kind = topology.primitives_of(pair.kind)[int(pair.swapped)]
         primitives = topology.sampled_queries(pair.query.primitives, kind)
         if primitives.count:
             if primitives.name not in trees:
                 trees[primitives.name] = make(primitives)
-            found.append(replace(pair, query=trees[primitives.name]))
-    return found
+            sampled_pairs.append(replace(pair, query=trees[primitives.name]))
+    return sampled_pairs
 
 
 def trees_of(tree_pairs: list[TreePair]) -> list[BoxSet]:

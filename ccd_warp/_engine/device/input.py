@@ -56,8 +56,8 @@ class PreparedLaunch(NamedTuple):
         vertices_t1: End positions, or displacements.
         safety: Fraction of a toi that a line search keeps.
         places_static: Whether it sets the positions of static bodies.
-        given: The arrays of NumPy whose values the launch copies to ``vertices_t0`` and ``vertices_t1``; None where
-            these are the caller's.
+        copied_arrays: The arrays of NumPy whose values the launch copies to ``vertices_t0`` and ``vertices_t1``; None
+            where these are the caller's.
     """
 
     form: Form
@@ -65,7 +65,7 @@ class PreparedLaunch(NamedTuple):
     vertices_t1: wp.array
     safety: float
     places_static: bool
-    given: list[NDArray[Any]] | None = None
+    copied_arrays: list[NDArray[Any]] | None = None
 
 
 class DeviceInput:
@@ -144,10 +144,10 @@ class DeviceInput:
         rows = {mesh.num_vertices: "one a vertex"}
         if self.has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        given = [vertices_t0, vertices_t1]
-        is_copied = self._may_be_copied(given, rows)
+        arrays = [vertices_t0, vertices_t1]
+        is_copied = self._may_be_copied(arrays, rows)
         if is_copied:
-            start, end = (self._own_array(name, values)[0] for name, values in zip(("t0", "t1"), given, strict=True))
+            start, end = (self._own_array(name, values)[0] for name, values in zip(("t0", "t1"), arrays, strict=True))
         else:
             start = as_positions(vertices_t0, name_t0, device, rows, mesh.dimension)
             end = as_positions(vertices_t1, name_t1, device, rows, mesh.dimension)
@@ -157,24 +157,24 @@ class DeviceInput:
         by_vertex = len(start) == count, len(end) == count
         form = Form(real, *by_vertex, is_displacement, line_search, num_slices, is_taped)
         places_static = form.t0_by_vertex and self.has_static
-        return PreparedLaunch(form, start, end, safety, places_static, given if is_copied else None)
+        return PreparedLaunch(form, start, end, safety, places_static, arrays if is_copied else None)
 
-    def _may_be_copied(self, given: list[Any], rows: Collection[int]) -> bool:
+    def _may_be_copied(self, arrays: list[Any], rows: Collection[int]) -> bool:
         """Whether the values of two arrays are copied: of NumPy and few, which costs less than to bind the arrays.
 
         A graph reads the caller's arrays, whatever they hold when it is replayed.
         """
         device, dimension = self._topology.device, self._mesh.dimension
-        if device.is_cuda or not all(type(values) is np.ndarray for values in given) or device.is_capturing:
+        if device.is_cuda or not all(type(values) is np.ndarray for values in arrays) or device.is_capturing:
             return False
-        return given[0].dtype == given[1].dtype and all(
+        return arrays[0].dtype == arrays[1].dtype and all(
             values.dtype in _REALS
             and values.ndim == 2
             and values.shape[1] == dimension
             and values.shape[0] in rows
             and values.shape[0] <= MOST_COPIED
             and values.flags.c_contiguous
-            for values in given
+            for values in arrays
         )
 
     def _own_array(self, name: str, like: NDArray[Any]) -> tuple[wp.array, NDArray[Any]]:
@@ -187,13 +187,13 @@ class DeviceInput:
 
     def copy_in(self, prepared: PreparedLaunch) -> None:
         """Copy the values of NumPy's arrays to the arrays of a launch, where it has some."""
-        for name, values in zip(("t0", "t1"), prepared.given or [], strict=False):
+        for name, values in zip(("t0", "t1"), prepared.copied_arrays or [], strict=False):
             self._own_array(name, values)[1][...] = values
 
     def copy_out(self, prepared: PreparedLaunch) -> None:
         """Copy what a line search has written to the caller's array of NumPy, where it has one."""
-        if prepared.given is not None and prepared.form.line_search is not None:
-            values = prepared.given[1]
+        if prepared.copied_arrays is not None and prepared.form.line_search is not None:
+            values = prepared.copied_arrays[1]
             values[...] = self._own_array("t1", values)[1]
 
     def record(self, recording: Recording, form: Form, stages: Stages, is_first: bool) -> None:

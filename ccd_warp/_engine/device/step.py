@@ -213,10 +213,10 @@ class DeviceStep(Plan):
 
     def start_of(self, prepared: PreparedLaunch) -> NDArray[np.float64]:
         """Start positions of all vertices on the host, static ones as they are laid out; this waits for the device."""
-        given = prepared.vertices_t0.numpy() if prepared.given is None else prepared.given[0]
+        values = prepared.vertices_t0.numpy() if prepared.copied_arrays is None else prepared.copied_arrays[0]
         rows = slice(None) if prepared.form.t0_by_vertex else self._mesh.moving_vertices
         start = self._vertices.copy()
-        start[rows, : self._mesh.dimension] = given.reshape(-1, self._mesh.dimension)
+        start[rows, : self._mesh.dimension] = values.reshape(-1, self._mesh.dimension)
         return start
 
     def launch(self, prepared: PreparedLaunch) -> None:
@@ -234,7 +234,7 @@ class DeviceStep(Plan):
         self._input.copy_in(prepared)
         recording.play(_PLAY)
         self._input.copy_out(prepared)
-        self._last = prepared._replace(given=None)
+        self._last = prepared._replace(copied_arrays=None)
 
     def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
         """Contacts of a launch that know their mesh, and their points in a step between these positions.
@@ -242,8 +242,8 @@ class DeviceStep(Plan):
         If these are None, they are what the arrays of the last launch hold now; this waits for the device.
         """
         if vertices_t0 is not None:
-            given = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
-            start, end = self._mesh.frames(*given)
+            frames = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
+            start, end = self._mesh.frames(*frames)
         else:
             last = self.last_positions()
             if last is None:
@@ -326,15 +326,15 @@ class DeviceStep(Plan):
         active: Any,
         *,
         is_first: bool = True,
-        asked: Callable[[Stages], Stages] = lambda stages: stages,
+        adapt: Callable[[Stages], Stages] = lambda stages: stages,
         **solved: Any,
     ) -> Stages:
         """Record the launches of a step, or of a pass of a line search, after the reset; returns their stages.
 
-        What the narrow phase is asked may be ``asked`` of other stages.
+        The narrow phase is launched with what ``adapt`` makes of the stages.
         """
         stages = self._record_pairs(recording, form, active, is_first)
-        self._record_narrow_phase(recording, asked(stages), active, **solved)
+        self._record_narrow_phase(recording, adapt(stages), active, **solved)
         return stages
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:

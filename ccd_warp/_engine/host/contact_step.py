@@ -57,8 +57,8 @@ class ContactStep(ImpactStep):
         self.oddities.is_stuck = num_hidden > 0
         within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
         hidden = hidden_sentence(num_hidden, self.mesh, self.positions, within)
-        known = {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
-        return MeshResult(**(gathered | known))
+        of_step = {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
+        return MeshResult(**(gathered | of_step))
 
     def _find(self, part: Slice, store: ContactStore) -> None:
         """Add the contacts of a slice, or of the whole step."""
@@ -77,10 +77,10 @@ class ContactStep(ImpactStep):
         if self.planes is not None:
             with self.timed("planes"):
                 expected = store.num_with_planes
-                found = self.planes.listed(expected, lambda count: plan.bind(contacts=store.begin_batch(count)))
-                store.end_batch(found)
-                store.num_with_planes = max(expected, found)
-                self.survivors[PairKind.VERTEX_PLANE] += found
+                num_contacts = self.planes.listed(expected, lambda count: plan.bind(contacts=store.begin_batch(count)))
+                store.end_batch(num_contacts)
+                store.num_with_planes = max(expected, num_contacts)
+                self.survivors[PairKind.VERTEX_PLANE] += num_contacts
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
         has_shared = False
         for batch in self.batches(batches):

@@ -98,9 +98,9 @@ class _Ordered:
         first = np.where(first == _LAST, _NO_CONTACT, first) if count else np.full(len(first), _NO_CONTACT)
         return columns, [first[i:j] for i, j in itertools.pairwise(self._bounds)]
 
-    def fill_keys(self, launcher: Execution | Recording, found: Any) -> None:
+    def fill_keys(self, launcher: Execution | Recording, contacts: Any) -> None:
         """Compute the keys of the contacts of a list."""
-        launcher.launch(kernels.contact_keys, self._capacity, inputs=[found], outputs=[self.keys])
+        launcher.launch(kernels.contact_keys, self._capacity, inputs=[contacts], outputs=[self.keys])
 
     def sort(self, count: int, execution: Execution) -> None:
         """Find the order of ``count`` contacts from their keys."""
@@ -115,10 +115,10 @@ class _Ordered:
         """Keys and order on the CPU, whose views Warp takes as long to make as few contacts take to sort."""
         return self.keys.numpy(), self.order.numpy()
 
-    def fill(self, launcher: Execution | Recording, found: Any) -> None:
+    def fill(self, launcher: Execution | Recording, contacts: Any) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
         launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
-        inputs = [self.order, found]
+        inputs = [self.order, contacts]
         launcher.launch(kernels.order_contacts, self._capacity, inputs=inputs, outputs=[self._contacts])
         corners = [self._topology.corners[name] for name in ("vertex", "edge", "face")]
         inputs = [self._contacts, *corners, self._minima]
@@ -220,12 +220,12 @@ class ContactStore:
         for values in (columns["kind"], pairs[:, 0], pairs[:, 1]):
             alike[1:] &= values[order[1:]] == values[order[:-1]]
         alike[:1] = False
-        chosen = order[~alike]
-        if len(chosen) == self.total:
+        kept = order[~alike]
+        if len(kept) == self.total:
             return
-        self.total = len(chosen)
+        self.total = len(kept)
         for name, values in columns.items():
-            getattr(self._list, name)[: self.total].assign(values[chosen])
+            getattr(self._list, name)[: self.total].assign(values[kept])
         self._read = None
         self.count.fill_(self.total)
 
@@ -264,9 +264,9 @@ class ContactStore:
             toi = self._toi_view.copy()
         *of_owners, scene = (toi[i:j] for i, j in self._ranges)
         owners = "vertex", "body", "world"
-        found: dict[str, Any] = {"contacts": Contacts(**contacts), "toi": float(scene[0])}
-        found |= {f"{owner}_toi": values for owner, values in zip(owners, of_owners, strict=True)}
-        return found | {f"{owner}_contact": values for owner, values in zip(owners, first, strict=True)}
+        results: dict[str, Any] = {"contacts": Contacts(**contacts), "toi": float(scene[0])}
+        results |= {f"{owner}_toi": values for owner, values in zip(owners, of_owners, strict=True)}
+        return results | {f"{owner}_contact": values for owner, values in zip(owners, first, strict=True)}
 
     @lazy_property
     def _few(self) -> "_Ordered":
@@ -308,10 +308,10 @@ def _sorted_places(keys: NDArray[np.int64], execution: Execution) -> NDArray[np.
     bounds = [None, *pivots.tolist(), None]
 
     def sort(low: int | None, high: int | None) -> NDArray[np.int32]:
-        chosen = np.ones(len(keys), dtype=bool) if low is None else keys >= low
+        is_in_piece = np.ones(len(keys), dtype=bool) if low is None else keys >= low
         if high is not None:
-            chosen &= keys < high
-        places = np.flatnonzero(chosen)
+            is_in_piece &= keys < high
+        places = np.flatnonzero(is_in_piece)
         return places[np.argsort(keys[places])].astype(np.int32)
 
     tasks = [lambda low=low, high=high: sort(low, high) for low, high in itertools.pairwise(bounds)]  # type: ignore[misc]

@@ -47,8 +47,8 @@ class Course:
 
     def are_at_start(self, vertices: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which vertices have not moved on the way to positions that are those at a fraction of each, shape [V]."""
-        found: NDArray[np.bool_] = (vertices == self.start).all(axis=1)
-        return found
+        is_at_start: NDArray[np.bool_] = (vertices == self.start).all(axis=1)
+        return is_at_start
 
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which vertices share that have one fraction whatever is asked for."""

@@ -291,16 +291,16 @@ class _Driven:
         course = self._course
         stays = course.are_at_start(course.end, np.ones(len(course.end)))
         is_still = stays[corners] | self._mesh.kinematic[self._mesh.vertex_body[corners]]
-        found: NDArray[np.bool_] = np.asarray(is_still.all(axis=1))
-        return found & self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
+        is_pair_still: NDArray[np.bool_] = np.asarray(is_still.all(axis=1))
+        return is_pair_still & self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
 
     def among(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Which of the contacts are of such a pair."""
         if self._keys is None:
             return np.zeros(len(contacts), dtype=bool)
         is_of_kinematic = self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
-        found: NDArray[np.bool_] = is_of_kinematic & _is_among(_keys(contacts), self._keys)
-        return found
+        is_of_pair: NDArray[np.bool_] = is_of_kinematic & _is_among(_keys(contacts), self._keys)
+        return is_of_pair
 
 
 def _vertices_of(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int32]:
@@ -342,8 +342,8 @@ def _is_among(keys: NDArray[np.uint64], ascending: NDArray[np.uint64]) -> NDArra
     """Which keys are among others, which may be millions: `np.isin` would take seconds."""
     if len(ascending) == 0:
         return np.zeros(len(keys), dtype=bool)
-    found: NDArray[np.bool_] = ascending[np.searchsorted(ascending[:-1], keys)] == keys
-    return found
+    is_among: NDArray[np.bool_] = ascending[np.searchsorted(ascending[:-1], keys)] == keys
+    return is_among
 
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:

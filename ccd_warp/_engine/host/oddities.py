@@ -192,8 +192,8 @@ def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array
     sample = []
     for kind, of_kind in keys.items():
         most = max(1, _MOST_SAMPLED * len(of_kind) // total)
-        chosen = of_kind[:: max(1, -(-len(of_kind) // most))].numpy()
-        pairs = np.stack([chosen >> 32, chosen & 0xFFFFFFFF], axis=1).astype(np.int32)
+        sampled = of_kind[:: max(1, -(-len(of_kind) // most))].numpy()
+        pairs = np.stack([sampled >> 32, sampled & 0xFFFFFFFF], axis=1).astype(np.int32)
         bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
         sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
     pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)

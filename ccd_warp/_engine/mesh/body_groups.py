@@ -50,12 +50,12 @@ class BodyGroups:
         _, first, of_body = np.unique(
             rows.view(np.dtype((np.void, rows.shape[1]))).ravel(), return_index=True, return_inverse=True
         )
-        chosen = np.sort(first)
-        number = np.searchsorted(chosen, first[of_body]).astype(np.int32)
-        meets, meets_itself = may[np.ix_(chosen, chosen)], may.diagonal()[chosen]
-        shift = max(0, (len(chosen) - 1).bit_length() - (_MOST_ROWS - 1).bit_length())
+        representatives = np.sort(first)
+        number = np.searchsorted(representatives, first[of_body]).astype(np.int32)
+        meets, meets_itself = may[np.ix_(representatives, representatives)], may.diagonal()[representatives]
+        shift = max(0, (len(representatives) - 1).bit_length() - (_MOST_ROWS - 1).bit_length())
         for axis in (0, 1) if shift else ():
-            meets = np.logical_or.reduceat(meets, np.arange(0, len(chosen), 1 << shift), axis=axis)
+            meets = np.logical_or.reduceat(meets, np.arange(0, len(representatives), 1 << shift), axis=axis)
         return BodyGroups(number, meets_itself, meets, shift)
 
     @staticmethod
@@ -96,8 +96,8 @@ class BodyGroups:
 def bodies_that_may_meet(mesh: "CollisionMesh") -> NDArray[np.bool_]:
     """Which pairs of two different bodies the filter leaves, shape [B, B], in a new array."""
     shape = mesh.num_bodies, mesh.num_bodies
-    found = np.ones(shape, dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
+    may_meet = np.ones(shape, dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
     a, b = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32)).T
-    found[a, b] = found[b, a] = False
-    np.fill_diagonal(found, False)
-    return found
+    may_meet[a, b] = may_meet[b, a] = False
+    np.fill_diagonal(may_meet, False)
+    return may_meet

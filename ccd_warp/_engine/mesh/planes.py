@@ -50,10 +50,10 @@ class ScaledPlanes(NamedTuple):
 
 def scaled_planes(mesh: "CollisionMesh") -> ScaledPlanes:
     """The planes of a mesh, scaled."""
-    given = mesh._in_space(mesh.planes.normals)
-    largest = np.abs(given).max(axis=1, initial=0.0)
-    normal = np.ldexp(given, 1 - np.frexp(largest)[1][:, None])
-    is_small = (given != 0.0) & (np.abs(normal) < _LEAST_NORMAL)
+    normals = mesh._in_space(mesh.planes.normals)
+    largest = np.abs(normals).max(axis=1, initial=0.0)
+    normal = np.ldexp(normals, 1 - np.frexp(largest)[1][:, None])
+    is_small = (normals != 0.0) & (np.abs(normal) < _LEAST_NORMAL)
     return ScaledPlanes(
         mesh._in_space(mesh.planes.points),
         normal,
@@ -65,16 +65,16 @@ def scaled_planes(mesh: "CollisionMesh") -> ScaledPlanes:
 
 def meets(mesh: "CollisionMesh") -> NDArray[np.bool_]:
     """Whether the collision filter leaves a plane and a body, shape [H, B]."""
-    found = np.ones((len(mesh.planes), mesh.num_bodies), dtype=bool)
+    may_meet = np.ones((len(mesh.planes), mesh.num_bodies), dtype=bool)
     if mesh.body_pairs is not None:
-        found = mesh.body_pairs[mesh.planes.bodies]
+        may_meet = mesh.body_pairs[mesh.planes.bodies]
     number = np.full(mesh.num_bodies, -1)
     number[mesh.planes.bodies] = np.arange(len(mesh.planes))
     pairs = mesh.exclude_pairs.get("bodies", np.zeros((0, 2), dtype=np.int32))
     for first, second in (pairs.T, pairs.T[::-1]):
         is_plane = number[first] >= 0
-        found[number[first[is_plane]], second[is_plane]] = False
-    return found
+        may_meet[number[first[is_plane]], second[is_plane]] = False
+    return may_meet
 
 
 def planes_by_world(mesh: "CollisionMesh") -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -162,19 +162,19 @@ def plane_candidates(
     one of both ends of the step.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    found = []
+    pairs_by_plane = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
-            chosen = vertices[of_plane[k, mesh.vertex_body[vertices]]]
-            chosen = _in_world_of(mesh, k, chosen)
-            is_near = np.zeros(len(chosen), dtype=bool)
+            tested = vertices[of_plane[k, mesh.vertex_body[vertices]]]
+            tested = _in_world_of(mesh, k, tested)
+            is_near = np.zeros(len(tested), dtype=bool)
             for x in positions:
-                f, error, s = _values(x[chosen], _point_at(mesh, scaled, k, x), scaled, k)
-                enlarged = 2.0 * inflation + (box_radius[chosen] if len(box_radius) else 0.0)
+                f, error, s = _values(x[tested], _point_at(mesh, scaled, k, x), scaled, k)
+                enlarged = 2.0 * inflation + (box_radius[tested] if len(box_radius) else 0.0)
                 reach = np.minimum(enlarged * s * scaled.sum[k] * _UP, _FAR)
                 is_near |= f <= (error + reach) * _UP
-            found.append(_pairs_with(chosen[is_near], k))
-    pairs = np.concatenate(found)
+            pairs_by_plane.append(_pairs_with(tested[is_near], k))
+    pairs = np.concatenate(pairs_by_plane)
     if len(keys):
         pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
     return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)
@@ -187,19 +187,19 @@ def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> ND
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
     vertices = mesh._free_surface_vertices
-    found = []
+    pairs_by_plane = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
-            chosen = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
+            tested = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
             p = _point_at(mesh, scaled, k, x)
-            f, error, _ = _values(x[chosen], p, scaled, k)
+            f, error, _ = _values(x[tested], p, scaled, k)
             is_in = f <= error
             is_open = is_in & (f >= -error) & (error > 0.0)
             point, normal = p[: mesh.dimension].tolist(), mesh.planes.normals[k].tolist()
             for row in np.flatnonzero(is_open).tolist():
-                is_in[row] = _exact_value(x[chosen[row], : mesh.dimension].tolist(), point, normal) <= 0
-            found.append(_pairs_with(chosen[is_in], k))
-    pairs = np.concatenate(found)
+                is_in[row] = _exact_value(x[tested[row], : mesh.dimension].tolist(), point, normal) <= 0
+            pairs_by_plane.append(_pairs_with(tested[is_in], k))
+    pairs = np.concatenate(pairs_by_plane)
     if len(keys):
         pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
     return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)

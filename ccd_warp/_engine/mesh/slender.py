@@ -45,10 +45,10 @@ def slender_bodies(mesh: "CollisionMesh") -> SlenderBodies | None:
     first = np.cumsum(count) - count
     edges = {}
     for body in many.tolist():
-        chosen = mesh.edges[order[first[body] + uneven_samples(int(count[body]), _SAMPLES)]]
-        along = _edge_along(mesh._vertices_in_space[chosen], int(count[body]))
+        sampled = mesh.edges[order[first[body] + uneven_samples(int(count[body]), _SAMPLES)]]
+        along = _edge_along(mesh._vertices_in_space[sampled], int(count[body]))
         if along is not None:
-            edges[body] = chosen[along]
+            edges[body] = sampled[along]
     if not edges:
         return None
     bodies, edge = np.array(list(edges)), np.array(list(edges.values()), dtype=np.int32)

@@ -238,8 +238,8 @@ class Topology:
         """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
         mesh = self.mesh
         primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
-        chosen = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
-        return uneven_samples(mesh.num_vertices, NUM_SAMPLES), chosen.T.astype(np.intp, order="C")
+        sampled = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
+        return uneven_samples(mesh.num_vertices, NUM_SAMPLES), sampled.T.astype(np.intp, order="C")
 
     def sampled(self, positions: Positions) -> NDArray[np.float64]:
         """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
@@ -316,13 +316,13 @@ class Topology:
         """The bodies with one role whose primitives are searched, bool, shape [B]."""
         mesh = self.mesh
         if role == "slender":
-            chosen = np.zeros(mesh.num_bodies, dtype=bool)
-            chosen[[] if self.slender is None else self.slender.bodies] = True
-            return chosen
+            has_role = np.zeros(mesh.num_bodies, dtype=bool)
+            has_role[[] if self.slender is None else self.slender.bodies] = True
+            return has_role
         if role == "kinematic":
-            chosen = mesh.kinematic.copy()
-            chosen[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
-            return chosen
+            has_role = mesh.kinematic.copy()
+            has_role[mesh.planes.bodies] = False  # the vertex of a half-space is no part of a surface
+            return has_role
         return mesh.static if role == "static" else mesh._is_free
 
     @lazy_property
@@ -338,18 +338,18 @@ class Topology:
     @lazy_property
     def body_frames(self) -> Any:
         """The frames of slender bodies, as the struct of the kernels."""
-        found = self.slender
-        assert found is not None
-        num = len(found.bodies)
+        slender = self.slender
+        assert slender is not None
+        num = len(slender.bodies)
         of_body = np.zeros(self.mesh.num_bodies, dtype=np.int32)
-        of_body[found.bodies] = np.arange(num)
+        of_body[slender.bodies] = np.arange(num)
         cell = np.concatenate([world_lattice(num), np.ones((num, 1), dtype=np.float32)], axis=1)
         # a body maps to half of the inner part of its cell, and the rest is left to its motion
-        exponent = np.frexp(found.size)[1] + lattice_bits(num) + 3
+        exponent = np.frexp(slender.size)[1] + lattice_bits(num) + 3
         scale = np.ldexp(4.0, -np.clip(exponent, -LARGEST_EXPONENT, LARGEST_EXPONENT))
         frames = kernels.BodyFrames()
         frames.of_vertex = self.array(of_body[self.mesh.vertex_body])
-        frames.edge, frames.cell = self.array(found.edge, wp.vec2i), self.array(cell, wp.vec4f)
+        frames.edge, frames.cell = self.array(slender.edge, wp.vec2i), self.array(cell, wp.vec4f)
         frames.scale, frames.inner = self.array(scale, wp.float64), inner_part(num)
         return frames
 
@@ -363,17 +363,17 @@ class Topology:
     @lazy_property
     def filters(self) -> dict[Role, Any]:
         """The filters beside the search within slender bodies, by the role of two sets: for that, and without that."""
-        found: dict[Role, Any] = {}
+        by_role: dict[Role, Any] = {}
         for role in ("slender", "moving"):
-            given = self.collision_filter
-            found[role] = changed = struct_of(CollisionFilter, {name: getattr(given, name) for name in given._cls.vars})
+            base = self.collision_filter
+            by_role[role] = changed = struct_of(CollisionFilter, {name: getattr(base, name) for name in base._cls.vars})
             changed.applies = 1
             if role == "slender":
                 changed.by_world, changed.vertex_world = 1, self.vertex_body
             else:
                 of_self = self.mesh.self_collision & ~self.bodies_of("slender")
                 changed.by_body, changed.self_collision = 1, self.array(of_self.astype(np.int32))
-        return found
+        return by_role
 
     @property
     def samples_queries(self) -> bool:
@@ -385,11 +385,11 @@ class Topology:
         key: tuple[str, Role] = (f"sampled {kind}", primitives.role)
         if key not in self._sets:
             ids = primitives.ids.numpy()
-            chosen = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
-            corners = self.array(primitives.corners.numpy()[chosen], wp.vec3i)
-            name, of_ids = f"sampled {primitives.name}", self.array(ids[chosen])
-            found = PrimitiveSet(name, primitives.role, primitives.num_corners, of_ids, corners, is_sample=True)
-            self._sets.setdefault(key, found)
+            rows = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
+            corners = self.array(primitives.corners.numpy()[rows], wp.vec3i)
+            name, of_ids = f"sampled {primitives.name}", self.array(ids[rows])
+            sample = PrimitiveSet(name, primitives.role, primitives.num_corners, of_ids, corners, is_sample=True)
+            self._sets.setdefault(key, sample)
         return self._sets[key]
 
     def numbers(self, kind: str) -> NDArray[np.integer]:
@@ -412,8 +412,8 @@ class Topology:
         if among is None and of_role.all():
             ids = np.arange(len(body), dtype=np.int32)
             return PrimitiveSet(name, role, num_corners, self.array(ids), self.corners[array])
-        chosen = np.arange(len(body), dtype=np.int32) if among is None else among
-        ids = chosen[of_role[body[chosen]]].astype(np.int32)
+        candidates = np.arange(len(body), dtype=np.int32) if among is None else among
+        ids = candidates[of_role[body[candidates]]].astype(np.int32)
         corners = self.array(self._corners_host(array)[ids], wp.vec3i)
         return PrimitiveSet(name, role, num_corners, self.array(ids), corners)
 
@@ -657,8 +657,8 @@ def typical_static_extent(topology: Topology, start: NDArray[np.float64], scale:
     if len(among) == 0:
         return np.float32(0.0)
     with np.errstate(over="ignore", under="ignore"):
-        chosen = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
-        points = topology.seen(chosen, (start, start))[0]
+        sampled = among[uneven_samples(len(among), NUM_SAMPLES)].T.astype(np.intp, order="C")
+        points = topology.seen(sampled, (start, start))[0]
         half_extent = float(np.median((0.5 * points.max(axis=0) - 0.5 * points.min(axis=0)).max(axis=1)))
-        half_extent += topology.typical_radius_of(chosen)
+        half_extent += topology.typical_radius_of(sampled)
         return np.float32(2.0 * half_extent * scale)

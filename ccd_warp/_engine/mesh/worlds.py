@@ -86,9 +86,9 @@ def place_worlds(
     order = order[takes_part[order]]
     static = order[is_static[order]]
     anchor, num_static = _some_of_each(static, world, num_worlds, _ANCHORS)
-    chosen, _ = _some_of_each(order, world, num_worlds, _SAMPLES)
+    sampled, _ = _some_of_each(order, world, num_worlds, _SAMPLES)
     anchor = np.where(num_static[:, None] > 0, anchor, _some_of_each(order, world, num_worlds, _ANCHORS)[0])
-    points = vertices[chosen]
+    points = vertices[sampled]
     with np.errstate(over="ignore", under="ignore"):
         centre = np.sort(points, axis=1)[:, _SAMPLES // 2]
         distance = np.abs(0.5 * points - 0.5 * centre[:, None]).max(axis=2)
