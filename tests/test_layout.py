@@ -95,6 +95,12 @@ def test_two_modules_use_private_names_of_warp_which_this_version_has():
     assert hasattr(context.runtime, "get_clang_pch_dir") and hasattr(context.runtime, "tape")
 
 
+def test_no_property_that_stays_has_a_lock():
+    """That of `functools.cached_property` of Python 3.11 stays locked in a process forked meanwhile."""
+    using = {name for name, (source, _) in sources().items() if "import cached_property" in source}
+    assert not using
+
+
 def test_no_test_imports_another():
     """What two of them need stands in a module of its own: scenes, oracles, launches, and the like."""
     for path in Path(__file__).parent.rglob("*.py"):

@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from ccd_warp._results.results import MeshResult
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import kind_name
 from ccd_warp._runtime.kernel_cache import announced_compilation
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.options import Options
@@ -62,12 +62,12 @@ class SolvedStep:
         """Edges that pass through faces at the start."""
         return self.start[self.start.is_crossing]
 
-    @cached_property
+    @lazy_property
     def moving(self) -> MovingVertices:
         """How the vertices move."""
         return moving_vertices(self.frames, self.motion)
 
-    @cached_property
+    @lazy_property
     def displacement(self) -> float:
         """The largest distance of a vertex from its place at the start."""
         start = self.moving.all_at(0.0)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 import warp as wp
@@ -13,6 +13,7 @@ from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._runtime.lanes import lanes_of, queued_pairs_in, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
@@ -526,7 +527,7 @@ class Stages:
         outputs = [self.step.counts, self.step.minima, proximities]
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
 
-    @cached_property
+    @lazy_property
     def pairs(self) -> dict[PairKind, PairFields]:
         """The pairs of each kind as kernels take them: one struct for all launches."""
         step, pairs = self.step, {}
@@ -536,7 +537,7 @@ class Stages:
             pairs[kind] = PairFields(int(kind), step.counts, keys, first, second, *ends)
         return pairs
 
-    @cached_property
+    @lazy_property
     def _least(self) -> dict[PairKind, LeastFields]:
         """The least toi, and that of open pairs of each kind."""
         return {kind: LeastFields(self.step.least_bits, toi) for kind, toi in self.open_toi.items()}

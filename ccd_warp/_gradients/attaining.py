@@ -1,7 +1,6 @@
 """The contacts that attain the tois of a kept check, and what these add to the gradients of the input."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.gradients import attained, regularity, toi_adjoint, toi_slope
 from ccd_warp.kernels.template import specialised
@@ -91,7 +91,7 @@ class Attaining:
     def _empty(self, dtype: Any, count: int | tuple[int, int]) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self._device)
 
-    @cached_property
+    @lazy_property
     def _mesh(self) -> Any:
         """What belongs to the primitives, as the struct of the kernels."""
         topology = self._topology

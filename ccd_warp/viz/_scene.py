@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from ccd_warp._results.contact_place import BodyMotion, points_at_toi
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._results.results import Contacts, HostLaunchResult, MeshResult
 from ccd_warp._runtime.display import listed, shortened
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.input.arguments import check_instance
@@ -97,7 +97,7 @@ class StepScene:
         """What a view is to show of the motion: positions at both ends, and what lies farther out between them."""
         return np.concatenate([self.start, self.between]), np.concatenate([self.end, self.between])
 
-    @cached_property
+    @lazy_property
     def vertex_colours(self) -> NDArray[np.uint8]:
         """Red, green and blue of each vertex's body, shape [V, 3]."""
         palette = np.array([_rgb(colour) for colour in MOVING_COLOURS])
@@ -110,7 +110,7 @@ class StepScene:
         """Red, green and blue of half-spaces, which are static."""
         return _rgb(STATIC_COLOUR)
 
-    @cached_property
+    @lazy_property
     def pale_colours(self) -> NDArray[np.uint8]:
         """Colours of vertices that touch nothing beside those that show a toi: pale, but for static bodies."""
         pale = (_PALE * 255.0 + (1.0 - _PALE) * self.vertex_colours).astype(np.uint8)
@@ -118,7 +118,7 @@ class StepScene:
         pale[is_static] = self.vertex_colours[is_static]
         return pale
 
-    @cached_property
+    @lazy_property
     def legend(self) -> list[tuple[NDArray[np.uint8], str]]:
         """Colours and what they mean: the first moving bodies, all static ones unless all are, and crossings."""
         kinds = [
@@ -138,7 +138,7 @@ class StepScene:
             entries.append((_rgb(STATIC_COLOUR), f"{listed([self.names[body] for body in static])}, static"))
         return entries + ([(_rgb(CROSSING_COLOUR), "surfaces cross")] if len(self.crossing_points) else [])
 
-    @cached_property
+    @lazy_property
     def body_edge_length(self) -> NDArray[np.float64]:
         """Mean length of the sides of each body's faces, 0 without faces, shape [B]."""
         corners = self.start[self.faces]
@@ -147,7 +147,7 @@ class StepScene:
         total = np.bincount(body, weights=lengths, minlength=count)
         return total / np.maximum(np.bincount(body, minlength=count), 1)
 
-    @cached_property
+    @lazy_property
     def trails(self) -> list[NDArray[np.float64]]:
         """Paths of the centres of bodies that move farther than their own size, and of vertices of those that turn."""
         moving = np.flatnonzero(~self.static)

@@ -6,12 +6,13 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import warp as wp
 
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads
@@ -205,7 +206,7 @@ class Options:
         """The fields, without what is kept with them."""
         return {name: value for name, value in vars(self).items() if name != "of_first_round"}
 
-    @cached_property
+    @lazy_property
     def of_first_round(self) -> Any:
         """The struct of :meth:`for_kernel` for the first round of the pair functions, kept with the options."""
         return self.for_kernel(self.length_scale, max_iterations=self.first_iterations)
