@@ -51,8 +51,15 @@ def sources():
 
 
 def _hash_of(name):
+    """As it is without the flags with which this process may have loaded the module on the CPU."""
     module = every_module(None)[name]
-    return f"{module.name} {module.get_module_hash(module.options['block_dim']).hex()}"
+    flags, module.options["cpu_compiler_flags"] = module.options["cpu_compiler_flags"], None
+    module.mark_modified()
+    try:
+        return f"{module.name} {module.get_module_hash(module.options['block_dim']).hex()}"
+    finally:
+        module.options["cpu_compiler_flags"] = flags
+        module.mark_modified()
 
 
 hash_of = kept(_hash_of, sys.modules[__name__], question_of=lambda name: [name, wp.__version__, sources()])
