@@ -74,27 +74,12 @@ def claim(values: wp.array2d[wp.int64], row: int, column: int, count: int) -> wp
     """
     int* p = (int*)values.data + index;
 #if defined(__CUDA_ARCH__)
-    return atomicAdd(p, 1);
-#else
-    return __atomic_fetch_add(p, 1, __ATOMIC_RELAXED);
-#endif
-"""
-)
-def claim_int(values: wp.array[wp.int32], index: int) -> int:
-    """Add one to values[index] and return the value before."""
-    ...
-
-
-@wp.func_native(
-    """
-    int* p = (int*)values.data + index;
-#if defined(__CUDA_ARCH__)
     return atomicAdd(p, count);
 #else
     return __atomic_fetch_add(p, count, __ATOMIC_RELAXED);
 #endif
 """
 )
-def claim_ints(values: wp.array[wp.int32], index: int, count: int) -> int:
+def claim_int(values: wp.array[wp.int32], index: int, count: int) -> int:
     """Add ``count`` to values[index] and return the value before: the first of so many indices of its own."""
     ...

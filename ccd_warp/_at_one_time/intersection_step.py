@@ -97,7 +97,7 @@ class IntersectionStep(Step):
             batches = plan.batches(self.capacity())
         for batch in self.batches(batches):
             with self.timed("tests"):
-                for kind, count in batch.found.items():
+                for kind, count in batch.num_pairs.items():
                     if count:
                         keys = plan.memory.keys(kind, count)
                         self._take(kind, keys, self.topology.corner_arrays(kind))

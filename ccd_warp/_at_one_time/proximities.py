@@ -11,7 +11,7 @@ from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import sort_places
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.at_one_time import proximity as kernels
 
 PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
@@ -72,6 +72,5 @@ class ProximityStore:
         device = self._execution.device
         if device.is_cuda:
             return wp.empty(count, dtype=dtype, device=device)
-        shape = (count, *getattr(dtype, "_shape_", ()))
-        array = np.empty(shape, wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)))
-        return wp.array(array, dtype=dtype, device=device, copy=False)
+        of_numpy, shape = on_host(dtype)
+        return wp.array(np.empty((count, *shape), of_numpy), dtype=dtype, device=device, copy=False)

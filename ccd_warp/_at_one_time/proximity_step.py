@@ -78,7 +78,7 @@ class ProximityStep(StepAtOneTime):
                 store.end_batch()
         for batch in self.batches(batches):
             with self.timed("distances"):
-                plan.bind(proximities=store.begin_batch(sum(batch.found.values())))
+                plan.bind(proximities=store.begin_batch(sum(batch.num_pairs.values())))
                 plan.measure_pairs(NEAR)
                 store.end_batch()
         with self.timed("gather"):

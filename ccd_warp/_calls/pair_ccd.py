@@ -46,7 +46,7 @@ class PairResult(Placed):
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
     For arrays of Warp, or of a library that supports DLPack (PyTorch, JAX, CuPy), the result holds Warp arrays on the
-    same device. The input is read in place, and the result can be passed on in the same way, as in
+    same device. The result can be passed on without a copy, as in
     ``torch.from_dlpack(result.toi)``. A call with such arrays can be captured in a graph, which writes to the arrays of
     the result: keep the result as long as the graph.
 
@@ -133,7 +133,8 @@ def vertex_face_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpac
 
     Args:
         points_t0: Start positions of v, f0, f1, f2, in one length unit, shape [n, 4, 3]; or a Warp array of vec3d,
-            shape [n, 4]. Arrays of Warp or with DLPack are read in place and must be float64 and contiguous.
+            shape [n, 4]. Arrays of Warp or with DLPack must be float64 and contiguous, and are
+            read in place, but for few pairs on the CPU.
         points_t1: End positions, of the same type and shape.
         **options: Options of :class:`ccd_warp.PairOptions`.
 
@@ -239,7 +240,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, keywords: PairOp
 
 
 def _device_arrays_ccd(function: str, kind: PairKind, points_t0: Any, points_t1: Any, options: Options) -> PairResult:
-    """The result of pairs in arrays on a device, which are read in place."""
+    """The result of pairs in arrays of Warp, or of a library that supports DLPack."""
     points_t0, points_t1 = as_warp(points_t0, "points_t0"), as_warp(points_t1, "points_t1")
     with naming(function):
         device = resolve_device(options.device, points_t0.device)

@@ -23,8 +23,8 @@ from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
+    LineSearchRounds,
     check_step_is_whole,
-    search_step,
     validated_line_search,
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
@@ -692,16 +692,9 @@ class CollisionPipeline:
         def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
-        result = search_step(
-            self.mesh,
-            course,
-            on_step,
-            self._start_distances,
-            per=per,
-            safety=safety,
-            max_rounds=max_rounds,
-            begins_at_rest=self._reaches_neighbours(course.start),
-        )
+        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
+        search = LineSearchRounds(self.mesh, course, on_step, self._start_distances, **how)
+        result = search.result(begins_at_rest=self._reaches_neighbours(course.start))
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:

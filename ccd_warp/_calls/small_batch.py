@@ -47,7 +47,7 @@ def table_inputs(kind: PairKind, packed: Any, count: int, counts: wp.array | Non
 
 
 def table_outputs(points: Sequence[wp.array], columns: Mapping[str, wp.array]) -> list[Any]:
-    """Its outputs, where these arrays take what is found of pairs that have these points at both ends."""
+    """Its outputs, where these arrays take the results of pairs that have these points at both ends."""
     table = struct_of(Table, {"points_t0": points[0], "points_t1": points[1], **columns})
     return [table, Minima(), ContactList(), LeastToi()]
 
@@ -59,9 +59,7 @@ class SmallBatch:
         capacity: The number of pairs for which there are arrays.
     """
 
-    def __init__(
-        self, key: tuple[PairKind, Any, str], device: Any, num_points: int, packed: Any, capacity: int
-    ) -> None:
+    def __init__(self, key: _Key, device: Any, num_points: int, packed: Any, capacity: int) -> None:
         kind, real, norm = self.key = key
         self.capacity = capacity
         narrow_phase = narrow_phase_on(device, real, norm)
@@ -107,12 +105,13 @@ class SmallBatch:
             self._first = [array[:count] for array in self._arrays]
         if packed is not self._bound[_OPTIONS]:
             self._bind(_OPTIONS, packed)
+        tasks = self._command.parts()
+        parts = min(parts, len(tasks))  # one, where Warp has to be asked for the whole launch
         if parts != self._bound[_NUM_SOLVERS]:
             self._bind(_NUM_SOLVERS, parts)
         of_t0, of_t1, *outputs = self._first
         of_t0[:] = points_t0
         of_t1[:] = points_t1
-        tasks = self._command.parts()
         if parts == 1 and stop is None:
             tasks[0]()
         else:

@@ -40,11 +40,11 @@ def compile_modules(modules: Mapping[str, Any], place: Any, progress: Progress |
         identifier = module.get_module_identifier(block_dim)
         name = module._get_compile_output_name(device, block_dim=block_dim, **how)
         folder = Path(str(wp.config.kernel_cache_dir), identifier)
-        found = object_name(module, block_dim, name.removeprefix(identifier))
-        if not is_known(found):
+        packaged_name = object_name(module, block_dim, name.removeprefix(identifier))
+        if not is_known(packaged_name):
             with one_header():
                 module._compile(device, options=module.resolve_options(wp.config, block_dim=block_dim), **how)
-            made[found] = folder / name
+            made[packaged_name] = folder / name
             made[meta_name(module, block_dim)] = folder / f"{identifier}.meta"
         progress.done += 1
 

@@ -26,16 +26,16 @@ def every_module(width: int | None) -> dict[str, Any]:
     Args:
         width: Lanes of float64 on the CPU, or None for CUDA.
     """
-    found: dict[str, Any] = {}
+    modules: dict[str, Any] = {}
     for path in sorted(Path(kernels.__path__[0]).glob("*/*.py")):
         if "@wp.kernel" in path.read_text(encoding="utf-8"):
             name = f"{kernels.__name__}.{path.parent.name}.{path.stem}"
             module = wp.get_module(importlib.import_module(name).__name__)
             if module.kernels and not (width and path.stem == _OF_CUDA):
-                found[path.stem] = module
+                modules[path.stem] = module
     for dimension in (2, 3):
         points = specialised("gradients.toi_adjoint_points", dimension=dimension)
-        found[f"toi_adjoint_points {dimension}"] = points.add_points.module
+        modules[f"toi_adjoint_points {dimension}"] = points.add_points.module
         for real in _REALS:
             for name, kernel in (
                 ("step.input_rows", "read_moving"),
@@ -44,16 +44,16 @@ def every_module(width: int | None) -> dict[str, Any]:
                 ("gradients.shorten_adjoint", "shorten_back"),
             ):
                 of_rows = getattr(specialised(name, real=real, dimension=dimension), kernel)
-                found[f"{name.partition('.')[2]} {real.__name__} {dimension}"] = of_rows.module
-    for shape, norm in (("ball", EUCLIDEAN_NORM), ("box", MAXIMUM_NORM)):
-        measured = specialised("at_one_time.measure_pairs", norm=norm, width=width or 1)
-        found[f"measure_pairs {shape}"] = measured.measure_pairs.module
+                modules[f"{name.partition('.')[2]} {real.__name__} {dimension}"] = of_rows.module
+    for shape, norm, lanes in (("ball", EUCLIDEAN_NORM, width or 1), ("box", MAXIMUM_NORM, 1)):
+        measured = specialised("at_one_time.measure_pairs", norm=norm, width=lanes)
+        modules[f"measure_pairs {shape}"] = measured.measure_pairs.module
         of_start = specialised("at_one_time.start_distances", norm=norm)
-        found[f"near_contacts {shape}"] = of_start.note_near_contacts.module
+        modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
         if (real, norm) != (wp.float32, OWN_BOX_NORM):  # what is held is solved in float64
-            found |= _of_solver(real, norm, width)
-    return found | _of_searches(width)
+            modules |= _of_solver(real, norm, width)
+    return modules | _of_searches(width)
 
 
 def _of_solver(real: Any, norm: str, width: int | None) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def _of_solver(real: Any, norm: str, width: int | None) -> dict[str, Any]:
 
 
 def _of_searches(width: int | None) -> dict[str, Any]:
-    found = {}
+    modules = {}
     ends = (BOXES, CULL) if width else (BOXES, LIST, CULL)
     for options in product(ends, (False, True), (False, True)):
         end, with_lists, is_thick = options
@@ -80,8 +80,8 @@ def _of_searches(width: int | None) -> dict[str, Any]:
             continue  # lists candidates with radii as it does without
         for walk in ("search_trees", "search_hashes"):
             of_walk = specialised(f"search.{walk}", **dict(zip(_OPTIONS, options, strict=True)), **lanes)
-            found[f"{walk} {end} {with_lists}{' thick' if is_thick else ''}"] = getattr(of_walk, walk).module
+            modules[f"{walk} {end} {with_lists}{' thick' if is_thick else ''}"] = getattr(of_walk, walk).module
     for is_thick in (False, True) if width is None else ():
         culled = specialised("search.candidate_cull", is_thick=is_thick)
-        found[f"candidate_cull{' thick' if is_thick else ''}"] = culled.cull_candidates.module
-    return found
+        modules[f"candidate_cull{' thick' if is_thick else ''}"] = culled.cull_candidates.module
+    return modules

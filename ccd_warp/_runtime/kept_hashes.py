@@ -35,11 +35,11 @@ class _KeptHasher:
 @cache
 def digest_of_sources() -> str:
     """That of all files of kernels and their names."""
-    found, folder = hashlib.sha256(), Path(kernels.__path__[0])
+    digest, folder = hashlib.sha256(), Path(kernels.__path__[0])
     for path in sorted(folder.rglob("*.py")):
         content = path.read_bytes()
-        found.update(f"{path.relative_to(folder).as_posix()} {len(content)} ".encode() + content)
-    return found.hexdigest()
+        digest.update(f"{path.relative_to(folder).as_posix()} {len(content)} ".encode() + content)
+    return digest.hexdigest()
 
 
 def hashes_of(module: Any, block_dim: int) -> dict[str, list[Any]]:

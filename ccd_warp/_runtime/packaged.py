@@ -113,7 +113,7 @@ def _files() -> dict[str, list[Any]]:
 
 
 def _is_whole(path: Path) -> bool:
-    length, digest = _files()[path.name]
+    length, digest = _files().get(path.name, (-1, ""))
     try:
         return path.stat().st_size == length and _digest(path) == digest
     except OSError:

@@ -11,6 +11,11 @@ def dtypes_of(struct: Any) -> dict[str, Any]:
     return {name: field.type.dtype for name, field in struct.vars.items() if name != "count" and field.type.ndim == 1}
 
 
+def on_host(dtype: Any) -> tuple[Any, tuple[int, ...]]:
+    """The type of NumPy, and the shape of an element, of an array of this type of Warp."""
+    return wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ()))
+
+
 def struct_of(struct: Any, arrays: Mapping[str, wp.array]) -> Any:
     """A struct of these arrays; fields that are not named are empty."""
     packed = struct()

@@ -32,11 +32,11 @@ def cpu_target() -> str:
     Raises:
         ValueError: If the variable is anything else.
     """
-    asked = os.environ.get("CCD_WARP_TARGET", "")
-    if asked not in ("", NATIVE):
-        raise ValueError(f"the environment variable CCD_WARP_TARGET must be {NATIVE} or absent; found {asked!r}")
+    value = os.environ.get("CCD_WARP_TARGET", "")
+    if value not in ("", NATIVE):
+        raise ValueError(f"the environment variable CCD_WARP_TARGET must be {NATIVE} or absent; found {value!r}")
     level = LEVELS[cpu_lanes()]
-    return level if not asked and _NEEDED[level] <= _flags_of_processor() else NATIVE
+    return level if not value and _NEEDED[level] <= _flags_of_processor() else NATIVE
 
 
 def set_flags(module: Any, device: Any) -> None:

@@ -75,8 +75,10 @@ class AcrossRanks(OneProcess):
 
     def own_batch(self, plan: HostPlan, batch: Batch) -> Batch:
         """What is left of a batch without the pairs that belong to other ranks."""
-        num_kept = {kind: self._keep_own(plan, kind, count) for kind, count in batch.found.items()}
-        plan.counters.set_column(FOUND, {kind: count for kind, count in num_kept.items() if count != batch.found[kind]})
+        num_kept = {kind: self._keep_own(plan, kind, count) for kind, count in batch.num_pairs.items()}
+        plan.counters.set_column(
+            FOUND, {kind: count for kind, count in num_kept.items() if count != batch.num_pairs[kind]}
+        )
         return Batch(num_kept, batch.is_only)
 
     def _keep_own(self, plan: HostPlan, kind: PairKind, count: int) -> int:

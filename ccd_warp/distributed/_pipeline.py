@@ -20,8 +20,8 @@ from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
+    LineSearchRounds,
     check_step_is_whole,
-    search_step,
     validated_line_search,
 )
 from ccd_warp._engine.host.start_distances import StartDistances
@@ -403,16 +403,8 @@ class DistributedPipeline:
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return self._run(ContactStep, ends.start, ends.end, work, ends.paths)
 
-            result = search_step(
-                plan.part.mesh,
-                course,
-                on_step,
-                self._start_distances,
-                per=per,
-                safety=safety,
-                max_rounds=max_rounds,
-                everywhere=everywhere,
-            )
+            how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds, "everywhere": everywhere}
+            result = LineSearchRounds(plan.part.mesh, course, on_step, self._start_distances, **how).result()
             fraction = np.full(len(start), np.inf)
             plan.part.everything.back(result.vertex_fraction, fraction, np.minimum)
             self._follow(fraction, per, is_limited=result.is_limited, turns=motion is not None)

@@ -9,7 +9,7 @@ Euclidean distances are measured in lanes, a pair in each; what follows is done 
 
 import warp as wp
 
-from ..atomics import claim_int, claim_ints
+from ..atomics import claim_int
 from ..boxes.lanes import lowest_bit, number_of_bits
 from ..boxes.thickness import distance_of
 from ..interrupts import is_stopped
@@ -28,6 +28,7 @@ from .pair_distance import PairDistance, measured
 from .proximity import Proximity, ProximityList, Reach, bound_pair, lower_bounds, record_proximity
 
 _ZERO = wp.constant(wp.float64(0.0))
+_NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
 is_euclidean = is_ball(norm)
@@ -96,10 +97,11 @@ def measure_pairs(
                 # of pairs without radii those beyond the distance are left out at once, in the list a NaN as well
                 if sink == NEAR and reach.radius.shape[0] == 0:
                     left = left & simd.bits_of(simd.is_at_most(distances.least, reach.distance))
-                    place = claim_ints(proximities.count, 0, number_of_bits(left))
+                    if left != _NONE:
+                        place = claim_int(proximities.count, 0, number_of_bits(left))
                 elif sink == START_DISTANCE and reach.radius.shape[0] == 0:
                     left = left & ~simd.bits_of(simd.is_less(reach.distance, distances.least))
-            while left != wp.uint32(0):
+            while left != _NONE:
                 lane = lowest_bit(left)
                 left = left & (left - _ONE)
                 vertices = vertices_of_pair(pairs, block + lane)
@@ -121,7 +123,7 @@ def measure_pairs(
                     if reach.radius.shape[0] > 0:
                         if not (least <= distance_of(reach.distance, reach.radius, a, b)):
                             continue
-                        place = claim_int(proximities.count, 0)
+                        place = claim_int(proximities.count, 0, 1)
                     record_proximity(place, kind, vertices.pair, a[0], of_lane(distances, lane), minima, proximities)
                     place += 1
             block += lanes

@@ -86,7 +86,7 @@ def measure_planes(
                 if not is_pair_excluded(v, k, planes.excluded):
                     claim(counts, VERTEX_PLANE, FOUND, 1)
                     if sink == NEAR:
-                        n = claim_int(proximities.count, 0)
+                        n = claim_int(proximities.count, 0, 1)
                         record_proximity(n, VERTEX_PLANE, wp.vec2i(v, k), v, proximity, minima, proximities)
                         continue
                     gap = (least - distance_with(reach.kept, v, box_radius)) * _DOWN - UNDERFLOW

@@ -128,6 +128,6 @@ def attain(
             is_wanted = True
             atomic_min_int64(attained.scene, 0, key)
     if is_wanted:
-        k = claim_int(attained.count, 0)
+        k = claim_int(attained.count, 0, 1)
         attained.keys[k] = key
         attained.listed[k] = n

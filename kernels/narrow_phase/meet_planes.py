@@ -72,7 +72,7 @@ def record_meeting(
         if meeting.gap > most_gap:
             status = STATUS_ROUNDING_LIMIT
             flag_world(step.minima, v, ROUNDING_LIMIT)
-    n = claim_int(step.contacts.count, 0)
+    n = claim_int(step.contacts.count, 0, 1)
     if n < step.contacts.toi.shape[0]:
         step.contacts.kind[n] = VERTEX_PLANE
         step.contacts.primitives[n] = wp.vec2i(v, k)

@@ -162,7 +162,7 @@ def record_contact(
         flag_world(minima, first[0], STRUCK)
     else:
         lower_pair(minima, first, second, wp.cast(toi, wp.int64))
-    n = claim_int(contacts.count, 0)
+    n = claim_int(contacts.count, 0, 1)
     if n < contacts.toi.shape[0]:
         contacts.kind[n] = pairs.kind
         contacts.primitives[n] = vertices.pair

@@ -53,7 +53,7 @@ def meet(values: Int64s, least: Int64s, least_int: Ints, flags: Ints, rows: Rows
     atomic_min_int64(least, 1, values[i])
     atomic_min_int32(least_int, 1, wp.int32(values[i]))
     set_bits(flags, 1, 1 << (i % 31))
-    first[i] = claim(rows, 1, 2, 1 + i % 3) + wp.int64(claim_int(counter, 1))
+    first[i] = claim(rows, 1, 2, 1 + i % 3) + wp.int64(claim_int(counter, 1, 1))
 
 
 def test_threads_that_meet_on_one_place_lose_nothing():

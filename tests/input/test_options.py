@@ -15,6 +15,7 @@ from every_call import CALLS, run
 
 import ccd_warp as ccd
 from ccd_warp._calls import small_batch
+from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._scene.input.option_types import BroadPhase, Method, PairKindName, Precision
 from ccd_warp._scene.input.options import Options
 
@@ -101,6 +102,18 @@ def test_as_many_pairs_as_are_kept_and_one_more_have_the_results_that_they_have_
     whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
     for count in (0, 1, 600, 3001, 5000, 2001, small_batch.CAPACITY):
         assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
+
+
+def test_few_pairs_of_two_threads_are_all_solved_where_warp_takes_no_parts(monkeypatch):
+    points = random_pairs(3001)
+    expected = ccd.vertex_face_ccd(*points, num_threads=2)
+
+    def refused(launch):
+        raise AttributeError
+
+    monkeypatch.setattr(small_batch, "_idle", {})
+    monkeypatch.setattr(PackedLaunch, "_pack", refused)
+    assert is_same(ccd.vertex_face_ccd(*points, num_threads=2), expected)
 
 
 def test_few_arrays_of_warp_have_results_of_their_own():

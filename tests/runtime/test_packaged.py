@@ -308,3 +308,33 @@ def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_befo
         done = subprocess.run(command, capture_output=True, text=True, check=True)
         hashes.append(json.loads(done.stdout.splitlines()[-1]))
     assert hashes[0] == hashes[1] and len(hashes[0]) > 50
+
+
+AS_CALLS_ASK = """
+import json
+
+import warp as wp
+
+from ccd_warp._engine.stages import measure_pairs_in
+from ccd_warp._runtime.lanes import narrow_phase_on, search_on
+from ccd_warp._runtime.quiet import start_warp
+from ccd_warp._runtime.target import set_flags
+
+start_warp()
+cpu = wp.get_device("cpu")
+kernels = [measure_pairs_in(norm, cpu) for norm in ("maximum", "euclidean")]
+kernels += [narrow_phase_on(cpu, real, "euclidean").solve_pairs for real in (wp.float32, wp.float64)]
+kernels += [search_on(cpu, "search_trees", end, False, is_cuda=False) for end in ("boxes", "cull")]
+for kernel in kernels:
+    set_flags(kernel.module, cpu)
+print(json.dumps([kernel.module.get_module_hash(1).hex() for kernel in kernels]))
+"""
+
+
+def test_what_calls_ask_for_is_what_the_package_has():
+    outputs = []
+    for command in ([AS_CALLS_ASK], [HASHES, str(cpu_lanes()), "forwards"]):
+        done = subprocess.run([sys.executable, "-P", "-c", *command], capture_output=True, text=True, check=True)
+        outputs.append(json.loads(done.stdout.splitlines()[-1]))
+    wanted, packaged = outputs
+    assert set(wanted) <= set(packaged.values())

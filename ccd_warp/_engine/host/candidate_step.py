@@ -39,7 +39,7 @@ class CandidateStep(Step):
             # counts what the search has just allocated
             blocks = search.num_workers if self.execution.is_cuda else max(search.num_workers, WIDTH)
             search.largest_capacity = self.capacity(KEY_BYTES, blocks)
-        for ranges in self.timer.each("pairs", search.ranges()):
+        for ranges in self.timer.timed_items("pairs", search.ranges()):
             with self.timed("copy"):
                 collector.take(ranges)
         for counts, more in ((plan.num_searches, search.num_launches), (plan.num_candidates, search.candidates)):

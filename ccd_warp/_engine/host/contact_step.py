@@ -85,8 +85,8 @@ class ContactStep(ImpactStep):
         has_shared = False
         for batch in self.batches(batches):
             with self.timed("narrow phase"):
-                self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.found)
-                plan.bind(contacts=store.begin_batch(sum(batch.found.values())))
+                self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
+                plan.bind(contacts=store.begin_batch(sum(batch.num_pairs.values())))
                 plan.solve(is_second=False)
                 if batch.is_only:
                     if not self.ranks.is_alone:
@@ -95,7 +95,7 @@ class ContactStep(ImpactStep):
                     plan.solve(is_second=True)
                 else:
                     for kind in plan.num_open():
-                        keys = plan.memory.keys(kind, batch.found[kind]).numpy()
+                        keys = plan.memory.keys(kind, batch.num_pairs[kind]).numpy()
                         open_keys.setdefault(kind, []).append(keys[keys < 0])
                 store.end_batch()
         with self.timed("narrow phase"):
@@ -114,4 +114,4 @@ class ContactStep(ImpactStep):
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
         is_euclidean = is_ball(self.plan.norm)
         touch = Touch.of(self.options, self.length_scale, is_euclidean=is_euclidean, radius=radius)
-        return *self.given, self.paths, None if self.lets_part else touch, radii
+        return *self.ends, self.paths, None if self.lets_part else touch, radii

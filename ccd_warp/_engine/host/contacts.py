@@ -15,17 +15,14 @@ from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.step import ContactList
 
 CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
-_ON_HOST = {
-    name: (wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ())))
-    for name, dtype in CONTACT_DTYPES.items()
-}
+_ON_HOST = {name: on_host(dtype) for name, dtype in CONTACT_DTYPES.items()}
 # Bytes of an entry of the list; and the most that a contact takes: an entry of the list while it is copied to one of
 # twice the size, or an entry of the list and one of the result, with its key and its position in the order.
 BYTES_PER_CONTACT = sum(map(wp.types.type_size_in_bytes, CONTACT_DTYPES.values()))

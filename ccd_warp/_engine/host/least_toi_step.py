@@ -93,7 +93,7 @@ class LeastToiStep(ImpactStep):
                     plan.solve(is_second=False)
                     for kind in plan.num_open():
                         of_kind = plan.memory.keys, plan.memory.open_toi
-                        keys, toi = (of_batch(kind, batch.found[kind]).numpy() for of_batch in of_kind)
+                        keys, toi = (of_batch(kind, batch.num_pairs[kind]).numpy() for of_batch in of_kind)
                         open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
                 if self._suffices(plan.counters.least()):
                     break

@@ -56,29 +56,8 @@ OnStep = Callable[[Ends, Callable[[ContactStep], MeshResult]], MeshResult]
 _Floats = NDArray[np.float64]
 
 
-def search_step(
-    mesh: CollisionMesh,
-    course: Course,
-    on_step: OnStep,
-    start_distances: StartDistances | None,
-    *,
-    per: str,
-    safety: float,
-    max_rounds: int,
-    everywhere: OneProcess | None = None,
-    begins_at_rest: bool = False,
-) -> LineSearchResult:
-    """Shorten displacements until a step has no contact of a vertex that moves, here and ``everywhere``.
-
-    With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
-    everything may be in contact already, and one with start distances looks for these before its first round.
-    """
-    search = _Search(mesh, course, on_step, start_distances, per, safety, max_rounds, everywhere or OneProcess())
-    return (search.rested() if begins_at_rest else None) or search.ended()
-
-
-class _Search:
-    """A line search, round by round.
+class LineSearchRounds:
+    """A line search, round by round: displacements are shortened until no vertex that moves has a contact in the step.
 
     Attributes:
         num_rounds: Number of steps that were checked.
@@ -94,11 +73,14 @@ class _Search:
         course: Course,
         on_step: OnStep,
         start_distances: StartDistances | None,
+        *,
         per: str,
         safety: float,
         max_rounds: int,
-        everywhere: OneProcess,
+        everywhere: OneProcess | None = None,
     ) -> None:
+        """Begin with the whole step, here and ``everywhere``."""
+        everywhere = everywhere or OneProcess()
         self._mesh, self._course, self._on_step, self._everywhere = mesh, course, on_step, everywhere
         self._start_distances, self._per, self._safety, self._max_rounds = start_distances, per, safety, max_rounds
         self._moves = mesh._is_free[mesh.vertex_body]
@@ -111,6 +93,14 @@ class _Search:
         self._is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
         self._at_start: NDArray[np.uint64] | None = None  # keys of the pairs that touch there
         self._stopping: list[Contacts] = []
+
+    def result(self, *, begins_at_rest: bool = False) -> LineSearchResult:
+        """The result after all rounds.
+
+        With ``begins_at_rest`` much starts within its distance: a strict search looks at the start alone first, where
+        everything may be in contact already, and one with start distances looks for these before its first round.
+        """
+        return (self._result_at_rest() if begins_at_rest else None) or self._result_of_rounds()
 
     def _solved(self, ends: Ends) -> Contacts:
         """The contacts of a step, in which what starts within its distance may part."""
@@ -127,7 +117,7 @@ class _Search:
         """Whether rounds are left for bodies or vertices of toi 0 to be checked again."""
         return self._max_rounds - self.num_rounds >= _ROUNDS_TO_SHORTEN
 
-    def rested(self) -> LineSearchResult | None:
+    def _result_at_rest(self) -> LineSearchResult | None:
         """The result where nothing can move from a start at which much is near; otherwise what is near is known."""
         mesh, course = self._mesh, self._course
         if self._start_distances is not None:
@@ -143,8 +133,7 @@ class _Search:
         motion = course.motion_to(fraction)
         return LineSearchResult(course.start.copy(), fraction, 0.0, contacts, 1, False, contacts[:0], motion=motion)
 
-    def ended(self) -> LineSearchResult:
-        """The result after all rounds."""
+    def _result_of_rounds(self) -> LineSearchResult:
         while self.num_rounds < self._max_rounds:
             contacts = self._checked()
             corners = _vertices_of(self._mesh, contacts)
@@ -159,7 +148,7 @@ class _Search:
             if self._driven.is_any:  # what the last round has stopped may be struck
                 contacts = self._solved(self._course.step_to(self.vertices, self.fraction))
                 self.num_rounds += 1
-        return self._result(contacts)
+        return self._result_with(contacts)
 
     def _checked(self) -> Contacts:
         """The contacts of the step so far; the first time again where something starts within its distance."""
@@ -239,7 +228,7 @@ class _Search:
         np.minimum.at(of_group, group, least)
         return everywhere.least(of_group)[group]
 
-    def _result(self, contacts: Contacts) -> LineSearchResult:
+    def _result_with(self, contacts: Contacts) -> LineSearchResult:
         """The result, given the contacts of the last round."""
         mesh, fraction = self._mesh, self.fraction
         is_at_start = self._course.are_at_start(self.vertices, fraction)

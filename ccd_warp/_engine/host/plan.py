@@ -43,11 +43,11 @@ class Batch:
     """Pairs whose keys the search has just written.
 
     Attributes:
-        found: Number of pairs by kind.
+        num_pairs: Number of pairs by kind.
         is_only: Whether these are all pairs of the search.
     """
 
-    found: dict[PairKind, int]
+    num_pairs: dict[PairKind, int]
     is_only: bool
 
 
@@ -325,13 +325,13 @@ class HostPlan(Plan):
         stages.find_some_pairs(self.execution, part.tree_pair, part.items, part.level)
         self.num_searches[part.tree_pair.kind] += 1
 
-    def _batch(self, found: dict[PairKind, int], is_only: bool) -> Batch:
+    def _batch(self, num_pairs: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
         counts = self.counters.counts()[:, CANDIDATES].tolist()
         for kind in self._searched_kinds:
             self.num_candidates[kind] += counts[kind]
-        return Batch(found, is_only)
+        return Batch(num_pairs, is_only)
 
     def _num_found(self) -> dict[PairKind, int]:
         counts = self.counters.counts()[:, FOUND].tolist()

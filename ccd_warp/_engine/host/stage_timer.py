@@ -25,7 +25,7 @@ class StageTimer:
         of_device = partial(_BlockOnDevice, self._events, device) if device.is_cuda else partial(_Block, self.seconds)
         self.timed: Callable[[str], AbstractContextManager[None]] = of_device
 
-    def each(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
+    def timed_items(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
         """Items, while the time in which each is made is added to that of a stage."""
         while True:
             with self.timed(stage):

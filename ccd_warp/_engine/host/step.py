@@ -67,7 +67,7 @@ class Step:
         """
         self.workspace, self.options = workspace, options
         self.topology, self.mesh = workspace.topology, workspace.topology.mesh
-        self.positions = self.given = positions
+        self.positions = self.ends = positions
         self.paths, self.ranks = paths, ranks or _ALONE
         self.timer = StageTimer(self.topology.device)
         self.timed, self.timings = self.timer.timed, self.timer.seconds
@@ -159,22 +159,22 @@ class Step:
         """The batches of a search, counted, timed as the stage of pairs, and without the pairs of other processes."""
         if not self.ranks.is_alone:
             batches = map(partial(self.ranks.own_batch, self.plan), batches)
-        for batch in self.timer.each("pairs", batches):
-            for kind, number in batch.found.items():
+        for batch in self.timer.timed_items("pairs", batches):
+            for kind, number in batch.num_pairs.items():
                 self.survivors[kind] += number
             yield batch
 
-    def finish(self, **known: Any) -> None:
+    def finish(self, **counts: Any) -> None:
         """Release what the step has used, count what it has done, and end its timings.
 
-        ``known`` are counts that the goal knows, by their names.
+        ``counts`` are those that the goal knows, by their names.
         """
         plan, mesh, boxes = self.plan, self.mesh, self.workspace.boxes
         plan.release_positions()
         self.motion.release()
         self.counts = Counts(
             num_bodies=mesh.num_bodies,
-            num_vertices=known.pop("num_vertices", mesh.num_vertices),
+            num_vertices=counts.pop("num_vertices", mesh.num_vertices),
             num_edges=mesh.num_edges,
             num_faces=mesh.num_faces,
             num_codimensional_edges=len(mesh.codimensional_edges),
@@ -186,6 +186,6 @@ class Step:
             num_candidates={kind: plan.num_candidates[kind] for kind in plan.kinds},
             num_after_cull={kind: self.survivors[kind] for kind in plan.kinds if self.counts_survivors},
             num_batches=plan.num_batches,
-            **known,
+            **counts,
         )
         self.timer.finish()
