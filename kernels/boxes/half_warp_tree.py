@@ -1,8 +1,12 @@
-"""The boxes of a tree on CUDA: half a warp fills a block, and neighbouring threads write neighbouring numbers.
+"""The boxes of trees on CUDA: half a warp fills a block, and neighbouring threads write neighbouring numbers.
 
 The boxes are those of `box_tree`. There an item fills a whole block, which suits the caches of a CPU; threads of CUDA
-that did the same would store 768 bytes apart. Kernels take ``only_if``: empty, or a flag without which they do nothing,
-so that a graph can contain the refresh of boxes that rarely change.
+that did the same would store 768 bytes apart. One launch fills all levels of several trees: of the half warps that have
+written the boxes of an inner block, the last unites them and goes up a level. Kernels take ``only_if``: empty, or a
+flag without which they do nothing, so that a graph can contain the refresh of boxes that rarely change.
+
+Reference: Karras 2012, "Maximizing parallelism in the construction of BVHs, octrees, and k-d trees" (who arrives last
+at a node goes up).
 """
 
 import warp as wp
@@ -14,8 +18,6 @@ from .lanes import vec8f
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 _INFINITY = wp.constant(wp.float32(wp.inf))
-_ONE = wp.constant(wp.float32(1.0))
-_ROWS = wp.constant(6)  # of an AABB
 
 # An AABB of a vertex and a row of a block lie at multiples of 16 bytes, so four numbers are one load.
 _FOUR = """
@@ -85,19 +87,45 @@ def write_box(nodes: wp.array[wp.float32], at: int, box: vec8f):
 
 
 @wp.func_native(
-    _FOUR
-    + """
-    const Four* row = (const Four*)(nodes.data + at);
-    float r = INFINITY;
-    for (int k = 0; k < 4; ++k) {
-        const Four four = row[k];
-        r = least(r, least(least(sign * four.x, sign * four.y), least(sign * four.z, sign * four.w)));
+    """
+    const float* p = nodes.data + at;
+    wp::vec_t<8, wp::float32> box(0.0f);
+    for (int k = 0; k < 3; ++k) {
+        box[k] = p[16 * k];
+        box[4 + k] = -p[48 + 16 * k];
     }
-    return sign * r;
+    return box;
 """
 )
-def row_union(nodes: wp.array[wp.float32], at: int, sign: wp.float32) -> wp.float32:
-    """The least of sixteen coordinates with the sign 1, the greatest with -1."""
+def read_box(nodes: wp.array[wp.float32], at: int) -> vec8f:
+    """A box from its place of a block, in the form of a vertex AABB."""
+    ...
+
+
+@wp.func_native(
+    """
+#if defined(__CUDA_ARCH__)
+    const unsigned threads = 0xFFFFu << (threadIdx.x & 16);
+    int before = 0;
+    __syncwarp(threads);
+    if ((threadIdx.x & 15) == 0) {
+        __threadfence();  // whoever finds the count finds what the half warp has written, too
+        before = (int)atomicInc((unsigned*)arrivals.data + place, (unsigned)(count - 1));
+        if (before == count - 1)
+            __threadfence();  // and what is read now is not older than the count
+    }
+    before = __shfl_sync(threads, before, 0, 16);
+    __syncwarp(threads);
+    return before == count - 1;
+#else
+    int* p = (int*)arrivals.data + place;
+    *p = *p == count - 1 ? 0 : *p + 1;
+    return *p == 0;
+#endif
+"""
+)
+def is_last(arrivals: wp.array[wp.int32], place: int, count: int) -> bool:
+    """Whether a half warp is the last of ``count`` that arrive at a place, which is then 0 again as it was before."""
     ...
 
 
@@ -109,66 +137,80 @@ def is_needed(only_if: wp.array[wp.int32]) -> bool:
     return True
 
 
+@wp.struct
+class TreeToFill:
+    """A tree among those of a launch."""
+
+    end: int  # the thread after its last one; those of the trees before it come first
+    num_corners: int  # of a primitive
+    tree: BoxTree
+    arrivals: wp.array[wp.int32]  # for each AABB of the inner blocks below the top: its boxes that are written so far
+
+
+@wp.func
+def fill_tree(of: TreeToFill, vertex_aabbs: wp.array[wp.float32], thread: int):
+    """Fill an AABB of a block of level 0 from those of its vertices, and all blocks above that are complete with it."""
+    tree = of.tree
+    first = first_lane(thread)
+    last = end_lane(thread)
+    if last == 0:
+        return
+    n = thread / WIDTH / tree.num_aabbs
+    aabb = thread / WIDTH % tree.num_aabbs
+    count = (tree.num_boxes + WIDTH - 1) / WIDTH  # of the boxes of the level above, of which one is the union
+    union = vec8f(_INFINITY)
+    for lane in range(first, last):
+        k = n * WIDTH + lane
+        box = vec8f(_INFINITY)
+        if k < tree.num_boxes:
+            box = leaf_box(vertex_aabbs, tree.num_aabbs, tree.corners, of.num_corners, n, aabb, lane)
+        write_box(tree.nodes, node_place(tree, 0, k, aabb), box)
+        union = least_of(union, box)
+    level = int(1)
+    begin = int(0)  # of the level among the inner blocks
+    while True:
+        union = least_together(union)
+        block = n / WIDTH
+        at = ((tree.block_begin[1] + begin + block) * tree.num_aabbs + aabb) * BLOCK_FLOATS
+        if first == 0:
+            write_box(tree.nodes, at + n % WIDTH, union)
+        if n == count - 1:  # the other boxes of its block are empty
+            for lane in range(first, last):
+                if lane > n % WIDTH:
+                    write_box(tree.nodes, at + lane, vec8f(_INFINITY))
+        level += 1
+        if level == tree.num_levels:
+            return
+        if not is_last(of.arrivals, (begin + block) * tree.num_aabbs + aabb, wp.min(WIDTH, count - block * WIDTH)):
+            return
+        union = vec8f(_INFINITY)
+        for lane in range(first, last):
+            union = least_of(union, read_box(tree.nodes, at + lane))
+        count = (count + WIDTH - 1) / WIDTH
+        begin += count
+        n = block
+
+
 @wp.kernel
-def fill_leaves(
+def fill_trees(
     begin: int,
     # in
     only_if: wp.array[wp.int32],
     vertex_aabbs: wp.array[wp.float32],
-    num_corners: int,
     # out
-    tree: BoxTree,
+    a: TreeToFill,
+    b: TreeToFill,
+    c: TreeToFill,
 ):
-    """Fill an AABB of a block of level 0 from those of its vertices, and write its union to level 1: a half warp."""
+    """Fill all levels of up to three trees: half a warp for each AABB of a block of level 0."""
     thread = begin + wp.tid()
-    first = first_lane(thread)
-    last = end_lane(thread)
-    if last == 0 or not is_needed(only_if):
-        return
-    block = thread / WIDTH / tree.num_aabbs
-    aabb = thread / WIDTH % tree.num_aabbs
-    union = vec8f(_INFINITY)
-    for lane in range(first, last):
-        n = block * WIDTH + lane
-        box = vec8f(_INFINITY)
-        if n < tree.num_boxes:
-            box = leaf_box(vertex_aabbs, tree.num_aabbs, tree.corners, num_corners, block, aabb, lane)
-        write_box(tree.nodes, node_place(tree, 0, n, aabb), box)
-        union = least_of(union, box)
-    union = least_together(union)
-    if first == 0:
-        write_box(tree.nodes, node_place(tree, 1, block, aabb), union)
-    # after the last box of level 1 its block is filled with empty boxes
-    count = (tree.num_boxes + WIDTH - 1) / WIDTH
-    if block == count - 1:
-        for lane in range(first, last):
-            if lane > block % WIDTH:
-                write_box(tree.nodes, node_place(tree, 1, block - block % WIDTH + lane, aabb), vec8f(_INFINITY))
-
-
-@wp.kernel
-def unite_rows(
-    begin: int,
-    # in
-    only_if: wp.array[wp.int32],
-    below: int,  # first block of the level below
-    level: int,  # first block of the level
-    count: int,  # of its boxes, and of the blocks of the level below
-    # out
-    tree: BoxTree,
-):
-    """Compute one number of a level from a row of a block of the level below."""
-    k = begin + wp.tid()
-    if not is_needed(only_if):
-        return
-    rows = _ROWS * tree.num_aabbs
-    row = k / WIDTH % rows
-    n = k / (rows * WIDTH) * WIDTH + k % WIDTH
-    sign = wp.where(row % _ROWS < 3, _ONE, -_ONE)
-    value = sign * _INFINITY
-    if n < count:
-        value = row_union(tree.nodes, ((below + n) * rows + row) * WIDTH, sign)
-    tree.nodes[level * tree.num_aabbs * BLOCK_FLOATS + k] = value
+    if is_needed(only_if):
+        if thread < a.end:
+            fill_tree(a, vertex_aabbs, thread)
+        elif thread < b.end:
+            fill_tree(b, vertex_aabbs, thread - a.end)
+        elif thread < c.end:
+            fill_tree(c, vertex_aabbs, thread - b.end)
 
 
 @wp.kernel

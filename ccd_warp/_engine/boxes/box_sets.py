@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ccd_warp._runtime.launch import Execution, Recording
 
 BLOCK_FLOATS, WIDTH = int(box_tree.BLOCK_FLOATS), int(box_tree.WIDTH)
+_MOST_AABBS = 2
 # The order of a set in a tree: indices of the primitives, vertices of their blocks, and the groups of the bodies below
 # each box of the levels above; None where there are no groups.
 Order = tuple[wp.array, wp.array, wp.array | None]
@@ -74,6 +75,11 @@ class BoxSet(ABC):
     def arrays(self) -> Any:
         """The boxes and their order, a ``box_tree.BoxTree``."""
         return self.structs[0]
+
+    @lazy_property
+    def arrivals(self) -> wp.array:
+        """On CUDA, a place for each AABB of the inner blocks below the top, each 0 but while boxes are computed."""
+        return wp.zeros(_MOST_AABBS * sum(self.levels[1:-1]), dtype=wp.int32, device=self.primitives.ids.device)
 
     def num_floats(self, num_aabbs: int) -> int:
         """Numbers that the boxes consist of."""

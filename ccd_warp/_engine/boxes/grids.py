@@ -8,9 +8,10 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
+from ccd_warp._engine.boxes.trees import fill_in_half_warps
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
 from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp.kernels.boxes import box_groups, box_tree, half_warp_tree, hash_grid
+from ccd_warp.kernels.boxes import box_groups, box_tree, hash_grid
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
 _CELL_FACTOR, _QUANTILE = 1.4, 0.95
@@ -175,11 +176,10 @@ def _sort_and_fill_places(
         launcher.launch(hash_grid.find_buckets, num_buckets, [only_if, grid.buckets, count], [cells])
         inputs: list[Any] = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
         launcher.launch(hash_grid.fill_places, places, inputs, [boxes, cells])
-        inputs = [only_if, vertex_aabbs, primitives.num_corners]
-        launcher.launch(half_warp_tree.fill_leaves, places * arrays.num_aabbs, inputs, [boxes])
         if len(grid.vertex_group):
             inputs = [arrays.corners, grid.vertex_group, -1, 0]
             launcher.launch(box_groups.unite_groups, primitives.num_blocks, inputs, [arrays.groups])
+    fill_in_half_warps(grids, vertex_aabbs, launcher, structs_of, only_if)
 
 
 def _radix_sort(grid: Grid, count: int) -> None:

@@ -1,7 +1,7 @@
 """Trees of boxes, and the pairs of trees whose primitives form pairs of a kind."""
 
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order, level_sizes
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
-from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.launch import Execution, Recording, StructFields
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import StopFlag
@@ -26,6 +26,8 @@ _CHUNK = int(device_step.CHUNK)
 _DIAGONAL = float(np.nextafter(np.sqrt(3.0), 2.0))  # of a cube with a side of 1, and more
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
+# Trees that a launch fills on CUDA: as many as its kernel has arguments.
+_MOST_TREES = 3
 # The roles of bodies whose primitives are paired: one of the two is free.
 _PAIRED: tuple[tuple[Role, Role], ...] = (
     ("moving", "moving"),
@@ -96,7 +98,7 @@ class Tree(BoxSet):
         """Compute the boxes of every level of trees from the vertex AABBs."""
         trees = list(dict.fromkeys(sets))
         if launcher.is_cuda:
-            _fill_in_half_warps(trees, vertex_aabbs, launcher, structs_of, only_if)
+            fill_in_half_warps(trees, vertex_aabbs, launcher, structs_of, only_if)
         elif only_if is None:
             _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
         else:
@@ -148,33 +150,36 @@ def _refresh(
             launcher.launch(device_step.refresh_levels, 1, [only_if, tree.levels[1]], list(structs_of(tree)))
 
 
-def _fill_in_half_warps(
-    trees: list[Tree],
+@dataclass(frozen=True)
+class _TreeToFill(StructFields):
+    """The fields of ``half_warp_tree.TreeToFill``."""
+
+    struct = half_warp_tree.TreeToFill
+
+    end: int
+    num_corners: int
+    tree: Any
+    arrivals: wp.array
+
+
+def fill_in_half_warps(
+    trees: Sequence[BoxSet],
     vertex_aabbs: Any,
     launcher: Execution | Recording,
-    structs_of: _StructsOf,
+    structs_of: Callable[[Any], tuple[Any, ...]],
     only_if: wp.array | None,
 ) -> None:
-    """Compute the boxes on CUDA: a launch fills the lowest two levels, and one each of those above."""
-    for tree in trees:
-        num_aabbs, corners = tree.arrays.num_aabbs, tree.primitives.num_corners
-        if only_if is None:
-            only_if = wp.empty(0, dtype=wp.int32, device=tree.primitives.ids.device)
-        inputs = [only_if, vertex_aabbs, corners]
-        launcher.launch(
-            half_warp_tree.fill_leaves,
-            tree.levels[0] * num_aabbs * WIDTH,
-            inputs=inputs,
-            outputs=list(structs_of(tree)),
-        )
-        for level in range(2, len(tree.levels)):
-            below, begin = sum(tree.levels[: level - 1]), sum(tree.levels[:level])
-            launcher.launch(
-                half_warp_tree.unite_rows,
-                tree.levels[level] * num_aabbs * BLOCK_FLOATS,
-                inputs=[only_if, below, begin, tree.levels[level - 1]],
-                outputs=list(structs_of(tree)),
-            )
+    """Compute the boxes on CUDA: a launch fills all levels of a few trees."""
+    if only_if is None:
+        only_if = wp.empty(0, dtype=wp.int32, device=launcher.device)
+    for k in range(0, len(trees), _MOST_TREES):
+        filled, end = [], 0
+        for tree in trees[k : k + _MOST_TREES]:
+            end += tree.levels[0] * tree.arrays.num_aabbs * WIDTH
+            of_tree = _TreeToFill(end, tree.primitives.num_corners, structs_of(tree)[0], tree.arrivals)
+            filled.append(of_tree if isinstance(launcher, Recording) else of_tree.packed({}))
+        filled += filled[-1:] * (_MOST_TREES - len(filled))  # which have no threads
+        launcher.launch(half_warp_tree.fill_trees, end, inputs=[only_if, vertex_aabbs], outputs=filled)
 
 
 @dataclass(frozen=True)
