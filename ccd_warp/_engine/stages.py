@@ -1,6 +1,6 @@
 """The stages of a step, each written once: a driver gives them an `Execution`, or a `Recording` to record them in."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -21,7 +21,7 @@ from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, N
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.pair.norm import is_ball, shape_of
 from ccd_warp.kernels.pair.turns import Turns
-from ccd_warp.kernels.search.search_types import CULL, LIST
+from ccd_warp.kernels.search.search_types import CULL, LIST, Candidates, Searched
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
 from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
@@ -85,6 +85,34 @@ class PairFields(StructFields):
 
 
 @dataclass(frozen=True)
+class SearchedFields(StructFields):
+    """The fields of ``kernels.search.search_types.Searched``."""
+
+    struct = Searched
+
+    part: Any
+    query: Any
+    target: Any
+    tree_pair: Any
+    collision_filter: Any
+    keys: Any
+
+
+@dataclass(frozen=True)
+class CandidateFields(StructFields):
+    """The fields of ``kernels.search.search_types.Candidates``."""
+
+    struct = Candidates
+
+    part: Any
+    num_threads: int
+    candidates: Any
+    first_corners: wp.array
+    second_corners: wp.array
+    keys: Any
+
+
+@dataclass(frozen=True)
 class LeastFields(StructFields):
     """The fields of ``kernels.step.pair_list.LeastToi``."""
 
@@ -98,6 +126,11 @@ def measure_pairs_in(norm: str, device: Any) -> Any:
     """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
     parameters = {"width": lanes_of(device)} if is_ball(norm) else {}
     return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
+
+
+def _in_twos(items: Sequence[Any]) -> Iterator[Any]:
+    """The items, two at a time: what a launch on CUDA searches and culls."""
+    return (items[k : k + 2] for k in range(0, len(items), 2))
 
 
 @dataclass(frozen=True)
@@ -280,23 +313,25 @@ class Stages:
                 searched for again; and a pair for which there is no capacity gets toi 0.
         """
         marks_overflow = is_any_unlisted is not None
-        with recording.at_once():
-            for number, tree_pair in enumerate(tree_pairs):
-                self.search(recording, tree_pair, marks_overflow=marks_overflow, is_needed=partial(is_needed, number))
         if not recording.is_cuda:
+            with recording.at_once():
+                for number, tree_pair in enumerate(tree_pairs):
+                    is_pair_needed = partial(is_needed, number)
+                    self.search(recording, tree_pair, marks_overflow=marks_overflow, is_needed=is_pair_needed)
             return
-        for kind in self.kinds:
-            self.cull(recording, kind, marks_overflow=marks_overflow)
+        self._list_candidates(recording, [(pair, range(pair.query.primitives.count)) for pair in tree_pairs])
+        self._cull(recording, self.kinds, marks_overflow=marks_overflow)
         if is_any_unlisted is not None:
             with recording.only_if(is_any_unlisted):
-                for tree_pair in tree_pairs:
-                    self.cull_the_rest(recording, tree_pair)
+                self._cull_the_rest(recording, tree_pairs)
 
     def find_some_pairs(self, execution: Execution, tree_pair: TreePair, items: range, level: int) -> None:
         """Search for the pairs of some items of a tree pair alone, now; see :meth:`search`."""
-        self.search(execution, tree_pair, items, level=level)
         if execution.is_cuda:
-            self.cull(execution, tree_pair.kind)
+            self._list_candidates(execution, [(tree_pair, items)])
+            self._cull(execution, [tree_pair.kind])
+        else:
+            self.search(execution, tree_pair, items, level=level)
 
     def search(
         self,
@@ -304,34 +339,24 @@ class Stages:
         tree_pair: TreePair,
         items: range | None = None,
         *,
-        level: int | None = None,
+        level: int = 1,
         marks_overflow: bool = False,
         is_needed: Callable[[], bool] | None = None,
     ) -> None:
-        """Search a tree pair, and count all pairs that the cull leaves, whether or not there was capacity for them.
-
-        On CUDA a search lists candidates, and counts all of them; :meth:`cull` follows the searches of a kind.
+        """On the CPU: search a tree pair, and count all pairs that the cull leaves, whether or not there was capacity.
 
         Args:
             launcher: Where to launch, or to record.
             tree_pair: The trees, or the spatial hashes.
             items: The items to search; all by default.
-            level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes, as always on CUDA.
+            level: Level of the items in the tree of the queries: 1, blocks; 0, single boxes.
             marks_overflow: Whether a pair for which there is no capacity gets toi 0.
-            is_needed: Called on the CPU outside a capture: whether boxes of the two trees may overlap.
+            is_needed: Called outside a capture: whether boxes of the two trees may overlap.
         """
-        query, target = tree_pair.query, tree_pair.target
-        level = (0 if launcher.is_cuda else 1) if level is None else level
         if items is None:
-            items = range(query.primitives.count if level == 0 else query.levels[0])
-        if launcher.is_cuda:
-            for k in range(0, len(items), MOST_QUERIES):
-                queries = items[k : k + MOST_QUERIES]
-                part = range_of_warps(int(tree_pair.kind), queries)
-                self._search_in_warps(launcher, tree_pair, part, LIST, self.candidates[tree_pair.kind])
-            return
+            items = range(tree_pair.query.levels[0])
         count = len(items)
-        num_tests = count * WIDTH**level * target.primitives.count
+        num_tests = count * WIDTH**level * tree_pair.target.primitives.count
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
         launcher.launch(
@@ -353,62 +378,78 @@ class Stages:
         topology, walk = self.topology, tree_pair.query.walk
         return search_on(topology.device, walk, end, topology.has_lists, is_cuda=is_cuda, is_thick=self.is_thick)
 
-    def searched(self, tree_pair: TreePair) -> list[Any]:
-        """The inputs of a search besides its items."""
-        topology, collision_filter = self.topology, self.topology.collision_filter
+    def filter_of(self, tree_pair: TreePair) -> Any:
+        """The collision filter of a search."""
+        topology = self.topology
         roles = {tree.primitives.role for tree in (tree_pair.query, tree_pair.target)}
         if self._has_slender and len(roles) == 1:
-            collision_filter = topology.filters[roles.pop()]
-        return [
-            *self.boxes[tree_pair.query.name],
-            *self.boxes[tree_pair.target.name],
-            tree_pair.packed,
-            self.search_options,
-            collision_filter,
+            return topology.filters[roles.pop()]
+        return topology.collision_filter
+
+    def searched(self, tree_pair: TreePair) -> list[Any]:
+        """The inputs of a search of its own besides its items."""
+        boxes = [*self.boxes[tree_pair.query.name], *self.boxes[tree_pair.target.name]]
+        return [*boxes, tree_pair.packed, self.search_options, self.filter_of(tree_pair)]
+
+    def _list_candidates(self, launcher: Launcher, searched: list[tuple[TreePair, range]]) -> None:
+        """On CUDA: list the candidates of some queries of tree pairs, and count all of them; :meth:`_cull` follows."""
+        searches = [
+            (tree_pair, range_of_warps(int(tree_pair.kind), queries[k : k + MOST_QUERIES]))
+            for tree_pair, queries in searched
+            for k in range(0, len(queries), MOST_QUERIES)
         ]
+        self._search_in_warps(launcher, searches, LIST, self.candidates)
 
-    def _search_in_warps(self, launcher: Launcher, tree_pair: TreePair, part: Any, end: str, keys: Any) -> None:
-        """Search a tree pair on CUDA, a warp for some queries each."""
-        launcher.launch(
-            self.search_kernel(tree_pair, end, is_cuda=True),
-            part.num_warps * WARP,
-            inputs=[part, *self.searched(tree_pair)],
-            outputs=[self.step, keys],
-        )
+    def _cull_the_rest(self, launcher: Launcher, tree_pairs: list[TreePair]) -> None:
+        """If there were more candidates than the list could take, search again, and cull each where it is found."""
+        searches = []
+        for tree_pair in tree_pairs:
+            kind, queries = tree_pair.kind, range(tree_pair.query.primitives.count)
+            capacity = len(self.candidates[kind])
+            part = range_of_warps(int(kind), queries, capacity, marks_overflow=True, most_warps=_MOST_REST)
+            searches.append((tree_pair, part))
+        self._search_in_warps(launcher, searches, CULL, self.keys)
 
-    def cull(self, launcher: Launcher, kind: PairKind, *, marks_overflow: bool = False) -> None:
-        """Cull the listed candidates of a kind, and write the keys of those that stay open.
+    def _search_in_warps(
+        self, launcher: Launcher, searches: list[tuple[TreePair, Any]], end: str, keys: dict[PairKind, Any]
+    ) -> None:
+        """Search tree pairs on CUDA, two of them in a launch, a warp for some queries each."""
+        for two in _in_twos(searches):
+            inputs: list[Any] = [self.search_options]
+            for tree_pair, part in two:
+                query, target = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
+                of_pair = tree_pair.packed, self.filter_of(tree_pair), keys[tree_pair.kind]
+                fields = SearchedFields(part, query[0], target[0], *of_pair)
+                inputs += [launcher.struct(fields), *query[1:], *target[1:]]
+            if len(two) == 1:  # no threads are left for another
+                inputs += inputs[1:]
+            num_warps = sum(part.num_warps for _, part in two)
+            kernel = self.search_kernel(two[0][0], end, is_cuda=True)
+            launcher.launch(kernel, num_warps * WARP, inputs=inputs, outputs=[self.step])
+
+    def _cull(self, launcher: Launcher, kinds: list[PairKind], *, marks_overflow: bool = False) -> None:
+        """Cull the listed candidates of some kinds on CUDA, and write the keys of those that stay open.
 
         Args:
             launcher: Where to launch, or to record.
-            kind: Kind of the candidates; ``counts`` hold their number, which may exceed the length of the list.
+            kinds: Kinds of the candidates; ``counts`` hold their number, which may exceed the length of the list.
             marks_overflow: Whether a pair for which there is no capacity gets toi 0; and nothing is culled if there
-                were more candidates than the list could take, as :meth:`cull_the_rest` then does.
+                were more candidates than the list could take, as :meth:`_cull_the_rest` then does.
         """
-        candidates = self.candidates[kind]
-        num_threads = _MOST_CULLS
-        if not isinstance(candidates, Slot):
-            num_threads = min(_MOST_CULLS, -(-len(candidates) // WIDTH) * WIDTH)
-        launcher.launch(
-            specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates,
-            num_threads,
-            inputs=[
-                num_threads,
-                search_range(0, int(kind), range(0), marks_overflow=marks_overflow),
-                int(marks_overflow),
-                candidates,
-                *(self.topology.corners[name] for name in self.topology.corner_arrays(kind)),
-                self.search_options,
-            ],
-            outputs=[self.step, self.keys[kind]],
-        )
-
-    def cull_the_rest(self, launcher: Launcher, tree_pair: TreePair) -> None:
-        """If there were more candidates than the list could take, search again, and cull each where it is found."""
-        kind, queries = tree_pair.kind, range(tree_pair.query.primitives.count)
-        capacity = len(self.candidates[kind])
-        part = range_of_warps(int(kind), queries, capacity, marks_overflow=True, most_warps=_MOST_REST)
-        self._search_in_warps(launcher, tree_pair, part, CULL, self.keys[kind])
+        culled = specialised("search.candidate_cull", is_thick=self.is_thick)
+        for two in _in_twos(kinds):
+            of_kinds, num_threads = [], 0
+            for kind in two:
+                candidates, most = self.candidates[kind], _MOST_CULLS
+                if not isinstance(candidates, Slot):
+                    most = min(most, -(-len(candidates) // WIDTH) * WIDTH)
+                num_threads += most
+                part = search_range(0, int(kind), range(0), marks_overflow=marks_overflow)
+                first, second = (self.topology.corners[name] for name in self.topology.corner_arrays(kind))
+                of_kind = CandidateFields(part, most, candidates, first, second, self.keys[kind])
+                of_kinds.append(launcher.struct(of_kind))
+            inputs = [int(marks_overflow), self.search_options, *(2 * of_kinds)[:2]]  # no threads are left for another
+            launcher.launch(culled.cull_candidates, num_threads, inputs=inputs, outputs=[self.step])
 
     def meet_planes(
         self,

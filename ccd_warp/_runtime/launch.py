@@ -149,6 +149,11 @@ class Execution:
         tasks = [lambda b=b, e=e: part(b, e) for b, e in needed]  # type: ignore[misc]
         self.run(tasks, is_long=is_long is not None and is_long())
 
+    @staticmethod
+    def struct(of: "StructFields") -> Any:
+        """A struct as :meth:`launch` takes it; none of its fields is a slot."""
+        return of.packed({})
+
     def call(self, function: Callable[[], None]) -> None:
         """Call a function that launches kernels of Warp's own."""
         function()
@@ -372,6 +377,11 @@ class Recording:
         for index, struct in structs.items():
             struct.uses.append((packed, index + 1))
         self._add(_Launch(packed, count >= grain > 1, num_needed, is_long))
+
+    @staticmethod
+    def struct(of: StructFields) -> StructFields:
+        """A struct as :meth:`launch` takes it: by its fields, of which some may be slots."""
+        return of
 
     def _struct_of(self, of: StructFields) -> _PackedStruct:
         """The struct with these fields: one for all launches that are given the same object."""

@@ -17,7 +17,7 @@ from ..parameters import is_thick
 from ..step.minima import ANY_UNLISTED, CANDIDATES, FOUND
 from ..step.step import Step
 from ..template import specialised
-from .search_types import SearchOptions, SearchRange, write_pair
+from .search_types import Candidates, SearchOptions, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
@@ -49,38 +49,24 @@ def is_discarded(
     return False
 
 
-@wp.kernel(module=module, grid_stride=False)
-def cull_candidates(
-    begin: int,
-    # in
-    num_threads: int,
-    part: SearchRange,
-    only_if_complete: int,  # 1: if the list was too short, a second search culls all candidates
-    candidates: wp.array[wp.int64],
-    first_corners: wp.array[wp.vec3i],
-    second_corners: wp.array[wp.vec3i],
-    options: SearchOptions,
-    # in and out
-    step: Step,
-    # out
-    keys: wp.array[wp.int64],
-):
-    """Cull the candidates of a kind, the row of the counts: those of a thread are ``num_threads`` apart."""
-    thread = begin + wp.tid()
+@wp.func
+def cull_kind(of: Candidates, only_if_complete: int, options: SearchOptions, step: Step, thread: int):
+    """Cull the candidates of a kind: those of a thread are ``num_threads`` apart."""
     first_of_thread = first_lane(thread)
     end = end_lane(thread)
-    kind = part.row
-    if only_if_complete != 0 and step.counts[kind, CANDIDATES] > wp.int64(candidates.shape[0]):
+    kind = of.part.row
+    most_listed = wp.int64(of.candidates.shape[0])
+    if only_if_complete != 0 and step.counts[kind, CANDIDATES] > most_listed:
         if thread == 0:
             claim(step.counts, 0, ANY_UNLISTED, 1)
         return
-    count = wp.int32(wp.min(step.counts[kind, CANDIDATES], wp.int64(candidates.shape[0])))
-    for n in range(thread - thread % HALF_WARP, count, num_threads):
+    count = wp.int32(wp.min(step.counts[kind, CANDIDATES], most_listed))
+    for n in range(thread - thread % HALF_WARP, count, of.num_threads):
         lanes = wp.uint32(0)
         for lane in range(first_of_thread, wp.min(end, count - n)):
-            pair = pair_of(candidates[n + lane])
-            a = first_corners[pair[0]]
-            b = second_corners[pair[1]]
+            pair = pair_of(of.candidates[n + lane])
+            a = of.first_corners[pair[0]]
+            b = of.second_corners[pair[1]]
             if not is_discarded(kind, a, b, step, options):
                 lanes = lanes | (_ONE << wp.uint32(lane))
         every = united(lanes)
@@ -89,8 +75,27 @@ def cull_candidates(
             while lanes != _NONE:
                 lane = lowest_bit(lanes)
                 lanes = lanes & (lanes - _ONE)
-                pair = pair_of(candidates[n + lane])
-                a = first_corners[pair[0]]
-                b = second_corners[pair[1]]
+                pair = pair_of(of.candidates[n + lane])
+                a = of.first_corners[pair[0]]
+                b = of.second_corners[pair[1]]
                 at = place + wp.int64(number_before(every, lane))
-                write_pair(pair[0], pair[1], a, b, at, part, keys, step.minima)
+                write_pair(pair[0], pair[1], a, b, at, of.part, of.keys, step.minima)
+
+
+@wp.kernel(module=module, grid_stride=False)
+def cull_candidates(
+    begin: int,
+    # in
+    only_if_complete: int,  # 1: if the list was too short, a second search culls all candidates
+    options: SearchOptions,
+    a: Candidates,
+    b: Candidates,
+    # in and out
+    step: Step,
+):
+    """Cull the candidates of two kinds, the second of which may have no threads."""
+    thread = begin + wp.tid()
+    if thread < a.num_threads:
+        cull_kind(a, only_if_complete, options, step, thread)
+    else:
+        cull_kind(b, only_if_complete, options, step, thread - a.num_threads)

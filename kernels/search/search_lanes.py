@@ -35,6 +35,7 @@ _ONE = wp.constant(wp.uint32(1))
 
 with_cull = end != BOXES
 most_registers = hash_registers = None  # the CPU has no limit
+are_two = False  # searches of a launch
 
 
 def module_of(walk: str):

@@ -29,7 +29,7 @@ from ..parameters import in_warps
 from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .search_filter import with_partners
-from .search_types import Search, SearchOptions, SearchRange, TreePair
+from .search_types import Search, Searched, SearchOptions, SearchRange, TreePair, search_of
 
 if in_warps:
     from . import search_warp as queries
@@ -112,28 +112,54 @@ def search_tree(search: Search, item: queries.Item) -> int:
     return num_candidates
 
 
-@wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.most_registers)
-def search_trees(
-    begin: int,
-    # in
-    part: SearchRange,
-    query: BoxTree,
-    target: BoxTree,
-    tree_pair: TreePair,
-    options: SearchOptions,
-    collision_filter: CollisionFilter,
-    # in and out
-    step: Step,
-    # out
-    keys: wp.array[wp.int64],
-):
+@wp.func
+def search_items(search: Search, thread: int):
     """Find the pairs of the items of a thread, or of a warp."""
-    search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
-    thread = begin + wp.tid()
     items = queries.items_of(search, thread)
     for number in range(items[0], items[1], items[2]):
         item = queries.item_at(search, number, thread)
-        item.after = wp.where(tree_pair.within != 0, item.first, -1)
+        item.after = wp.where(search.tree_pair.within != 0, item.first, -1)
         if wp.static(not in_warps):
             item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
         queries.finish(search, item, search_tree(search, item))
+
+
+if queries.are_two:
+
+    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.most_registers)
+    def search_trees(
+        begin: int,
+        # in
+        options: SearchOptions,
+        a: Searched,
+        b: Searched,
+        # in and out
+        step: Step,
+    ):
+        """Find the pairs of two tree pairs, by warps of each."""
+        thread = begin + wp.tid()
+        num_threads = queries.num_threads(a.part)
+        if thread < num_threads:
+            search_items(search_of(a, options, step), thread)
+        else:
+            search_items(search_of(b, options, step), thread - num_threads)
+
+else:
+
+    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.most_registers)
+    def search_trees(
+        begin: int,
+        # in
+        part: SearchRange,
+        query: BoxTree,
+        target: BoxTree,
+        tree_pair: TreePair,
+        options: SearchOptions,
+        collision_filter: CollisionFilter,
+        # in and out
+        step: Step,
+        # out
+        keys: wp.array[wp.int64],
+    ):
+        """Find the pairs of the items of a thread, or of a warp."""
+        search_items(Search(part, query, target, tree_pair, options, collision_filter, step, keys), begin + wp.tid())

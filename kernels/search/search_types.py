@@ -73,6 +73,36 @@ class Search:
     keys: wp.array[wp.int64]  # of pairs; or of candidates, of a search that lists them
 
 
+@wp.struct
+class Searched:
+    """What one of two searches that share a launch on CUDA has for itself; the second may have no warps."""
+
+    part: SearchRange
+    query: BoxTree
+    target: BoxTree
+    tree_pair: TreePair
+    collision_filter: CollisionFilter
+    keys: wp.array[wp.int64]
+
+
+@wp.struct
+class Candidates:
+    """On CUDA, the candidates of a kind, and where the keys of those go that the cull leaves."""
+
+    part: SearchRange  # whose row is the kind
+    num_threads: int
+    candidates: wp.array[wp.int64]
+    first_corners: wp.array[wp.vec3i]
+    second_corners: wp.array[wp.vec3i]
+    keys: wp.array[wp.int64]
+
+
+@wp.func
+def search_of(of: Searched, options: SearchOptions, step: Step) -> Search:
+    """The arguments of one of two searches."""
+    return Search(of.part, of.query, of.target, of.tree_pair, options, of.collision_filter, step, of.keys)
+
+
 @wp.func
 def is_turned(tree_pair: TreePair, query: int, target: int) -> bool:
     """Whether the target is the first primitive of a pair: of two of one kind, whatever is searched, the lower one."""

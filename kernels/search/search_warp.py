@@ -31,7 +31,7 @@ from ..parameters import end, is_thick, with_lists
 from ..step.minima import CANDIDATES, FOUND
 from .candidate_cull import is_discarded
 from .search_filter import groups_of, is_left_out
-from .search_types import BOXES, LIST, Search, is_turned, write_pair
+from .search_types import BOXES, LIST, Search, SearchRange, is_turned, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
@@ -51,6 +51,7 @@ vec12f = wp.types.vector(length=12, dtype=wp.float32)
 of_boxes = end == BOXES
 is_listing = end == LIST
 is_second = not of_boxes and not is_listing
+are_two = not of_boxes  # searches of a launch, as many as spill little; a search of boxes is launched part by part
 column = CANDIDATES if is_listing else FOUND
 most_registers = hash_registers = _MANY_REGISTERS if is_second else _FEW_REGISTERS
 
@@ -236,6 +237,12 @@ class Item:
 def box_of(number: int) -> vec12f:
     """The box of a query by its number, or that around them."""
     return kept_box(number, False, False, vec12f())
+
+
+@wp.func
+def num_threads(part: SearchRange) -> int:
+    """The threads of a search."""
+    return part.num_warps * _PER_WARP
 
 
 @wp.func

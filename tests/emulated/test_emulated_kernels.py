@@ -9,7 +9,7 @@ from ccd_warp.kernels.boxes.lanes import vec8f
 from ccd_warp.kernels.narrow_phase.sinks import Table
 from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_warp, latest
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
-from ccd_warp.kernels.search.search_types import LIST, SearchOptions
+from ccd_warp.kernels.search.search_types import LIST, Candidates, SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import ContactList, Step
@@ -215,12 +215,12 @@ def cull(num_listed, num_threads, *, capacity=300, found=0, beyond=0, only_if_co
     options.t_end = 1.0
     step.vertices_t0, step.vertices_t1 = array(start, wp.vec3d), array(end, wp.vec3d)
     step.counts, step.minima = counts, minima
-    part = search_range(0, int(VERTEX_FACE), range(0), marks_overflow=True)
-    listed = array((k + 3) << 32, wp.int64)
-    faces = array([[0, 1, 2]], wp.vec3i)
-    inputs = [0, num_threads, part, only_if_complete, listed, corners, faces, options]
+    of_kind = Candidates()
+    of_kind.part = search_range(0, int(VERTEX_FACE), range(0), marks_overflow=True)
+    of_kind.num_threads, of_kind.candidates, of_kind.keys = num_threads, array((k + 3) << 32, wp.int64), keys
+    of_kind.first_corners, of_kind.second_corners = corners, array([[0, 1, 2]], wp.vec3i)
     kernel = specialised("search.candidate_cull").cull_candidates
-    launch(kernel, num_threads, inputs, [step, keys])
+    launch(kernel, num_threads, [0, only_if_complete, options, of_kind, of_kind], [step])
     keys = keys.numpy()
     return np.sort(keys[keys >= 0]) >> 32, counts.numpy(), minima, (k + 3)[k % 3 != 1]
 

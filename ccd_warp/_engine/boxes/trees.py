@@ -177,7 +177,7 @@ def fill_in_half_warps(
         for tree in trees[k : k + _MOST_TREES]:
             end += tree.levels[0] * tree.arrays.num_aabbs * WIDTH
             of_tree = _TreeToFill(end, tree.primitives.num_corners, structs_of(tree)[0], tree.arrivals)
-            filled.append(of_tree if isinstance(launcher, Recording) else of_tree.packed({}))
+            filled.append(launcher.struct(of_tree))
         filled += filled[-1:] * (_MOST_TREES - len(filled))  # which have no threads
         launcher.launch(half_warp_tree.fill_trees, end, inputs=[only_if, vertex_aabbs], outputs=filled)
 
