@@ -442,7 +442,7 @@ class Stages:
             for kind in two:
                 candidates, most = self.candidates[kind], _MOST_CULLS
                 if not isinstance(candidates, Slot):
-                    most = min(most, -(-len(candidates) // WIDTH) * WIDTH)
+                    most = min(most, -(-len(candidates) // WARP) * WARP)
                 num_threads += most
                 part = search_range(0, int(kind), range(0), marks_overflow=marks_overflow)
                 first, second = (self.topology.corners[name] for name in self.topology.corner_arrays(kind))

@@ -12,7 +12,7 @@ at a node goes up).
 import warp as wp
 
 from .box_tree import BLOCK_CORNERS, BLOCK_FLOATS, WIDTH, BoxTree, node_place
-from .half_warp import end_lane, first_lane, least_together
+from .half_warp import least_together
 from .lanes import vec8f
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -54,19 +54,6 @@ def leaf_box(
     lane: int,
 ) -> vec8f:
     """The union of the AABBs of the vertices of a primitive, in the form of a vertex AABB."""
-    ...
-
-
-@wp.func_native(
-    """
-    wp::vec_t<8, wp::float32> r = a;
-    for (int k = 0; k < 8; ++k)
-        r[k] = b[k] < r[k] ? b[k] : r[k];
-    return r;
-"""
-)
-def least_of(a: vec8f, b: vec8f) -> vec8f:
-    """The union of two vertex AABBs."""
     ...
 
 
@@ -118,9 +105,7 @@ def read_box(nodes: wp.array[wp.float32], at: int) -> vec8f:
     __syncwarp(threads);
     return before == count - 1;
 #else
-    int* p = (int*)arrivals.data + place;
-    *p = *p == count - 1 ? 0 : *p + 1;
-    return *p == 0;
+    return false;
 #endif
 """
 )
@@ -151,41 +136,30 @@ class TreeToFill:
 def fill_tree(of: TreeToFill, vertex_aabbs: wp.array[wp.float32], thread: int):
     """Fill an AABB of a block of level 0 from those of its vertices, and all blocks above that are complete with it."""
     tree = of.tree
-    first = first_lane(thread)
-    last = end_lane(thread)
-    if last == 0:
-        return
+    lane = thread % WIDTH
     n = thread / WIDTH / tree.num_aabbs
     aabb = thread / WIDTH % tree.num_aabbs
-    count = (tree.num_boxes + WIDTH - 1) / WIDTH  # of the boxes of the level above, of which one is the union
-    union = vec8f(_INFINITY)
-    for lane in range(first, last):
-        k = n * WIDTH + lane
-        box = vec8f(_INFINITY)
-        if k < tree.num_boxes:
-            box = leaf_box(vertex_aabbs, tree.num_aabbs, tree.corners, of.num_corners, n, aabb, lane)
-        write_box(tree.nodes, node_place(tree, 0, k, aabb), box)
-        union = least_of(union, box)
+    box = vec8f(_INFINITY)
+    if n * WIDTH + lane < tree.num_boxes:
+        box = leaf_box(vertex_aabbs, tree.num_aabbs, tree.corners, of.num_corners, n, aabb, lane)
+    write_box(tree.nodes, node_place(tree, 0, n * WIDTH + lane, aabb), box)
+    count = (tree.num_boxes + WIDTH - 1) / WIDTH  # of the boxes of the level above, of which box n is the union
     level = int(1)
     begin = int(0)  # of the level among the inner blocks
     while True:
-        union = least_together(union)
+        union = least_together(box)
         block = n / WIDTH
         at = ((tree.block_begin[1] + begin + block) * tree.num_aabbs + aabb) * BLOCK_FLOATS
-        if first == 0:
+        if lane == 0:
             write_box(tree.nodes, at + n % WIDTH, union)
-        if n == count - 1:  # the other boxes of its block are empty
-            for lane in range(first, last):
-                if lane > n % WIDTH:
-                    write_box(tree.nodes, at + lane, vec8f(_INFINITY))
+        if n == count - 1 and lane > n % WIDTH:  # the other boxes of its block are empty
+            write_box(tree.nodes, at + lane, vec8f(_INFINITY))
         level += 1
         if level == tree.num_levels:
             return
         if not is_last(of.arrivals, (begin + block) * tree.num_aabbs + aabb, wp.min(WIDTH, count - block * WIDTH)):
             return
-        union = vec8f(_INFINITY)
-        for lane in range(first, last):
-            union = least_of(union, read_box(tree.nodes, at + lane))
+        box = read_box(tree.nodes, at + lane)
         count = (count + WIDTH - 1) / WIDTH
         begin += count
         n = block

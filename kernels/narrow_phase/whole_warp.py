@@ -111,3 +111,24 @@ def item_of_warp(thread: int, count: int) -> int:
 def is_first(thread: int) -> bool:
     """Whether a thread is the first of its warp, which writes for all."""
     return thread % _SIZE == 0
+
+
+@wp.func_native("return __ballot_sync(0xFFFFFFFFu, is_true);")
+def threads_where(is_true: bool) -> wp.uint32:
+    """The threads of the warp for which something is true."""
+    ...
+
+
+@wp.func_native(
+    """
+    long long first = 0;
+    if ((threadIdx.x & 31) == 0) {
+        unsigned long long* p = (unsigned long long*)((char*)values.data + (long long)values.strides[0] * row) + column;
+        first = (long long)atomicAdd(p, (unsigned long long)__popc(threads));
+    }
+    return (wp::int64)__shfl_sync(0xFFFFFFFFu, first, 0) + __popc(threads & ((1u << (threadIdx.x & 31)) - 1u));
+"""
+)
+def claim_for(threads: wp.uint32, values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
+    """`claim` an index for each of some threads of the warp, by one atomic operation; returns that of the thread."""
+    ...

@@ -8,9 +8,8 @@ is the same in every order.
 import warp as wp
 
 from ..atomics import claim
-from ..boxes.half_warp import HALF_WARP, claim_together, end_lane, first_lane, number_before, united
-from ..boxes.lanes import lowest_bit
 from ..boxes.thickness import distance_of
+from ..narrow_phase.whole_warp import claim_for, number_in_warp, threads_where
 from ..pair.single_points import corners, points_of
 from ..pair_key import pair_of
 from ..parameters import is_thick
@@ -52,8 +51,6 @@ def is_discarded(
 @wp.func
 def cull_kind(of: Candidates, only_if_complete: int, options: SearchOptions, step: Step, thread: int):
     """Cull the candidates of a kind: those of a thread are ``num_threads`` apart."""
-    first_of_thread = first_lane(thread)
-    end = end_lane(thread)
     kind = of.part.row
     most_listed = wp.int64(of.candidates.shape[0])
     if only_if_complete != 0 and step.counts[kind, CANDIDATES] > most_listed:
@@ -61,25 +58,22 @@ def cull_kind(of: Candidates, only_if_complete: int, options: SearchOptions, ste
             claim(step.counts, 0, ANY_UNLISTED, 1)
         return
     count = wp.int32(wp.min(step.counts[kind, CANDIDATES], most_listed))
-    for n in range(thread - thread % HALF_WARP, count, of.num_threads):
-        lanes = wp.uint32(0)
-        for lane in range(first_of_thread, wp.min(end, count - n)):
-            pair = pair_of(of.candidates[n + lane])
+    for first_of_warp in range(thread - number_in_warp(), count, of.num_threads):
+        n = first_of_warp + number_in_warp()
+        pair = wp.vec2i()
+        a = wp.vec3i()
+        b = wp.vec3i()
+        is_open = n < count
+        if is_open:
+            pair = pair_of(of.candidates[n])
             a = of.first_corners[pair[0]]
             b = of.second_corners[pair[1]]
-            if not is_discarded(kind, a, b, step, options):
-                lanes = lanes | (_ONE << wp.uint32(lane))
-        every = united(lanes)
-        if every != _NONE:
-            place = claim_together(step.counts, kind, FOUND, every)
-            while lanes != _NONE:
-                lane = lowest_bit(lanes)
-                lanes = lanes & (lanes - _ONE)
-                pair = pair_of(of.candidates[n + lane])
-                a = of.first_corners[pair[0]]
-                b = of.second_corners[pair[1]]
-                at = place + wp.int64(number_before(every, lane))
-                write_pair(pair[0], pair[1], a, b, at, of.part, of.keys, step.minima)
+            is_open = not is_discarded(kind, a, b, step, options)
+        threads = threads_where(is_open)
+        if threads != _NONE:
+            place = claim_for(threads, step.counts, kind, FOUND)
+            if is_open:
+                write_pair(pair[0], pair[1], a, b, place, of.part, of.keys, step.minima)
 
 
 @wp.kernel(module=module, grid_stride=False)

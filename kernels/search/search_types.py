@@ -90,7 +90,7 @@ class Candidates:
     """On CUDA, the candidates of a kind, and where the keys of those go that the cull leaves."""
 
     part: SearchRange  # whose row is the kind
-    num_threads: int
+    num_threads: int  # whole warps
     candidates: wp.array[wp.int64]
     first_corners: wp.array[wp.vec3i]
     second_corners: wp.array[wp.vec3i]

@@ -25,7 +25,7 @@ from ..boxes.box_tree import WIDTH, box_corners
 from ..boxes.exact_boxes import boxes_apart
 from ..boxes.hash_grid import Extent
 from ..boxes.lanes import lanes_before, lowest_bit, number_of_bits
-from ..narrow_phase.whole_warp import WARP, number_in_warp
+from ..narrow_phase.whole_warp import WARP, claim_for, number_in_warp, threads_where
 from ..pair_key import pair_key
 from ..parameters import end, is_thick, with_lists
 from ..step.minima import CANDIDATES, FOUND
@@ -100,12 +100,6 @@ def overlap(a: vec12f, b: vec12f) -> bool:
 @wp.func_native(f"return {_CLOSED.replace('=', '')};")
 def overlap_openly(a: vec12f, b: vec12f) -> bool:
     """Whether two boxes overlap, as open boxes."""
-    ...
-
-
-@wp.func_native("return __ballot_sync(0xFFFFFFFFu, is_true);")
-def threads_where(is_true: bool) -> wp.uint32:
-    """The threads of the warp for which something is true."""
     ...
 
 
@@ -202,21 +196,6 @@ def queued(new_ones: wp.uint32, pair: wp.int64, waiting: int) -> wp.int64:
 
     Returns one of the last 32 pairs of the queue for each thread, or -1.
     """
-    ...
-
-
-@wp.func_native(
-    """
-    long long first = 0;
-    if ((threadIdx.x & 31) == 0) {
-        unsigned long long* p = (unsigned long long*)((char*)values.data + (long long)values.strides[0] * row) + column;
-        first = (long long)atomicAdd(p, (unsigned long long)__popc(threads));
-    }
-    return (wp::int64)__shfl_sync(0xFFFFFFFFu, first, 0) + __popc(threads & ((1u << (threadIdx.x & 31)) - 1u));
-"""
-)
-def claim_for(threads: wp.uint32, values: wp.array2d[wp.int64], row: int, column: int) -> wp.int64:
-    """`claim` an index for each of some threads of the warp, by one atomic operation; returns that of the thread."""
     ...
 
 

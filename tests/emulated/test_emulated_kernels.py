@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
-from ccd_warp.kernels.boxes.half_warp import claim_together, end_lane, first_lane, least_together, number_before, united
+from ccd_warp.kernels.boxes.half_warp import least_together, united
 from ccd_warp.kernels.boxes.lanes import vec8f
 from ccd_warp.kernels.narrow_phase.sinks import Table
-from ccd_warp.kernels.narrow_phase.whole_warp import agreed, is_first, item_of_warp, latest
+from ccd_warp.kernels.narrow_phase.whole_warp import agreed, claim_for, is_first, item_of_warp, latest, threads_where
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
-from ccd_warp.kernels.search.search_types import LIST, Candidates, SearchOptions
+from ccd_warp.kernels.search.search_types import Candidates, SearchOptions
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, CANDIDATES, FOUND, NUM_COUNTS, QUEUED, Minima
 from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import ContactList, Step
@@ -70,52 +70,38 @@ def test_threads_that_meet_on_one_place_lose_nothing():
 
 
 @wp.kernel(enable_backward=False, module="unique")
-def claim_lanes(counts: Ints, is_set: wp.array2d[wp.int32], rows: Rows, owner: Ints, least: wp.array2d[wp.float32]):
-    """The threads of a half warp claim places for those of its sixteen lanes that are set."""
+def unite_lanes(is_set: wp.array2d[wp.int32], every: Ints, least: wp.array2d[wp.float32]):
     thread = wp.tid()
-    half = thread / 16
+    lane = thread % 16
     lanes = wp.uint32(0)
     box = vec8f(wp.float32(100.0))
-    for lane in range(first_lane(thread), end_lane(thread)):
-        if is_set[half, lane] != 0:
-            lanes = lanes | (wp.uint32(1) << wp.uint32(lane))
-            for k in range(8):
-                box[k] = wp.float32((7 * lane + 5 * k) % 16)
-    every = united(lanes)
+    if is_set[thread / 16, lane] != 0:
+        lanes = wp.uint32(1) << wp.uint32(lane)
+        for k in range(8):
+            box[k] = wp.float32((7 * lane + 5 * k) % 16)
+    every[thread] = wp.int32(united(lanes))
     box = least_together(box)
     for k in range(8):
         least[thread, k] = box[k]
-    if every != wp.uint32(0):
-        begin = claim_together(rows, 2, 1, every)
-        for lane in range(first_lane(thread), end_lane(thread)):
-            if is_set[half, lane] != 0:
-                owner[wp.int32(begin) + number_before(every, lane)] = 16 * half + lane
 
 
-def test_half_warps_claim_one_place_for_each_of_their_lanes():
+def test_half_warps_unite_their_lanes_and_take_the_least():
     is_set = np.random.default_rng(2).random((64, 16)) < np.linspace(0, 1, 64)[:, None]
     is_set[5], is_set[6] = np.arange(16) == 15, np.arange(16) == 0
-    rows, owner = array(np.zeros((4, 8)), wp.int64), array(np.full(is_set.sum(), -1), wp.int32)
-    least = array(np.zeros((1024, 8)), wp.float32)
-    launch(claim_lanes, 1024, [array([0], wp.int32), array(is_set, wp.int32), rows, owner, least], block_dim=64)
-    assert rows.numpy()[2, 1] == is_set.sum() == rows.numpy().sum()
-    assert np.array_equal(np.sort(owner.numpy()), np.flatnonzero(is_set))
-    for half, found in enumerate(np.split(owner.numpy(), np.flatnonzero(np.diff(owner.numpy() // 16)) + 1)):
-        assert (np.diff(found) > 0).all(), half
+    every, least = array(np.zeros(1024), wp.int32), array(np.zeros((1024, 8)), wp.float32)
+    launch(unite_lanes, 1024, [array(is_set, wp.int32), every, least], block_dim=64)
+    assert np.array_equal(every.numpy(), np.repeat(is_set @ (1 << np.arange(16)), 16))
     lane, k = np.arange(16)[:, None], np.arange(8)
     expected = np.where(is_set[:, :, None], (7 * lane + 5 * k) % 16, 100).min(axis=1)
     assert np.array_equal(least.numpy(), np.repeat(expected, 16, axis=0))
 
 
-search_warp = specialised("search.search_warp", end=LIST, in_warps=True)
-
-
 @wp.kernel(enable_backward=False, module="unique")
 def claim_threads(is_set: Ints, rows: Rows, owner: Ints):
     thread = wp.tid()
-    threads = search_warp.threads_where(is_set[thread] != 0)
+    threads = threads_where(is_set[thread] != 0)
     if threads != wp.uint32(0):
-        n = search_warp.claim_for(threads, rows, 2, 1)
+        n = claim_for(threads, rows, 2, 1)
         if is_set[thread] != 0:
             owner[wp.int32(n)] = thread
 
@@ -225,7 +211,7 @@ def cull(num_listed, num_threads, *, capacity=300, found=0, beyond=0, only_if_co
     return np.sort(keys[keys >= 0]) >> 32, counts.numpy(), minima, (k + 3)[k % 3 != 1]
 
 
-@pytest.mark.parametrize("num_threads", [16, 48, 128])
+@pytest.mark.parametrize("num_threads", [32, 96, 128])
 def test_every_listed_candidate_is_culled(num_threads):
     """The list is full, which is not to be too short."""
     for k, count in enumerate(COUNTS):
@@ -236,7 +222,7 @@ def test_every_listed_candidate_is_culled(num_threads):
 
 def test_what_the_cull_leaves_beyond_the_capacity_has_toi_0():
     for count, capacity in ((33, 5), (33, 21), (33, 22), (100, 17)):
-        found, counts, minima, expected = cull(count, 48, capacity=capacity)
+        found, counts, minima, expected = cull(count, 64, capacity=capacity)
         stopped = np.flatnonzero(minima.vertex.numpy() == 0)
         stopped = stopped[stopped >= 3]
         assert counts[VERTEX_FACE, FOUND] == len(expected) and len(found) == min(capacity, len(expected))
@@ -248,11 +234,11 @@ def test_what_the_cull_leaves_beyond_the_capacity_has_toi_0():
 
 def test_counts_beyond_32_bits():
     """They come from steps of billions of candidates, and here from a counter that says so."""
-    found, counts, minima, expected = cull(40, 48, beyond=BEYOND)
+    found, counts, minima, expected = cull(40, 64, beyond=BEYOND)
     assert np.array_equal(found, expected) and counts[0, ANY_UNLISTED] == 0
-    found, counts, _, _ = cull(40, 48, beyond=BEYOND, only_if_complete=1)
+    found, counts, _, _ = cull(40, 64, beyond=BEYOND, only_if_complete=1)
     assert len(found) == 0 and counts[0, ANY_UNLISTED] == 1
-    found, counts, minima, expected = cull(40, 48, found=BEYOND)
+    found, counts, minima, expected = cull(40, 64, found=BEYOND)
     assert len(found) == 0 and counts[VERTEX_FACE, FOUND] == BEYOND + len(expected)
     assert (minima.vertex.numpy()[expected] == 0).all() and minima.flags.numpy()[0] == ccd.LaunchFlag.PAIRS_OVERFLOW
 
