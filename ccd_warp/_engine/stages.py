@@ -12,7 +12,7 @@ from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, ra
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
 from ccd_warp._runtime.lanes import lanes_of, queued_pairs_in, search_on
-from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, load_all
+from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, fields_of, load_all
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
@@ -69,57 +69,8 @@ class StepFields(StructFields):
     least_bits: Any = None
 
 
-@dataclass(frozen=True)
-class PairFields(StructFields):
-    """The fields of ``kernels.step.pair_list.PairList``: the pairs of a kind, of which a slot may be the keys."""
-
-    struct = PairList
-
-    kind: int
-    counts: wp.array
-    keys: Any
-    first_corners: wp.array
-    second_corners: wp.array
-    vertices_t0: Any
-    vertices_t1: Any
-
-
-@dataclass(frozen=True)
-class SearchedFields(StructFields):
-    """The fields of ``kernels.search.search_types.Searched``."""
-
-    struct = Searched
-
-    part: Any
-    query: Any
-    target: Any
-    tree_pair: Any
-    collision_filter: Any
-    keys: Any
-
-
-@dataclass(frozen=True)
-class CandidateFields(StructFields):
-    """The fields of ``kernels.search.search_types.Candidates``."""
-
-    struct = Candidates
-
-    part: Any
-    num_threads: int
-    candidates: Any
-    first_corners: wp.array
-    second_corners: wp.array
-    keys: Any
-
-
-@dataclass(frozen=True)
-class LeastFields(StructFields):
-    """The fields of ``kernels.step.pair_list.LeastToi``."""
-
-    struct = LeastToi
-
-    bits: Any
-    open_toi: Any
+PairFields, LeastFields = fields_of(PairList), fields_of(LeastToi)
+SearchedFields, CandidateFields = fields_of(Searched), fields_of(Candidates)
 
 
 def measure_pairs_in(norm: str, device: Any) -> Any:
@@ -284,7 +235,7 @@ class Stages:
         mesh = self.topology.mesh
         launcher.launch(
             device_step.reset,
-            max(mesh.num_bodies, mesh.num_worlds),
+            max(mesh.num_bodies, mesh.num_worlds, len(PairKind)),
             inputs=[kept_flags, int(keeps_toi)],
             outputs=[self.step.minima, self.step.counts, num_contacts, stop],
         )
@@ -569,7 +520,7 @@ class Stages:
         launcher.launch(measure_planes, len(topology.plane_vertices), inputs=inputs, outputs=outputs)
 
     @lazy_property
-    def pairs(self) -> dict[PairKind, PairFields]:
+    def pairs(self) -> dict[PairKind, StructFields]:
         """The pairs of each kind as kernels take them: one struct for all launches."""
         step, pairs = self.step, {}
         for kind, keys in self.keys.items():
@@ -579,7 +530,7 @@ class Stages:
         return pairs
 
     @lazy_property
-    def _least(self) -> dict[PairKind, LeastFields]:
+    def _least(self) -> dict[PairKind, StructFields]:
         """The least toi, and that of open pairs of each kind."""
         return {kind: LeastFields(self.step.least_bits, toi) for kind, toi in self.open_toi.items()}
 

@@ -7,7 +7,7 @@ Every kernel launched here takes ``begin: int`` as its first parameter and works
 import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, ClassVar
 
 import warp as wp
@@ -217,6 +217,12 @@ class StructFields:
 
     def _given(self) -> list[tuple[str, Any]]:
         return [(each.name, getattr(self, each.name)) for each in fields(self)]
+
+
+def fields_of(struct: Any) -> Any:
+    """A class of `StructFields` for a struct of Warp, whose arguments are the fields in their order."""
+    named: dict[str, Any] = {"bases": (StructFields,), "namespace": {"struct": struct}, "frozen": True}
+    return make_dataclass(f"{struct.cls.__name__}Fields", list(struct.vars), **named)
 
 
 @dataclass

@@ -63,17 +63,18 @@ def reset(
     if i == 0:
         if m.world.shape[0] > 1:  # otherwise the scene and its only world share their flags
             m.flags[0] = m.flags[0] & kept_flags
-        most_listed = wp.max(counts[1, MOST_LISTED], wp.int64(num_contacts[0]))
-        num_contacts[0] = 0
         stop[0] = 0  # it may have ended an earlier launch
-        for k in range(counts.shape[0]):
-            most = wp.max(counts[k, MOST_FOUND], counts[k, FOUND])
-            for column in range(counts.shape[1]):
-                counts[k, column] = wp.int64(0)
-            if kept_flags != 0:
-                counts[k, MOST_FOUND] = most
+    if i < counts.shape[0]:
+        most = wp.max(counts[i, MOST_FOUND], counts[i, FOUND])
+        most_listed = counts[i, MOST_LISTED]
+        for column in range(counts.shape[1]):
+            counts[i, column] = wp.int64(0)
         if kept_flags != 0:
-            counts[1, MOST_LISTED] = most_listed
+            counts[i, MOST_FOUND] = most
+        if i == 1:
+            if kept_flags != 0:
+                counts[i, MOST_LISTED] = wp.max(most_listed, wp.int64(num_contacts[0]))
+            num_contacts[0] = 0
 
 
 @wp.kernel

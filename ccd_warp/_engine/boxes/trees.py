@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order, level_sizes
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
-from ccd_warp._runtime.launch import Execution, Recording, StructFields
+from ccd_warp._runtime.launch import Execution, Recording, fields_of
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import StopFlag
@@ -150,16 +150,7 @@ def _refresh(
             launcher.launch(device_step.refresh_levels, 1, [only_if, tree.levels[1]], list(structs_of(tree)))
 
 
-@dataclass(frozen=True)
-class _TreeToFill(StructFields):
-    """The fields of ``half_warp_tree.TreeToFill``."""
-
-    struct = half_warp_tree.TreeToFill
-
-    end: int
-    num_corners: int
-    tree: Any
-    arrivals: wp.array
+_TreeToFill = fields_of(half_warp_tree.TreeToFill)
 
 
 def fill_in_half_warps(

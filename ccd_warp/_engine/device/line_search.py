@@ -114,11 +114,10 @@ class DeviceLineSearch(DeviceStep):
             if number == 0:
                 self._record_reset(recording)
                 self._record_first_pass(recording, form, gaps_moved)
-            else:
-                self._record_next_reset(recording, kept_flags)
-            # where nothing was touched in the pass before, there is nothing else to do
+            # where nothing was touched in the pass before, a reset and another one would find what it has found
             with recording.only_if(self._is_any_touched) if number > 0 else nullcontext():
                 if number > 0:
+                    self._record_next_reset(recording, kept_flags)
                     self._record_checked(recording, form, is_first=False)
                 if not form.is_taped:
                     self._record_shortened(recording, form, per, share, is_searched_again=is_searched_again)
@@ -127,8 +126,8 @@ class DeviceLineSearch(DeviceStep):
                 with recording.only_if(self._is_any_touched):
                     self._record_shortened(recording, form, per, share, is_searched_again=is_searched_again)
         if has_kinematic:  # which may strike what the last pass has stopped
-            self._record_reset(recording, kept_flags, keeps_toi=True)
             with recording.only_if(self._is_any_touched):
+                self._record_reset(recording, kept_flags, keeps_toi=True)
                 self._record_checked(recording, form, is_first=False)
         self._record_most_found(recording)
 
