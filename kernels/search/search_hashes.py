@@ -150,18 +150,15 @@ def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, ite
     return num_candidates
 
 
-@wp.func
-def search_items(search: Search, query_grid: HashGrid, target_grid: HashGrid, thread: int):
-    """Find the pairs of the items of a thread, or of a warp."""
-    items = queries.items_of(search, thread)
-    for number in range(items[0], items[1], items[2]):
-        item = queries.item_at(search, number, thread)
-        if wp.static(not in_warps):
-            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
-        queries.finish(search, item, search_hash(search, query_grid, target_grid, item))
-
-
 if queries.are_two:
+
+    @wp.func
+    def search_items(search: Search, query_grid: HashGrid, target_grid: HashGrid, thread: int):
+        """Find the pairs of the items of a warp."""
+        items = queries.items_of(search, thread)
+        for number in range(items[0], items[1], items[2]):
+            item = queries.item_at(search, number, thread)
+            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))
 
     @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.hash_registers)
     def search_hashes(
@@ -206,4 +203,10 @@ else:
     ):
         """Find the pairs of the items of a thread, or of a warp."""
         search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
-        search_items(search, query_grid, target_grid, begin + wp.tid())
+        thread = begin + wp.tid()
+        items = queries.items_of(search, thread)
+        for number in range(items[0], items[1], items[2]):
+            item = queries.item_at(search, number, thread)
+            if wp.static(not in_warps):
+                item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
+            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))

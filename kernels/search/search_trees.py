@@ -112,19 +112,16 @@ def search_tree(search: Search, item: queries.Item) -> int:
     return num_candidates
 
 
-@wp.func
-def search_items(search: Search, thread: int):
-    """Find the pairs of the items of a thread, or of a warp."""
-    items = queries.items_of(search, thread)
-    for number in range(items[0], items[1], items[2]):
-        item = queries.item_at(search, number, thread)
-        item.after = wp.where(search.tree_pair.within != 0, item.first, -1)
-        if wp.static(not in_warps):
-            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
-        queries.finish(search, item, search_tree(search, item))
-
-
 if queries.are_two:
+
+    @wp.func
+    def search_items(search: Search, thread: int):
+        """Find the pairs of the items of a warp."""
+        items = queries.items_of(search, thread)
+        for number in range(items[0], items[1], items[2]):
+            item = queries.item_at(search, number, thread)
+            item.after = wp.where(search.tree_pair.within != 0, item.first, -1)
+            queries.finish(search, item, search_tree(search, item))
 
     @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.most_registers)
     def search_trees(
@@ -162,4 +159,12 @@ else:
         keys: wp.array[wp.int64],
     ):
         """Find the pairs of the items of a thread, or of a warp."""
-        search_items(Search(part, query, target, tree_pair, options, collision_filter, step, keys), begin + wp.tid())
+        search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
+        thread = begin + wp.tid()
+        items = queries.items_of(search, thread)
+        for number in range(items[0], items[1], items[2]):
+            item = queries.item_at(search, number, thread)
+            item.after = wp.where(tree_pair.within != 0, item.first, -1)
+            if wp.static(not in_warps):
+                item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
+            queries.finish(search, item, search_tree(search, item))
