@@ -201,7 +201,7 @@ else:
         # out
         keys: wp.array[wp.int64],
     ):
-        """Find the pairs of the items of a thread, or of a warp."""
+        """Find the pairs of the items of a thread."""
         search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
         thread = begin + wp.tid()
         items = queries.items_of(search, thread)
