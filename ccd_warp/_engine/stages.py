@@ -365,18 +365,21 @@ class Stages:
         self, launcher: Launcher, searches: list[tuple[TreePair, Any]], end: str, keys: dict[PairKind, Any]
     ) -> None:
         """Search tree pairs on CUDA, two of them in a launch, a warp for some queries each."""
-        for two in _in_twos(searches):
-            inputs: list[Any] = [self.search_options]
-            for tree_pair, part in two:
-                query, target = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
-                of_pair = tree_pair.packed, self.filter_of(tree_pair), keys[tree_pair.kind]
-                fields = SearchedFields(part, query[0], target[0], *of_pair)
-                inputs += [launcher.struct(fields), *query[1:], *target[1:]]
-            if len(two) == 1:  # no threads are left for another
-                inputs += inputs[1:]
-            num_warps = sum(part.num_warps for _, part in two)
-            kernel = self.search_kernel(two[0][0], end, is_cuda=True)
-            launcher.launch(kernel, num_warps * WARP, inputs=inputs, outputs=[self.step])
+        filters = [self.filter_of(tree_pair) for tree_pair, _ in searches]
+        for collision_filter in {id(one): one for one in filters}.values():  # more than one with slender bodies
+            alike = [search for search, one in zip(searches, filters, strict=True) if one is collision_filter]
+            for two in _in_twos(alike):
+                inputs: list[Any] = []
+                for tree_pair, part in two:
+                    query, target = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
+                    fields = SearchedFields(part, query[0], target[0], tree_pair.packed, keys[tree_pair.kind])
+                    inputs += [launcher.struct(fields), *query[1:], *target[1:]]
+                if len(two) == 1:  # no threads are left for another
+                    inputs *= 2
+                inputs = [self.search_options, collision_filter, *inputs]
+                num_warps = sum(part.num_warps for _, part in two)
+                kernel = self.search_kernel(two[0][0], end, is_cuda=True)
+                launcher.launch(kernel, num_warps * WARP, inputs=inputs, outputs=[self.step])
 
     def _cull(self, launcher: Launcher, kinds: list[PairKind], *, marks_overflow: bool = False) -> None:
         """Cull the listed candidates of some kinds on CUDA, and write the keys of those that stay open.

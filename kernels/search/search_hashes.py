@@ -165,6 +165,7 @@ if queries.are_two:
         begin: int,
         # in
         options: SearchOptions,
+        collision_filter: CollisionFilter,
         a: Searched,
         query_grid_a: HashGrid,
         target_grid_a: HashGrid,
@@ -178,9 +179,11 @@ if queries.are_two:
         thread = begin + wp.tid()
         num_threads = queries.num_threads(a.part)
         if thread < num_threads:
-            search_items(search_of(a, options, step), query_grid_a, target_grid_a, thread)
+            search_items(search_of(a, options, collision_filter, step), query_grid_a, target_grid_a, thread)
         else:
-            search_items(search_of(b, options, step), query_grid_b, target_grid_b, thread - num_threads)
+            search_items(
+                search_of(b, options, collision_filter, step), query_grid_b, target_grid_b, thread - num_threads
+            )
 
 else:
 

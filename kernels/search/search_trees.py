@@ -128,6 +128,7 @@ if queries.are_two:
         begin: int,
         # in
         options: SearchOptions,
+        collision_filter: CollisionFilter,
         a: Searched,
         b: Searched,
         # in and out
@@ -137,9 +138,9 @@ if queries.are_two:
         thread = begin + wp.tid()
         num_threads = queries.num_threads(a.part)
         if thread < num_threads:
-            search_items(search_of(a, options, step), thread)
+            search_items(search_of(a, options, collision_filter, step), thread)
         else:
-            search_items(search_of(b, options, step), thread - num_threads)
+            search_items(search_of(b, options, collision_filter, step), thread - num_threads)
 
 else:
 

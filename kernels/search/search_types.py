@@ -81,7 +81,6 @@ class Searched:
     query: BoxTree
     target: BoxTree
     tree_pair: TreePair
-    collision_filter: CollisionFilter
     keys: wp.array[wp.int64]
 
 
@@ -98,9 +97,9 @@ class Candidates:
 
 
 @wp.func
-def search_of(of: Searched, options: SearchOptions, step: Step) -> Search:
+def search_of(of: Searched, options: SearchOptions, collision_filter: CollisionFilter, step: Step) -> Search:
     """The arguments of one of two searches."""
-    return Search(of.part, of.query, of.target, of.tree_pair, options, of.collision_filter, step, of.keys)
+    return Search(of.part, of.query, of.target, of.tree_pair, options, collision_filter, step, of.keys)
 
 
 @wp.func
