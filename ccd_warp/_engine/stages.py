@@ -46,30 +46,8 @@ _CHUNK = 128
 _LONG_PART = 1 << 11
 
 
-@dataclass(frozen=True)
-class StepFields(StructFields):
-    """The fields of ``kernels.step.step.Step``.
-
-    Attributes:
-        counts: Counts of the pairs of each kind, int64; the columns are those of ``kernels.step.minima``.
-        vertices_t0: Start positions, wp.vec3d, shape [V].
-        vertices_t1: End positions.
-        minima: The earliest toi of every part.
-        contacts: The list of contacts.
-        least_bits: The least toi as bits, where no contacts are kept, shape [1].
-    """
-
-    struct = Step
-
-    counts: wp.array
-    vertices_t0: Any
-    vertices_t1: Any
-    minima: Any
-    contacts: Any
-    least_bits: Any = None
-
-
-PairFields, LeastFields = fields_of(PairList), fields_of(LeastToi)
+# Structs of kernels by their fields, some of which may be slots.
+StepFields, PairFields, LeastFields = fields_of(Step), fields_of(PairList), fields_of(LeastToi)
 SearchedFields, CandidateFields = fields_of(Searched), fields_of(Candidates)
 
 
@@ -118,7 +96,7 @@ class Stages:
     tree_pairs: list[TreePair]
     num_aabbs: int
     narrow_phase: Any
-    step: StepFields
+    step: Any
     vertex_aabbs: Any
     boxes: dict[str, tuple[Any, ...]]
     keys: dict[PairKind, Any]

@@ -150,7 +150,7 @@ class DeviceStep(Plan):
         if self.has_planes:
             _ = planes_of(topology)  # made now, not in a capture
         return {
-            "step": StepFields(self._counts, self._input.start, self._input.end, minima, contacts),
+            "step": StepFields(self._input.start, self._input.end, self._counts, minima, contacts, None),
             "vertex_aabbs": self._empty(mesh.num_vertices * self._num_aabbs * VERTEX_AABB_FLOATS, wp.float32),
             "boxes": {tree.name: tree.structs for tree in self.trees},
             "keys": {kind: self._empty(max_pairs, wp.int64) for kind in self._searched_kinds},

@@ -110,7 +110,7 @@ class HostPlan(Plan):
             self.tree_pairs,
             self._num_aabbs,
             self._narrow_phase,
-            step=StepFields(self._counts, start, end, self._minima(), Slot("contacts"), self.counters.least_bits),
+            step=StepFields(start, end, self._counts, self._minima(), Slot("contacts"), self.counters.least_bits),
             box_radius=self._radii[1],
             is_thick=topology.is_thick or motion.on_arcs,
             boxes=boxes,
