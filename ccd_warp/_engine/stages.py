@@ -342,21 +342,24 @@ class Stages:
     def _search_in_warps(
         self, launcher: Launcher, searches: list[tuple[TreePair, Any]], end: str, keys: dict[PairKind, Any]
     ) -> None:
-        """Search tree pairs on CUDA, two of them in a launch, a warp for some queries each."""
+        """Search tree pairs on CUDA, a warp for some queries each: two trees in a launch, or a spatial hash."""
+        kernel = self.search_kernel(searches[0][0], end, is_cuda=True)
+        if searches[0][0].query.walk == "search_hashes":
+            for tree_pair, part in searches:
+                inputs, outputs = [part, *self.searched(tree_pair)], [self.step, keys[tree_pair.kind]]
+                launcher.launch(kernel, part.num_warps * WARP, inputs=inputs, outputs=outputs)
+            return
         filters = [self.filter_of(tree_pair) for tree_pair, _ in searches]
         for collision_filter in {id(one): one for one in filters}.values():  # more than one with slender bodies
             alike = [search for search, one in zip(searches, filters, strict=True) if one is collision_filter]
             for two in _in_twos(alike):
-                inputs: list[Any] = []
+                of_two = []
                 for tree_pair, part in two:
-                    query, target = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
-                    fields = SearchedFields(part, query[0], target[0], tree_pair.packed, keys[tree_pair.kind])
-                    inputs += [launcher.struct(fields), *query[1:], *target[1:]]
-                if len(two) == 1:  # no threads are left for another
-                    inputs *= 2
-                inputs = [self.search_options, collision_filter, *inputs]
+                    (query,), (target,) = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
+                    fields = SearchedFields(part, query, target, tree_pair.packed, keys[tree_pair.kind])
+                    of_two.append(launcher.struct(fields))
+                inputs = [self.search_options, collision_filter, *(2 * of_two)[:2]]  # no threads are left for another
                 num_warps = sum(part.num_warps for _, part in two)
-                kernel = self.search_kernel(two[0][0], end, is_cuda=True)
                 launcher.launch(kernel, num_warps * WARP, inputs=inputs, outputs=[self.step])
 
     def _cull(self, launcher: Launcher, kinds: list[PairKind], *, marks_overflow: bool = False) -> None:

@@ -34,7 +34,7 @@ from ..step.step import Step
 from .collision_filter import CollisionFilter
 from .hash_lanes import in_cells
 from .search_filter import has_partners, with_partners
-from .search_types import Search, Searched, SearchOptions, SearchRange, TreePair, search_of
+from .search_types import Search, SearchOptions, SearchRange, TreePair
 
 if in_warps:
     from . import search_warp as queries
@@ -150,66 +150,29 @@ def search_hash(search: Search, query_grid: HashGrid, target_grid: HashGrid, ite
     return num_candidates
 
 
-if queries.are_two:
-
-    @wp.func
-    def search_items(search: Search, query_grid: HashGrid, target_grid: HashGrid, thread: int):
-        """Find the pairs of the items of a warp."""
-        items = queries.items_of(search, thread)
-        for number in range(items[0], items[1], items[2]):
-            item = queries.item_at(search, number, thread)
-            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))
-
-    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.hash_registers)
-    def search_hashes(
-        begin: int,
-        # in
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        a: Searched,
-        query_grid_a: HashGrid,
-        target_grid_a: HashGrid,
-        b: Searched,
-        query_grid_b: HashGrid,
-        target_grid_b: HashGrid,
-        # in and out
-        step: Step,
-    ):
-        """Find the pairs of two pairs of hashes, by warps of each."""
-        thread = begin + wp.tid()
-        num_threads = queries.num_threads(a.part)
-        if thread < num_threads:
-            search_items(search_of(a, options, collision_filter, step), query_grid_a, target_grid_a, thread)
-        else:
-            search_items(
-                search_of(b, options, collision_filter, step), query_grid_b, target_grid_b, thread - num_threads
-            )
-
-else:
-
-    @wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.hash_registers)
-    def search_hashes(
-        begin: int,
-        # in
-        part: SearchRange,
-        query: BoxTree,
-        query_grid: HashGrid,
-        target: BoxTree,
-        target_grid: HashGrid,
-        tree_pair: TreePair,
-        options: SearchOptions,
-        collision_filter: CollisionFilter,
-        # in and out
-        step: Step,
-        # out
-        keys: wp.array[wp.int64],
-    ):
-        """Find the pairs of the items of a thread."""
-        search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
-        thread = begin + wp.tid()
-        items = queries.items_of(search, thread)
-        for number in range(items[0], items[1], items[2]):
-            item = queries.item_at(search, number, thread)
-            if wp.static(not in_warps):
-                item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
-            queries.finish(search, item, search_hash(search, query_grid, target_grid, item))
+@wp.kernel(module=module, grid_stride=False, cuda_max_registers=queries.hash_registers)
+def search_hashes(
+    begin: int,
+    # in
+    part: SearchRange,
+    query: BoxTree,
+    query_grid: HashGrid,
+    target: BoxTree,
+    target_grid: HashGrid,
+    tree_pair: TreePair,
+    options: SearchOptions,
+    collision_filter: CollisionFilter,
+    # in and out
+    step: Step,
+    # out
+    keys: wp.array[wp.int64],
+):
+    """Find the pairs of the items of a thread."""
+    search = Search(part, query, target, tree_pair, options, collision_filter, step, keys)
+    thread = begin + wp.tid()
+    items = queries.items_of(search, thread)
+    for number in range(items[0], items[1], items[2]):
+        item = queries.item_at(search, number, thread)
+        if wp.static(not in_warps):
+            item = queries.with_collected(item, wp.zeros(shape=num_collected, dtype=wp.int32))
+        queries.finish(search, item, search_hash(search, query_grid, target_grid, item))

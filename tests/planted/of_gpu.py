@@ -119,8 +119,6 @@ PLANTED = [
           "launch(kernel, num_warps * WARP,", "launch(kernel, num_warps * WARP - WARP,", ("launch",)),
     Fault("the second of two searches by the threads of both", _WALK,
           "step), thread - num_threads)", "step), thread)", ("launch",)),
-    Fault("the second of two hashes searched as the first", "kernels/search/search_hashes.py",
-          "search_of(b, options", "search_of(a, options", ("hash",)),
     Fault("the candidates of the second kind by the threads of both", _CULL,
           "step, thread - a.num_threads)", "step, thread)", ("launch",)),
     Fault("too few solvers", "ccd_warp/_runtime/pair_queue.py",
