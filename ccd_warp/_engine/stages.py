@@ -242,6 +242,8 @@ class Stages:
                 searched for again; and a pair for which there is no capacity gets toi 0.
         """
         marks_overflow = is_any_unlisted is not None
+        if not tree_pairs:
+            return
         if not recording.is_cuda:
             with recording.at_once():
                 for number, tree_pair in enumerate(tree_pairs):
