@@ -56,7 +56,8 @@ settled = wp.constant(real(8.0 * unit))  # a gain of the volume that is rounding
 quarter = wp.constant(real(0.25))
 patience = wp.constant(real(3.0))
 huge = wp.constant(real(1.0e30))
-stall_errors = wp.constant(real(128.0))
+# Rounding bounds of a gap below which a pair is near: the next clip leads to the contact, if there is one.
+near_errors = wp.constant(real(128.0))
 box_errors = wp.constant(real(256.0))
 floor_errors = wp.constant(real(8.0))
 
@@ -97,19 +98,22 @@ class LaneStep:
     gap: Lanes  # square of the gap
     number: Lanes  # of the facet that separates farthest, where one is taken
     floor: Vec3  # size of the closest point below which the gap may consist of rounding errors only
-    at_floor: Mask  # whether it does
-    is_near: Mask  # whether it is few times as large
+    is_near: Mask  # whether the gap is few times as large
+
+
+@simd.func
+def point_at(c: Corners, u: Lanes, v: Lanes, is_face: bool) -> Vec3:
+    """The point of a patch with given weights."""
+    cu = one - u
+    cv = one - v
+    point = cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
+    if is_face:
+        point = (cu - v) * c.w00 + v * c.w01 + u * c.w10
+    return point
 
 
 if is_euclidean:
     from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
-
-    @simd.func
-    def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
-        """The point of a patch with given weights."""
-        cu = one - u
-        cv = one - v
-        return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
 
     @simd.func
     def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
@@ -132,15 +136,14 @@ if is_euclidean:
         r = LaneStep()
         r.number = spread(zero)
         r.floor = floor_errors * n.error
-        r.at_floor = is_in_ball(near.d, r.floor, n.separation)
-        r.is_near = is_in_ball(near.d, stall_errors * n.error, n.separation)
+        r.is_near = is_in_ball(near.d, near_errors * n.error, n.separation)
         gap = length(near.d) - n.separation.x
         r.gap = gap * gap
         d = with_largest_one(near.d)
         r.t = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_face)
-        turns = open & is_at_most(r.t, end) & opposite(r.at_floor)
+        turns = open & is_at_most(r.t, end) & opposite(r.is_near)
         if bits_of(turns) != _NONE:
-            velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
+            velocity = point_at(n.t1, near.u, near.v, is_face) - point_at(n.t0, near.u, near.v, is_face)
             r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
         return r
 
@@ -174,17 +177,16 @@ if with_facets and not is_euclidean:
         r = LaneStep()
         r.number = spread(zero)
         r.floor = n.separation + floor_errors * n.error
-        r.at_floor = is_within(near.d, r.floor)
-        r.is_near = is_within(near.d, n.separation + stall_errors * n.error)
+        r.is_near = is_within(near.d, n.separation + near_errors * n.error)
         r.gap = dot(near.d, near.d)
         r.t = clip(near.d, n.error + n.separation, t, n.t0, n.t1, is_face)
         turns = open & needs_facets(n, volume)
         if bits_of(turns) != _NONE:
-            facet = widest_facet(c, n.separation, n.error, is_face)
+            facet = widest_facet(c, n.separation, n.error, is_face, near_errors)
             s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
             r.number = select(turns, facet.number, r.number)
             r.t = select(turns, greatest(r.t, select(is_less(zero, facet.slack), s, t)), r.t)
-            r.at_floor = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & r.at_floor)
+            r.is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & r.is_near)
             r.gap = select(turns, facet.slack * facet.slack, r.gap)
         return r
 
@@ -198,8 +200,7 @@ elif not is_euclidean:
         r = LaneStep()
         r.number = spread(zero)
         r.floor = floor_errors * n.error
-        r.at_floor = is_within(near.d, r.floor)
-        r.is_near = is_within(near.d, stall_errors * n.error)
+        r.is_near = is_within(near.d, near_errors * n.error)
         r.gap = dot(near.d, near.d)
         r.t = clip(near.d, n.error, t, n.t0, n.t1, is_face)
         return r
@@ -271,27 +272,30 @@ def advance_round(
     near = closest(c, is_face)
     step = step_from(n, volume, c, near, is_face, still_open, t, end)
     free = free | is_less(end, step.t)
-    has_stalled = is_at_most(patience, reached.slow) & step.is_near
-    claims = (step.at_floor & is_settled) | has_stalled
-    point = near.point
-    touches = is_contact(n, point, step.floor)
-    if wp.static(with_facets and not is_euclidean):
-        # of a patch at the corner of a separation box another point may touch than the closest one
-        has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
-        others = still_open & claims & has_box & opposite(touches | free)
-        if bits_of(others) != _NONE:
-            size = step.floor + n.delta
-            point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
-            touches = is_contact(n, point, step.floor)
-    contact = still_open & claims & touches & opposite(free)
-    r.u = select(contact, near.u, reached.u)
-    r.v = select(contact, near.v, reached.v)
-    r.point = select(contact, point, reached.point)
+    has_stalled = is_at_most(patience, reached.slow)
+    contact = still_open & step.is_near & (is_settled | has_stalled) & opposite(free)
+    if bits_of(contact) != _NONE:
+        # where the clip has led, which is free until then
+        c = corners_at(n.t0, n.t1, step.t)
+        point = point_at(c, near.u, near.v, is_face)
+        touches = is_contact(n, point, step.floor)
+        if wp.static(with_facets and not is_euclidean):
+            # of a patch at the corner of a separation box another point may touch than the closest one
+            has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
+            others = contact & has_box & opposite(touches)
+            if bits_of(others) != _NONE:
+                size = step.floor + n.delta
+                point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
+                touches = is_contact(n, point, step.floor)
+        contact = contact & touches
+        r.u = select(contact, near.u, reached.u)
+        r.v = select(contact, near.v, reached.v)
+        r.point = select(contact, point, reached.point)
     is_small = is_less(step.t - reached.t, quarter * (end - reached.t))
     is_slow = is_small & is_less(quarter * reached.gap, step.gap)
     r.slow = select(is_slow, reached.slow + one, reached.slow)
     r.gap = step.gap
-    r.t = select(reached.open, select(contact, t, step.t), reached.t)
+    r.t = select(reached.open, step.t, reached.t)
     r.free = reached.open & free
     r.contact = contact
     # a lane that gains nothing needs other tools
