@@ -54,10 +54,16 @@ def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> solver.Outcom
 
 @wp.func
 def skips_first_rounds(options: Options) -> bool:
-    """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
-    if wp.static(by_pair):
-        return not wp.static(on_arcs) or options.method != CLIPPING
-    return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
+    """Whether pairs skip the first rounds, which are not those of the bisection, and know no share of the gap.
+
+    A separation they know only where each pair has its own.
+    """
+    if wp.static(on_arcs):
+        return options.method != CLIPPING
+    skips = options.start_gap_fraction > wp.float64(0.0)
+    if wp.static(not by_pair):
+        skips = options.minimum_separation > wp.float64(0.0)
+    return skips or options.method != CLIPPING
 
 
 @wp.func

@@ -15,7 +15,7 @@ from .inclusion import clip, clip_beyond
 from .lane_closest import LaneClosest, closest
 from .lane_pair import LanePair
 from .lane_touch import touching_point
-from .norm import is_ball
+from .norm import is_ball, is_by_pair
 from .patch import Corners, Volume, corners_at
 from .rounding import UNIT_ROUNDOFF
 from .simd import (
@@ -35,7 +35,7 @@ from .simd import (
     vec,
 )
 from .support import length
-from .volume import clip_volume
+from .volume import clip_volume, clip_with_reach, reach_of
 
 _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round: in the first rounds, and at most in the later ones.
@@ -48,6 +48,7 @@ _TURN_STEPS = wp.constant(2)
 
 
 is_euclidean = is_ball(norm)
+by_pair = is_by_pair(norm)
 
 unit = UNIT_ROUNDOFF[real]
 zero = wp.constant(real(0.0))
@@ -141,10 +142,11 @@ if is_euclidean:
         r.gap = gap * gap
         d = with_largest_one(near.d)
         r.t = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_face)
-        turns = open & is_at_most(r.t, end) & opposite(r.is_near)
-        if bits_of(turns) != _NONE:
-            velocity = point_at(n.t1, near.u, near.v, is_face) - point_at(n.t0, near.u, near.v, is_face)
-            r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
+        if wp.static(with_facets):
+            turns = open & is_at_most(r.t, end) & opposite(r.is_near)
+            if bits_of(turns) != _NONE:
+                velocity = point_at(n.t1, near.u, near.v, is_face) - point_at(n.t0, near.u, near.v, is_face)
+                r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
         return r
 
     @simd.func
@@ -196,13 +198,19 @@ elif not is_euclidean:
     def step_from(
         n: LanePair, volume: Volume, c: Corners, near: LaneClosest, is_face: bool, open: Mask, t: Lanes, end: Lanes
     ) -> LaneStep:
-        """Clip pairs without a separation."""
+        """Clip pairs without a separation, or with the closest pair's direction alone."""
         r = LaneStep()
         r.number = spread(zero)
+        margin = n.error
         r.floor = floor_errors * n.error
-        r.is_near = is_within(near.d, near_errors * n.error)
+        near_by = near_errors * n.error
+        if wp.static(by_pair):
+            margin = margin + n.separation
+            r.floor = r.floor + n.separation
+            near_by = near_by + n.separation
+        r.is_near = is_within(near.d, near_by)
         r.gap = dot(near.d, near.d)
-        r.t = clip(near.d, n.error, t, n.t0, n.t1, is_face)
+        r.t = clip(near.d, margin, t, n.t0, n.t1, is_face)
         return r
 
 
@@ -239,9 +247,14 @@ else:
         x = end
         free = mask_of(_NONE)
         last = t
+        if wp.static(by_pair):
+            reach = reach_of(volume, n.separation)
         for _ in range(_VOLUME_CLIPS):
             last = t
-            t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
+            if wp.static(by_pair):
+                t, x, now_free = clip_with_reach(volume, reach, t, x, end)
+            else:
+                t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
             free = free | now_free
             if bits_of(open & opposite(free)) == _NONE:
                 break

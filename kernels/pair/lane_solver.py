@@ -125,18 +125,21 @@ def make_solve(with_facets: bool):
             if has_distance(options) and options.start_gap_fraction > wp.float64(0.0):
                 n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
         has_separation = bool(False)
-        if wp.static(with_facets):
+        if wp.static(with_facets or by_pair):
             has_separation = has_distance(options)
         volume = volume_of(n.t0, n.t1, n.separation, has_separation)
         t = narrowed(t_start)
-        if wp.static(with_facets and may_keep_start_distance):
+        if wp.static(may_keep_start_distance):
             kept = lanes_at_start_distance(options) & open
             if kept != _NONE:
-                end = spread(options.t_end)
-                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
-                t = select(mask_of(kept), s, t)
-                answer.free = bits_of(is_less(end, t)) & open
-                open = open & ~answer.free
+                if wp.static(with_facets):
+                    end = spread(options.t_end)
+                    s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
+                    t = select(mask_of(kept), s, t)
+                    answer.free = bits_of(is_less(end, t)) & open
+                    open = open & ~answer.free
+                else:
+                    open = open & ~kept  # that begins the later rounds, at the start
         reached = start(t, open)
         rounds = int(0)
         while open != _NONE and rounds < num_rounds:
@@ -171,7 +174,7 @@ def first_rounds(
 ) -> LaneAnswer:
     """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound.
 
-    They have no minimum separation.
+    Only where each pair has a separation of its own may there be any. What keeps its start distance stays at the start.
     """
     t = simd64.spread(wp.float64(0.0))
     return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
@@ -191,7 +194,7 @@ def later_rounds(
 ) -> LaneAnswer:
     """Advance the given lanes on from a time, after ``used`` iterations each."""
     rounds = cap
-    if not has_distance(options):
+    if wp.static(by_pair) or not has_distance(options):
         rounds -= FIRST_ROUNDS
     if options.method != CLIPPING:
         rounds = 0
