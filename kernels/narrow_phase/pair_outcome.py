@@ -89,7 +89,7 @@ def finished(
 ) -> solver.Outcome:
     """The result of a pair that its lane has left open at time t, after ``used`` iterations.
 
-    Of a contact within a separation only the parameters are set: its lane has found a point, not the closest one.
+    Of a contact only the parameters are set: its lane has found a point, which need not be the closest one.
     """
     outcome = solver.Outcome()
     n = solver.normalise(kind, a, b, options)
@@ -144,11 +144,7 @@ def lanes_at_start(answer: LaneAnswer) -> wp.uint32:
 @wp.func
 def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
     """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
-    if wp.static(by_pair):
-        return answer.free
-    if options.minimum_separation > wp.float64(0.0):
-        return answer.free
-    finished = answer.free | answer.contact
+    finished = answer.free | (answer.contact & answer.closest)
     if answer.contact != _NONE and options.length_scale > wp.float64(0.0):
         finished = finished & ~(answer.contact & lanes_at_start(answer))
     return finished
@@ -163,12 +159,13 @@ def finished_of_table(
     is_contact = is_set(answer.contact, lane)
     if is_contact and outcome.status == STATUS_NO_COLLISION:
         return outcome
-    used = wp.int32(simd.lane_of(answer.iterations, lane))
-    of_solver = finished(kind, simd.lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
-    if not is_contact:
-        outcome = of_solver
-    elif options.minimum_separation > wp.float64(0.0):
-        outcome.parameters = of_solver.parameters
+    if not (is_contact and is_set(answer.closest, lane)):
+        used = wp.int32(simd.lane_of(answer.iterations, lane))
+        of_solver = finished(kind, simd.lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
+        if is_contact:
+            outcome.parameters = of_solver.parameters
+        else:
+            outcome = of_solver
     if outcome.status == STATUS_INITIAL_CONTACT:
         outcome.status = status_at_start(kind, outcome.gap, a, options)
     return outcome

@@ -77,6 +77,7 @@ class LaneReached:
     open: Mask
     free: Mask
     contact: Mask
+    is_regular: Mask  # whether the weights of the contact are those of the closest point (`lane_closest`)
 
 
 @simd.func
@@ -304,6 +305,7 @@ def advance_round(
         r.u = select(contact, near.u, reached.u)
         r.v = select(contact, near.v, reached.v)
         r.point = select(contact, point, reached.point)
+        r.is_regular = reached.is_regular | (contact & near.is_regular)
     is_small = is_less(step.t - reached.t, quarter * (end - reached.t))
     is_slow = is_small & is_less(quarter * reached.gap, step.gap)
     r.slow = select(is_slow, reached.slow + one, reached.slow)

@@ -51,6 +51,7 @@ class LaneAnswer:
 
     free: wp.uint32  # bits of the lanes
     contact: wp.uint32
+    closest: wp.uint32  # whether the parameters of a contact are those of the closest point
     t: simd64.Lanes
     u: simd64.Lanes  # parameters of a contact, as reported
     v: simd64.Lanes
@@ -152,6 +153,9 @@ def make_solve(with_facets: bool):
             rounds += 1
         if answer.contact != _NONE:
             answer.gap = gap_of(n, reached)
+            answer.closest = all_lanes
+            if has_separation:
+                answer.closest = bits_of(reached.is_regular) if wp.static(is_euclidean) else _NONE
             answer.u = widened(reached.v)
             answer.v = widened(reached.u)
             if kind == EDGE_EDGE or kind == POINT_POINT:
