@@ -17,7 +17,7 @@ from ccd_warp._runtime.target import LEVELS, cpu_target
 from ccd_warp._scene.input.options import resolve_device
 
 # What a word of --for adds to what all steps in float64 need, by parts of the names in `every_module`.
-_OF_START = ("own_box", "start_distances", "near_contacts", "measure_pairs")
+_OF_START = ("start_distances", "near_contacts", "measure_pairs")
 WORDS = {
     "mesh_ccd": (),
     "pairs": (),
@@ -25,6 +25,7 @@ WORDS = {
     "line_search": _OF_START,
     "launch": ("input_rows", "contact_points"),
     "thickness": ("thick", "euclidean", "arc_ball"),
+    "separation": ("own_box",),
     "float32": ("float32",),
     "2d": (" 2",),
     "hash": ("hash",),

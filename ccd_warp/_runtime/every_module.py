@@ -51,8 +51,7 @@ def every_module(width: int | None) -> dict[str, Any]:
         of_start = specialised("at_one_time.start_distances", norm=norm)
         modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
-        if (real, norm) != (wp.float32, OWN_BOX_NORM):  # what is held is solved in float64
-            modules |= _of_solver(real, norm, width)
+        modules |= _of_solver(real, norm, width)
     return modules | _of_searches(width)
 
 

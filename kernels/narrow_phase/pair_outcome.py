@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import MAXIMUM_NORM, has_arcs, is_ball, is_by_pair
+from ..pair.norm import has_arcs, is_ball, is_by_pair
 from ..pair.pair_options import options_of_pair
 from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points
@@ -54,16 +54,11 @@ def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> solver.Outcom
 
 @wp.func
 def skips_first_rounds(options: Options) -> bool:
-    """Whether pairs skip the first rounds, which are not those of the bisection, and know no share of the gap.
-
-    A separation they know only where each pair has its own.
-    """
-    if wp.static(on_arcs):
-        return options.method != CLIPPING
-    skips = options.start_gap_fraction > wp.float64(0.0)
-    if wp.static(not by_pair):
-        skips = options.minimum_separation > wp.float64(0.0)
-    return skips or options.method != CLIPPING
+    """Whether pairs skip the first rounds, which are not those of the bisection, and know no share of the gap."""
+    skips = options.method != CLIPPING
+    if wp.static(by_pair and not on_arcs):
+        skips = skips or options.start_gap_fraction > wp.float64(0.0)
+    return skips
 
 
 @wp.func
@@ -127,10 +122,7 @@ def status_at_start(kind: int, gap: wp.float64, a: Points, options: Options) -> 
     most = most_gap(options)
     if gap <= most:
         return STATUS_INITIAL_CONTACT
-    separation = options.minimum_separation
-    if wp.static(norm == MAXIMUM_NORM):
-        separation *= options.length_scale
-    if is_near(kind, a, separation + most, is_euclidean):
+    if is_near(kind, a, options.minimum_separation + most, is_euclidean):
         return STATUS_INITIAL_CONTACT
     return STATUS_ROUNDING_LIMIT
 

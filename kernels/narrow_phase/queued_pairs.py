@@ -17,7 +17,7 @@ and no other pair at all.
 import warp as wp
 
 from ..atomics import claim
-from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs
+from ..pair.norm import MAXIMUM_NORM, has_arcs
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import row_points
@@ -281,9 +281,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     return solve_pairs
 
 
-points_toi = (
-    [] if norm == OWN_BOX_NORM or on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
-)
+points_toi = [] if on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
 solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

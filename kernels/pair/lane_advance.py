@@ -170,7 +170,9 @@ if with_facets and not is_euclidean:
     def needs_facets(n: LanePair, volume: Volume) -> Mask:
         """Whether only the facets of the patch and its separation box bring a pair all the way to a contact."""
         # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
-        return volume.is_flat | opposite(is_within(n.separation, box_errors * n.error))
+        if wp.static(by_pair):
+            return volume.is_flat | opposite(is_within(n.separation, box_errors * n.error))
+        return volume.is_flat
 
     @simd.func
     def step_from(
@@ -218,7 +220,7 @@ elif not is_euclidean:
 if with_facets:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
         """Clip open lanes until the volume gains nothing more: in later rounds most are about to be contacts.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
@@ -228,7 +230,7 @@ if with_facets:
         moving = open
         steps = int(0)
         while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
-            s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
+            s, next_x, now_free = clip_volume(volume, n.separation, wp.static(by_pair), t, x, end)
             free = free | (moving & now_free)
             gains = is_less(settled, s - t)
             t = select(moving, s, t)
@@ -240,7 +242,7 @@ if with_facets:
 else:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
         """Clip all lanes a few times.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
@@ -263,16 +265,14 @@ else:
 
 
 @simd.func
-def advance_round(
-    kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
-) -> LaneReached:
+def advance_round(kind: int, n: LanePair, volume: Volume, t_end: real, reached: LaneReached) -> LaneReached:
     """One round of the lanes that are open.
 
     Invariant: each pair is free of contact on [0, t).
     """
     is_face = kind == VERTEX_FACE
     end = spread(t_end)
-    t, free, is_settled = clip_with_volume(n, volume, has_separation, reached.open, reached.t, end)
+    t, free, is_settled = clip_with_volume(n, volume, reached.open, reached.t, end)
     r = reached
     r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
     still_open = reached.open & opposite(free)
@@ -293,7 +293,7 @@ def advance_round(
         c = corners_at(n.t0, n.t1, step.t)
         point = point_at(c, near.u, near.v, is_face)
         touches = is_contact(n, point, step.floor)
-        if wp.static(with_facets and not is_euclidean):
+        if wp.static(with_facets and by_pair and not is_euclidean):
             # of a patch at the corner of a separation box another point may touch than the closest one
             has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
             others = contact & has_box & opposite(touches)

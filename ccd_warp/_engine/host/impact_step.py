@@ -11,7 +11,7 @@ from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.lengths import half_rounded_up
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
 
 
@@ -41,11 +41,6 @@ class ImpactStep(Step):
             self.start_distances = self.workspace.start_distances
             self.start_distances.assign(start_distances)
         return self
-
-    def norm(self) -> str:
-        """The norm of separations, of which each pair has one of its own where start distances are kept."""
-        keeps = self.start_distances is not None
-        return norm_of(self.mesh, self.options, keeps_start_distances=keeps, on_arcs=self.motion.on_arcs)
 
     def begin_slice(self, part: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""

@@ -131,7 +131,9 @@ class Options:
     @property
     def norm(self) -> str:
         """The norm of the separation, for which kernels are made (``kernels.pair.norm``)."""
-        return norm.EUCLIDEAN_NORM if self.minimum_distance > 0 else norm.MAXIMUM_NORM
+        if self.minimum_distance > 0:
+            return norm.EUCLIDEAN_NORM
+        return norm.OWN_BOX_NORM if self.minimum_separation > 0 else norm.MAXIMUM_NORM
 
     def separation(self, length_scale: float) -> float:
         """The minimum separation or distance, a length."""
@@ -176,9 +178,7 @@ class Options:
             start_distances: How near each vertex was to anything at the start, on the device, where that matters.
             turns: How vertices turn in a slice of the step, as the struct of the kernels.
         """
-        separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
-        if (start_distances is not None or turns is not None) and length_scale is not None:
-            separation = self.separation(length_scale)  # each pair has a length of its own
+        separation = self.separation(1.0 if length_scale is None else length_scale)
         values = (
             self.tolerance,
             separation,
