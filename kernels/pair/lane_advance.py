@@ -155,12 +155,22 @@ if is_euclidean:
         """Whether the gap at a point is at most the tolerance."""
         return is_in_ball(point, floor, n.separation + n.delta)
 
+    @simd.func
+    def is_at_floor(n: LanePair, d: Vec3, floor: Vec3) -> Mask:
+        """Whether a gap may consist of rounding errors only."""
+        return is_in_ball(d, floor, n.separation)
+
 else:
 
     @simd.func
     def is_contact(n: LanePair, point: Vec3, floor: Vec3) -> Mask:
         """Whether the gap at a point is at most the tolerance."""
         return is_within(point, floor + n.delta)
+
+    @simd.func
+    def is_at_floor(n: LanePair, d: Vec3, floor: Vec3) -> Mask:
+        """Whether a gap may consist of rounding errors only."""
+        return is_within(d, floor)
 
 
 if with_facets and not is_euclidean:
@@ -289,8 +299,10 @@ def advance_round(kind: int, n: LanePair, volume: Volume, t_end: real, reached: 
     has_stalled = is_at_most(patience, reached.slow)
     contact = still_open & step.is_near & (is_settled | has_stalled) & opposite(free)
     if bits_of(contact) != _NONE:
-        # where the clip has led, which is free until then
-        c = corners_at(n.t0, n.t1, step.t)
+        # where the clip has led, which is free until then; what rounding hides at the start stays there
+        stays = is_at_most(t, zero) & is_at_floor(n, near.d, step.floor)
+        at = select(stays, t, step.t)
+        c = corners_at(n.t0, n.t1, at)
         point = point_at(c, near.u, near.v, is_face)
         touches = is_contact(n, point, step.floor)
         if wp.static(with_facets and by_pair and not is_euclidean):
@@ -302,6 +314,7 @@ def advance_round(kind: int, n: LanePair, volume: Volume, t_end: real, reached: 
                 point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
                 touches = is_contact(n, point, step.floor)
         contact = contact & touches
+        step.t = select(contact, at, step.t)
         r.u = select(contact, near.u, reached.u)
         r.v = select(contact, near.v, reached.v)
         r.point = select(contact, point, reached.point)
