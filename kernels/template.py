@@ -19,6 +19,7 @@ from typing import Any
 
 from . import parameters
 from .kept_code import KeptCode
+from .later import BUILTINS
 from .once import building, once, uncollected
 
 _FOLDER = Path(__file__).parent
@@ -70,7 +71,7 @@ def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
 
     def import_alike(imported: str, scope: Any = None, local: Any = None, wanted: Any = (), level: int = 0) -> Any:
         if level == 0:
-            return builtins.__import__(imported, scope, local, wanted, level)
+            return BUILTINS["__import__"](imported, scope, local, wanted, level)
         modules = _modules(name, level, imported, wanted)
         if "" not in modules:
             return SimpleNamespace(**{name: specialised(module, **alike) for name, module in modules.items()})
