@@ -1,8 +1,8 @@
 """Functions and kernels that Warp reads when they are needed, and not where their file is executed.
 
-A compiled module needs its kernels alone, and of these Warp reads those of a module when one of them is first used. All
-functions are read once a module has to be compiled, or its hash is not kept (`ccd_warp._runtime.kept_hashes`), or a
-kernel of another package calls one of them: in the order of their definition, as they would be without this file.
+Where a module is compiled, its kernels alone are needed. Warp reads those of a module as soon as anything is asked of
+one of them, and all functions as soon as anything is asked of one: where a module has to be hashed or compiled, or code
+of somebody else calls it. They are read in the order in which they are defined.
 """
 
 import builtins
@@ -10,7 +10,6 @@ import linecache
 import os
 import sys
 import threading
-from collections.abc import Callable
 from functools import update_wrapper
 from importlib.util import decode_source
 from types import FunctionType, ModuleType
@@ -18,19 +17,43 @@ from typing import Any
 
 import warp as wp
 
-# Locked while Warp reads; it may wait for no other lock, as Warp itself has one of its own locked where it asks.
+sources: dict[str, bytes] = {}  # the files that have been executed, as they were then
+
+# Locked where Warp reads; no other lock is waited for meanwhile, as Warp may have one of its own locked when it asks.
 _reading = threading.RLock()
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(before=_reading.acquire, after_in_parent=_reading.release, after_in_child=_reading.release)
 
-sources: dict[str, bytes] = {}  # the files that have been executed, as they were then
-_functions: list[tuple["LaterFunction", str, tuple[Any, ...], dict[str, Any], FunctionType]] = []
 _kernels: dict[str, list["LaterKernel"]] = {}
+_functions: list["_Definition"] = []
 _is_defining = False
 
 
+class LaterKernel(wp.Kernel):
+    """A kernel of Warp that becomes complete when it is asked for anything."""
+
+    def __init__(self, function: FunctionType, module: Any, options: dict[str, Any]) -> None:
+        self.of_later = function, module, options
+        update_wrapper(self, function)
+
+    def __getattr__(self, name: str) -> Any:
+        define_kernels(self.of_later[1].name)
+        if type(self) is LaterKernel:
+            raise AttributeError(name)
+        return getattr(self, name)
+
+    def define(self) -> None:
+        """Let Warp read the kernel."""
+        function, module, options = self.of_later
+        _show_source(function)
+        module.defer_reference_scan = True  # which would read all functions that the kernel calls
+        super().__init__(function, module=module, options=options)
+        update_wrapper(self, function)
+        self.__class__ = wp.Kernel
+
+
 class LaterFunction(wp.Function):
-    """A function of Warp, but for what only those need who call it from other code of Warp."""
+    """A function of Warp that becomes complete when it is asked for anything."""
 
     def __init__(self, function: FunctionType) -> None:
         self.func = function
@@ -38,37 +61,50 @@ class LaterFunction(wp.Function):
 
     def __getattr__(self, name: str) -> Any:
         define_functions()
-        if type(self) is LaterFunction:  # it is asked for by a function that stands before it
+        if type(self) is LaterFunction:  # asked for by one that stands above it, for which it is not there yet
             raise AttributeError(name)
         return getattr(self, name)
 
 
-class LaterKernel(wp.Kernel):
-    """A kernel of Warp that is complete as soon as anything is asked of it, with the others of its module."""
+class _Definition:
+    """A decorated function, or an overload of one, with Warp's decorator and the arguments of that."""
 
-    def __init__(self, function: FunctionType, module: Any, options: dict[str, Any]) -> None:
-        self._later = function, module, options
-        update_wrapper(self, function)
+    def __init__(self, decorator: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> None:
+        self.decorator, self.arguments, self.options = decorator, arguments, options
+        # Warp looks for an overload in the scope of the caller of its decorator
+        self.scope = sys._getframe(2).f_locals
 
-    def __getattr__(self, name: str) -> Any:
-        _, module, _ = self._later
-        define_kernels(module.name)
-        if type(self) is LaterKernel:
-            raise AttributeError(name)
-        return getattr(self, name)
+    def __call__(self, function: FunctionType) -> wp.Function:
+        self.function, other = function, self.scope.get(function.__name__)
+        del self.scope
+        self.later = other if isinstance(other, wp.Function) else LaterFunction(function)
+        with _reading:
+            _functions.append(self)
+            if type(self.later) is not LaterFunction:
+                define_functions()
+        return self.later
 
     def define(self) -> None:
-        """Let Warp read the kernel."""
-        function, module, options = self._later
+        """Let Warp read the function."""
+        function, later = self.function, self.later
         _show_source(function)
-        module.defer_reference_scan = True  # which would read all functions that the kernel calls
-        wp.Kernel.__init__(self, function, module=module, options=options)
-        update_wrapper(self, function)
-        self.__class__ = wp.Kernel
+        is_first = type(later) is LaterFunction
+        names = {"decorator": getattr(wp, self.decorator), "definition": self}
+        scope = {} if is_first else {function.__name__: later}
+        module = wp.get_module(function.__module__)
+        if is_first:
+            module.mark_modified = _nothing  # no kernel that was hashed knows the function
+        try:
+            made = eval("decorator(*definition.arguments, **definition.options)(definition.function)", names, scope)
+        finally:
+            vars(module).pop("mark_modified", None)
+        if is_first:
+            later.__dict__ = made.__dict__
+            later.__class__ = wp.Function
 
 
 def define_kernels(module: str) -> None:
-    """Let Warp read all kernels of a module of its own, of files that have been executed."""
+    """Let Warp read the kernels of a module of its own, of files that have been executed."""
     with _reading:
         kernels = _kernels.get(module, [])
         while kernels:
@@ -85,76 +121,57 @@ def define_functions() -> None:
         _is_defining = True
         try:
             while _functions:
-                later, decorator, arguments, options, function = _functions[0]
-                function.__globals__["wp"] = wp
-                _show_source(function)
-                # Warp looks in the scope from which its decorator is called for what has the same name
-                of_call = {"_wp": wp, "_arguments": arguments, "_options": options, "_function": function}
-                is_overload = type(later) is not LaterFunction
-                scope = {function.__name__: later} if is_overload else {}
-                made = eval(f"_wp.{decorator}(*_arguments, **_options)(_function)", of_call, scope)
-                if is_overload:
-                    assert made is later, function
-                else:
-                    later.__dict__ = made.__dict__
-                    later.__class__ = wp.Function
+                _functions[0].define()
                 _functions.pop(0)
         finally:
             _is_defining = False
 
 
-def _defined_later(scope: dict[str, Any], decorator: str, arguments: tuple[Any, ...], options: dict[str, Any]) -> Any:
-    def decorate(function: FunctionType) -> LaterFunction:
-        with _reading:
-            other = scope.get(function.__name__)
-            later = other if isinstance(other, wp.Function) else LaterFunction(function)
-            _functions.append((later, decorator, arguments, options, function))
-            if type(later) is not LaterFunction:
-                define_functions()
-        return later
-
-    return decorate
+def _nothing() -> None:
+    pass
 
 
 def _show_source(function: FunctionType) -> None:
-    """Have Warp find a file as it was executed, should it have been edited since."""
+    """Have Warp find a file as it was executed, should it have been edited since, and itself by its name there."""
+    function.__globals__["wp"] = wp
     path = function.__code__.co_filename
     if linecache.cache.get(path, (0, 0))[1] is not None:
         lines = decode_source(sources[path]).splitlines(keepends=True)
-        linecache.cache[path] = (len(sources[path]), None, lines, path)  # without a time, so that none is compared
+        linecache.cache[path] = (len(sources[path]), None, lines, path)  # without a time to be compared
 
 
 class _Warp(ModuleType):
-    """Warp as the files of these folders import it."""
+    """Warp as the files of these folders see it while they are executed."""
 
     def __getattr__(self, name: str) -> Any:
         return getattr(wp, name)
 
-    def func(self, function: FunctionType | None = None, **options: Any) -> Any:
-        decorate = _defined_later(sys._getframe(1).f_locals, "func", (), options)
-        return decorate(function) if function else decorate
+    def func(self, function: FunctionType | None = None, *, inline: bool | None = None) -> Any:
+        """`wp.func`."""
+        definition = _Definition("func", (), {"inline": inline})
+        return definition(function) if function else definition
 
-    def func_native(self, *snippets: str, **options: Any) -> Any:
-        return _defined_later(sys._getframe(1).f_locals, "func_native", snippets, options)
+    def func_native(self, snippet: str) -> Any:
+        """`wp.func_native`."""
+        return _Definition("func_native", (snippet,), {})
 
-    def kernel(self, function: FunctionType | None = None, module: Any = None, **options: Any) -> Any:
-        given = {name: value for name, value in options.items() if value is not None}
+    def kernel(self, function: FunctionType | None = None, *, module: Any = None, **options: Any) -> Any:
+        """`wp.kernel`."""
 
         def decorate(function: FunctionType) -> LaterKernel:
             of = module or wp.get_module(function.__module__)
-            kernel = LaterKernel(function, of, given)
+            kernel = LaterKernel(function, of, {name: value for name, value in options.items() if value is not None})
             _kernels.setdefault(of.name, []).append(kernel)
             return kernel
 
         return decorate(function) if function else decorate
 
 
-_warp = _Warp("warp")
+_warp = _Warp(wp.__name__)
 
 
-def _import(name: str, *arguments: Any, **named: Any) -> Any:
-    return _warp if name == "warp" else builtins.__import__(name, *arguments, **named)
+def _import(name: str, *others: Any) -> Any:
+    return _warp if name == wp.__name__ else builtins.__import__(name, *others)
 
 
-# What the files of these folders are executed with.
 BUILTINS = {**vars(builtins), "__import__": _import}

@@ -14,7 +14,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._runtime.kept_hashes import keep_in_cache, recall_from_cache
-from ccd_warp._runtime.packaged import is_listed, load_packaged
+from ccd_warp._runtime.packaged import load_packaged
 from ccd_warp._runtime.shared_header import one_header
 from ccd_warp._runtime.target import set_flags
 
@@ -34,12 +34,12 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     set_flags(kernel.module, device)
     if load_packaged(kernel.module, device, block_dim) and _is_there(kernel, device, block_dim):
         return
-    if not is_compiled(kernel, device, block_dim):
-        kernel.module.mark_modified()  # what is compiled is named by a hash of Warp's own
+    recall_from_cache(kernel.module, block_dim)
     # There is a folder of the module only if it was compiled before.
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if not os.path.isdir(folder):
         _say_once(device)
+        kernel.module.mark_modified()  # what is compiled is named by a hash of Warp's own
     try:
         _load(kernel, device, block_dim)
         keep_in_cache(kernel.module, block_dim)
@@ -52,29 +52,16 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
             f"Warp's kernel cache is damaged in {folder} ({reason}); it is compiled again", RuntimeWarning, stacklevel=2
         )
         shutil.rmtree(folder, ignore_errors=True)
+        kernel.module.mark_modified()
         try:
             _load(kernel, device, block_dim)
+            keep_in_cache(kernel.module, block_dim)
             return
         except Exception as error:
             failure = error
     if isinstance(failure, OSError) or os.path.isdir(folder):
         raise OSError(unwritable_cache(folder, failure)) from failure
     raise failure
-
-
-def is_compiled(kernel: Any, device: Any, block_dim: int | None) -> bool:
-    """Whether a module is compiled, found by a hash that is kept; where it is not, Warp needs all functions."""
-    module, block_dim = kernel.module, 1 if device.is_cpu else block_dim
-    set_flags(module, device)
-    if is_listed(module, device, block_dim):
-        return True
-    recall_from_cache(module, block_dim)
-    if block_dim not in module.hashers:
-        return False
-    name = module.get_module_identifier(block_dim)
-    folder = os.path.join(str(wp.config.kernel_cache_dir), name)
-    files = module._get_compile_output_name(device, block_dim=block_dim), f"{name}.meta"
-    return all(os.path.isfile(os.path.join(folder, file)) for file in files)
 
 
 def _say_once(device: Any) -> None:

@@ -12,13 +12,12 @@ from typing import Any, ClassVar
 
 import warp as wp
 
-from ccd_warp._runtime.kernel_cache import is_compiled, load_or_repair
+from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.quiet import quietly
 from ccd_warp._runtime.streams import is_captured_by_library
 from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
-from ccd_warp.kernels.later import define_functions
 from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
@@ -55,29 +54,22 @@ def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = No
         load_or_repair(kernel, device, block_dim_of(kernel, device))
         progress.done += 1
 
-    def read_functions() -> None:
-        if not all(is_compiled(kernel, device, block_dim_of(kernel, device)) for kernel in missing.values()):
-            define_functions()  # before threads share them
-
     tasks = [lambda k=kernel: load_module(k) for kernel in missing.values()]
     if device.is_capturing:  # Warp allows it only on the thread of the capture
         with building, uncollected(), quietly():
-            for task in [read_functions, *tasks]:
+            for task in tasks:
                 task()
     else:
-        build_beside(tasks, progress, read_functions)
+        build_beside(tasks, progress)
     progress.begin(*stage)
     _loaded.update(missing)
 
 
-def build_beside(
-    tasks: Sequence[Callable[[], None]], progress: Progress, before: Callable[[], None] = define_functions
-) -> None:
+def build_beside(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
     """Compile modules side by side on other threads, while this one waits, shows progress and handles an interrupt."""
 
     def build() -> None:
         with building, uncollected(), quietly():
-            before()
             run_beside(tasks)
 
     run_aside(build, progress.tick)

@@ -41,13 +41,6 @@ def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
     return False
 
 
-def is_listed(module: Any, device: Any, block_dim: int | None) -> bool:
-    """Whether the package has a module for a device, by what it says itself, and the hash of the module."""
-    recall(module, block_dim, _index() if has_any() else {})
-    is_found = block_dim in module.hashers and is_known(meta_name(module, block_dim))
-    return is_found and any(is_known(name) for name, _ in _names(module, device, block_dim))
-
-
 def is_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
     """Whether the package has a module for a device, and whole."""
     paths = [FOLDER / name for name, _ in _names(module, device, block_dim) if is_known(name)]
