@@ -135,7 +135,7 @@ def _show_source(function: FunctionType) -> None:
     """Have Warp find a file as it was executed, should it have been edited since, and itself by its name there."""
     function.__globals__["wp"] = wp
     path = function.__code__.co_filename
-    if linecache.cache.get(path, (0, 0))[1] is not None:
+    if path in sources and linecache.cache.get(path, (0, 0))[1] is not None:
         lines = decode_source(sources[path]).splitlines(keepends=True)
         linecache.cache[path] = (len(sources[path]), None, lines, path)  # without a time to be compared
 
@@ -155,12 +155,26 @@ class _Warp(ModuleType):
         """`wp.func_native`."""
         return _Definition("func_native", (snippet,), {})
 
-    def kernel(self, function: FunctionType | None = None, *, module: Any = None, **options: Any) -> Any:
+    def kernel(
+        self,
+        function: FunctionType | None = None,
+        *,
+        module: Any = None,
+        enable_backward: bool | None = None,
+        grid_stride: bool | None = None,
+        cuda_max_registers: int | None = None,
+    ) -> Any:
         """`wp.kernel`."""
+        given = {
+            "enable_backward": enable_backward,
+            "grid_stride": grid_stride,
+            "cuda_max_registers": cuda_max_registers,
+        }
+        options = {name: value for name, value in given.items() if value is not None}
 
         def decorate(function: FunctionType) -> LaterKernel:
             of = module or wp.get_module(function.__module__)
-            kernel = LaterKernel(function, of, {name: value for name, value in options.items() if value is not None})
+            kernel = LaterKernel(function, of, options)
             _kernels.setdefault(of.name, []).append(kernel)
             return kernel
 

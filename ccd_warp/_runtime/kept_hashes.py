@@ -56,7 +56,7 @@ def digest_of_sources() -> str:
     return _digest
 
 
-def hashes_of(module: Any, block_dim: int) -> dict[str, list[Any]]:
+def hashes_of(module: Any, block_dim: int | None) -> dict[str, list[Any]]:
     """The hash of a module, and for each kernel its own, whether it strides and its dimension, by name and options."""
     module_hash, live = module.get_module_hash(block_dim), list(module._get_live_kernels())
     of_kernels = {
@@ -87,14 +87,14 @@ def recall(module: Any, block_dim: int | None, index: dict[str, Any]) -> None:
 
 def recall_from_cache(module: Any, block_dim: int | None) -> None:
     """Give Warp the hash that is kept in its cache."""
-    with suppress(OSError, ValueError, TypeError, LookupError):  # there is none, or half of one
-        recall(module, block_dim, dict(json.loads(_path(module, block_dim).read_bytes())))
+    if _is_ours(module):
+        with suppress(OSError, ValueError, TypeError, LookupError):  # there is none, or half of one
+            recall(module, block_dim, dict(json.loads(_path(module, block_dim).read_bytes())))
 
 
 def keep_in_cache(module: Any, block_dim: int | None) -> None:
-    """Keep a hash that Warp has computed, of a module of these files alone."""
-    is_ours = all(kernel.func.__code__.co_filename in sources for kernel in module._get_live_kernels())
-    if not is_ours or isinstance(module.hashers.get(block_dim), _KeptHasher):
+    """Keep a hash that Warp has computed."""
+    if not _is_ours(module) or isinstance(module.hashers.get(block_dim), _KeptHasher):
         return
     path = _path(module, block_dim)
     own = path.with_suffix(f".{os.getpid()}.{threading.get_ident()}")  # another process may write the same
@@ -103,6 +103,12 @@ def keep_in_cache(module: Any, block_dim: int | None) -> None:
         path.parent.mkdir(exist_ok=True)
         own.write_text(json.dumps(index), encoding="utf-8")
         own.replace(path)
+
+
+def _is_ours(module: Any) -> bool:
+    """Whether the digest is that of all that a module may contain."""
+    files = {kernel.func.__code__.co_filename for kernel in module._get_live_kernels()}
+    return bool(files) and files <= sources.keys()
 
 
 def _path(module: Any, block_dim: int | None) -> Path:
