@@ -1,6 +1,7 @@
 """Functions and kernels that are complete when they are asked for anything, as if Warp had read them at once."""
 
 import importlib.util
+import linecache
 import sys
 import types
 
@@ -64,6 +65,7 @@ def module(tmp_path):
 def test_overloads_and_kernels_are_those_of_warp_wherever_one_is_asked_in_between(module, tmp_path):
     assert type(module.twice) is wp.Function and type(module.fill) is later.LaterKernel
     (tmp_path / "of_test.py").write_text(f"# edited meanwhile\n{FILE}")
+    linecache.clearcache()
     assert isinstance(module.fill, wp.Kernel) and {*module.fill.module.kernels} == {"fill", "fill_more"}
     assert type(module.fill) is wp.Kernel and module.fill.adj.source.startswith("@wp.kernel")
     assert len(module.twice.user_overloads) == len(module.above.user_overloads) == 2 and module.wp is wp

@@ -11,14 +11,14 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.boxes import rest_order
 
+import ccd_warp as ccd
+from ccd_warp import kernels
 from ccd_warp._runtime.every_module import every_module
 from ccd_warp._runtime.kept_hashes import keep_in_cache, recall_from_cache
 from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.target import set_flags
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
@@ -150,8 +150,9 @@ def _outcome(process):
 
 def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes_between(tmp_path):
     copy = tmp_path / "copy"
-    for folder in ("ccd_warp", "kernels"):
-        shutil.copytree(ROOT / folder, copy / folder, ignore=shutil.ignore_patterns("__pycache__", "_objects"))
+    unneeded = shutil.ignore_patterns("__pycache__", "_objects")
+    for of_package, name in ((Path(ccd.__file__).parent, "ccd_warp"), (kernels.__path__[0], "ccd_warp/kernels")):
+        shutil.copytree(of_package, copy / name, ignore=unneeded, dirs_exist_ok=True)
     both = [_begin(copy), _begin(copy)]
     (_, first), (_, other) = map(_outcome, both)
     assert first == other and _outcome(_begin(copy)) == (True, first)
@@ -159,7 +160,7 @@ def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes
     assert len(kept) == 1 and json.loads(kept[0].read_text())["hashes"]
     assert _outcome(_begin(copy, "edits")) == (True, first), "as it was executed"
     for name, words, is_of_module in (("pair/rounding.py", "", False), ("atomics.py", "values[index] |= bits", True)):
-        path = copy / "kernels" / name
+        path = copy / "ccd_warp" / "kernels" / name
         text = path.read_text()
         assert words in text
         path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n")
@@ -180,8 +181,8 @@ print(0 < before < len(later._functions))
 
 
 def test_a_first_call_reads_no_function_where_all_is_compiled():
-    tests = str(ROOT / "tests")
-    path = os.pathsep.join([tests, f"{tests}/helpers", str(ROOT), os.environ.get("PYTHONPATH", "")])
+    tests = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
     command = [sys.executable, "-P", "-c", OF_FIRST_CALL]
     environment = {**os.environ, "PYTHONPATH": path}
     outputs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
