@@ -218,7 +218,7 @@ class CollisionPipeline:
         self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
-            start, end = map(self.mesh._in_space, self.mesh._both_placed(*frames()))
+            start, end = self.mesh._both_in_space(*frames())
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
