@@ -554,7 +554,7 @@ class CollisionPipeline:
         is_ordered: bool = True,
     ) -> MeshResult:
         """The contacts of a step."""
-        contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
+        contacts = partial(ContactStep.contacts, is_ordered=is_ordered, is_placed=is_ordered)
         return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
 
     def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:

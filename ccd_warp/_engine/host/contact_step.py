@@ -25,10 +25,11 @@ class ContactStep(ImpactStep):
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
 
-    def contacts(self, *, is_ordered: bool = True) -> MeshResult:
+    def contacts(self, *, is_ordered: bool = True, is_placed: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
 
-        Where contacts need no order, the result has no first ones, and they do not know where they are.
+        Where contacts need no order, the result has no first ones; unless they are placed, they do not know where they
+        are.
         """
         store = self.workspace.contacts
         for part in self.motion.slices:
@@ -43,7 +44,7 @@ class ContactStep(ImpactStep):
             if len(self.motion.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
-            place = self._place() if is_ordered else ()
+            place = self._place() if is_placed else ()
             contacts = located(gathered["contacts"], self.mesh, *place)
         # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
         of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
