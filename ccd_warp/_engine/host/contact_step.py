@@ -1,6 +1,6 @@
 """All contacts of a step: the toi of every pair that the cull leaves."""
 
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,21 @@ from ccd_warp.kernels.step.minima import OPEN
 
 
 class ContactStep(ImpactStep):
-    """The contacts."""
+    """The contacts.
+
+    Attributes:
+        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
+    """
 
     goal = "contacts"
+    among: NDArray[np.bool_] | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
+
+    def of_vertices(self, among: NDArray[np.bool_] | None) -> Self:
+        """This step, of which only the contacts are wanted that have one of these vertices."""
+        self.among = among
+        return self
 
     def contacts(self, *, is_ordered: bool = True, is_placed: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
@@ -74,7 +84,8 @@ class ContactStep(ImpactStep):
                 return
             self.bind_options(part)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
-            batches = plan.batches(self.capacity())
+            among = self.among if self.options.memory_limit is None else None  # it takes a copy of the boxes
+            batches = plan.batches(self.capacity(), among=among)
         if self.planes is not None:
             with self.timed("planes"):
                 expected = store.num_with_planes

@@ -90,6 +90,8 @@ class LineSearchRounds:
         self.fraction = np.ones(mesh.num_vertices)
         self.vertices = course.end.copy()  # the caller's own array may be what `frames` returns
         self._common = np.empty(0)  # the fraction of each vertex's world by the first round
+        # vertices whose fractions the last round has changed: pairs without any are free, or stopped; None for all
+        self._changed: NDArray[np.bool_] | None = None
         self._is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
         self._at_start: NDArray[np.uint64] | None = None  # keys of the pairs that touch there
         self._stopping: list[Contacts] = []
@@ -104,7 +106,10 @@ class LineSearchRounds:
 
     def _solved(self, ends: Ends) -> Contacts:
         """The contacts of a step, in which what starts within its distance may part."""
-        work = lambda step: step.parting(self.distances).contacts(is_ordered=False)  # noqa: E731
+
+        def work(step: ContactStep) -> MeshResult:
+            return step.parting(self.distances).of_vertices(self._changed).contacts(is_ordered=False)
+
         return self._on_step(ends, work).contacts
 
     def _touching_at_start(self) -> Contacts:
@@ -145,6 +150,7 @@ class LineSearchRounds:
                 self._stopping.append(contacts)
                 break
             if is_stopped.any():
+                self._stopping.append(contacts[is_stopped])
                 contacts, corners = contacts[~is_stopped], corners[~is_stopped]
             self._shorten(contacts, corners, self._resolved_toi(contacts, corners))
         else:
@@ -214,6 +220,8 @@ class LineSearchRounds:
             fraction[touched] = np.where(self._is_common[touched], shorter, self._common[touched])
             self._is_common |= touched
         fraction[~self._moves] = 1.0
+        if self._everywhere.is_alone and not self._driven.is_any:
+            self._changed = fraction != before
         self.vertices = course.at(fraction)
         # which contacts stop their vertices alone; where others let one go some way, this one does
         may_stop = self.is_limited | course.may_stay(fraction)

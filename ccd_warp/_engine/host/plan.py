@@ -1,14 +1,16 @@
 """The driver of calls on the host, whose sizes and positions change from step to step: sections that it plays."""
 
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.boxes.some_queries import with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
@@ -242,8 +244,12 @@ class HostPlan(Plan):
         """The stages with the values of their slots, to launch now."""
         return self._stages.with_values(self._recording.values)
 
-    def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
+    def batches(
+        self, largest: int, *, of_sample: bool = False, among: NDArray[np.bool_] | None = None
+    ) -> Iterator[Batch]:
         """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
+
+        Where there are few vertices ``among`` which one of each pair is wanted, of all others only some may be found.
 
         The first search tells how many pairs there are. If they are more than the capacity, which grows up to
         ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
@@ -261,11 +267,15 @@ class HostPlan(Plan):
         def record(stages: Stages, recording: Recording) -> None:
             stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
 
+        some = None if among is None or self.execution.is_cuda else self._with_some_queries(tree_pairs, among)
         while True:
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self.counters.clear()
-            self.play(section, record)
+            if some is None:
+                self.play(section, record)
+            else:
+                self._search_some(some)
             needed = self._num_needed()
             if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
                 yield self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
@@ -273,6 +283,24 @@ class HostPlan(Plan):
             if not self.memory.grow(needed, largest):
                 break
         yield from self._batches_of_parts(section, tree_pairs, largest, needed)
+
+    def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
+        """Those of the tree pairs that may meet, with the queries that some vertices need; None if these are many."""
+        allocate = lambda name, count: self._workspace.buffers.get(name, count, wp.float32)  # noqa: E731
+        some = []
+        for tree_pair in itertools.compress(tree_pairs, self._meets):
+            with_some = with_some_queries(tree_pair, among, allocate)
+            if with_some is None:
+                return None
+            some.append(with_some)
+        return some
+
+    def _search_some(self, tree_pairs: list[TreePair]) -> None:
+        """Search tree pairs with some of their queries, now."""
+        stages = self.stages_now()
+        boxes = stages.boxes | {tree_pair.query.name: tree_pair.query.structs for tree_pair in tree_pairs}
+        for tree_pair in tree_pairs:
+            replace(stages, boxes=boxes).search(self.execution, tree_pair)
 
     def few_batches(self, largest: int) -> Iterator[Batch]:
         """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
