@@ -370,10 +370,11 @@ def _is_among(keys: NDArray[np.uint64], ascending: NDArray[np.uint64]) -> NDArra
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
     """Contacts of all rounds whose vertices are all at their start positions, as found last."""
-    return _each_once([part[np.flatnonzero(_of_all(is_at_start, _vertices_of(mesh, part)))] for part in stopping[::-1]])
+    parts = [part for part in stopping[::-1] if len(part)] or stopping[:1]
+    return _each_once([part[np.flatnonzero(_of_all(is_at_start, _vertices_of(mesh, part)))] for part in parts])
 
 
 def _each_once(parts: list[Contacts]) -> Contacts:
     """The contacts of lists in their order, each pair once, as the first list has it."""
     contacts = joined(parts)
-    return contacts[np.unique(_keys(contacts), return_index=True)[1]]
+    return contacts if len(contacts) == 0 else contacts[np.unique(_keys(contacts), return_index=True)[1]]
