@@ -9,10 +9,12 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import sort_places
-from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._engine.mesh.topology import Topology, sort_in_place
+from ccd_warp._results.shared_features import SharedFeatures
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.at_one_time import proximity as kernels
+from ccd_warp.kernels.at_one_time.unique import FeaturePairs
 
 PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
@@ -35,7 +37,7 @@ class ProximityStore:
 
     def __init__(self, topology: Topology, buffers: Buffers, execution: Execution) -> None:
         self.total = 0
-        self._buffers, self._execution = buffers, execution
+        self._topology, self._buffers, self._execution = topology, buffers, execution
         self._count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
         self._list: Any = None
 
@@ -53,19 +55,43 @@ class ProximityStore:
         """Count what the batch has appended."""
         self.total = int(self._count.numpy()[0])
 
-    def gather(self) -> dict[str, NDArray[Any]]:
-        """All pairs, sorted by kind and pair, in new arrays."""
-        device, count = self._execution.device, self.total
-        arrays = {name: self._new(count, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
+    def gather(self, *, unique: bool) -> dict[str, NDArray[Any] | None]:
+        """All pairs, or the first of each two features alone, sorted by kind and pair, in new arrays."""
+        device, count, launch = self._execution.device, self.total, self._execution.launch
+        shared_by, order = (np.zeros(0, dtype=np.int32) if unique else None), np.zeros(0, dtype=np.int32)
         if count > 0:
             keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
-            order: wp.array = wp.empty(count, dtype=wp.int32, device=device)
-            launch = self._execution.launch
             launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
-            sort_places(keys, order, count, self._execution)
+            rows = None
+            if unique:
+                rows, shared_by = self._unique_rows()
+                of_rows = keys.numpy()[rows]
+                count, keys = len(rows), wp.array(np.resize(of_rows, len(keys)), dtype=wp.int64, device=device)
+            places: wp.array = wp.empty(count, dtype=wp.int32, device=device)
+            sort_places(keys, places, count, self._execution)
+            order = places.numpy()
+            if shared_by is not None and rows is not None:
+                order, shared_by = rows[order].astype(np.int32), shared_by[order]
+        arrays = {name: self._new(count, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
+        if count > 0:
             ordered = new_proximity_list({"count": self._count, **arrays})
-            launch(kernels.order_proximities, count, inputs=[order, self._list], outputs=[ordered])
-        return {name: array.numpy() for name, array in arrays.items()}
+            in_order: wp.array = wp.array(order, dtype=wp.int32, device=device)
+            launch(kernels.order_proximities, count, inputs=[in_order, self._list], outputs=[ordered])
+        return {name: array.numpy() for name, array in arrays.items()} | {"shared_by": shared_by}
+
+    def _unique_rows(self) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+        """The first pair of each two features, ascending by their places in the list, and how many pairs have these."""
+        device, count = self._execution.device, self.total
+        columns = {name: getattr(self._list, name) for name in ("count", "kind", "primitives", "features")}
+        columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
+        size = 2 * count if device.is_cuda else count
+        of_rows: list[tuple[int, Any]] = [(size, wp.int64), (count, wp.bool), (count, wp.int32)]
+        found = SharedFeatures(*(wp.empty(length, dtype=dtype, device=device) for length, dtype in of_rows))
+        sort = partial(sort_in_place, found.keys, count, self._execution)
+        num_vertices = self._topology.mesh.num_vertices
+        found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
+        rows = np.flatnonzero(found.is_unique.numpy())
+        return rows, found.shared_by.numpy()[rows]
 
     def _new(self, count: int, dtype: Any) -> wp.array:
         """A new array; on the CPU from NumPy, which asks for large pages, so that they are not cleared one by one."""

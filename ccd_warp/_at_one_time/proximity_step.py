@@ -64,8 +64,8 @@ class ProximityStep(StepAtOneTime):
     goal = "proximities"
     bytes_beside = BYTES_PER_PROXIMITY
 
-    def proximities(self, distance: float) -> Proximities:
-        """All pairs within a distance and their radii."""
+    def proximities(self, distance: float, *, unique: bool = False) -> Proximities:
+        """All pairs within a distance and their radii, or each two closest features once."""
         plan = self.search(distance)
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
@@ -82,7 +82,7 @@ class ProximityStep(StepAtOneTime):
                 plan.measure_pairs(NEAR)
                 store.end_batch()
         with self.timed("gather"):
-            arrays = store.gather()
+            arrays = store.gather(unique=unique)
             dimension = self.mesh.dimension
             if dimension == 2:
                 arrays["direction"] = arrays["direction"][:, :2].copy()

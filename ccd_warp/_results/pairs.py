@@ -159,7 +159,7 @@ class PairTable:
         """The pairs with these indices alone."""
         if not isinstance(index, slice):
             index = np.asarray(index) if len(index) else np.zeros(0, dtype=np.int64)
-        columns = {name: v if name in _OF_MESH else v[index] for name, v in self._fields().items()}
+        columns = {name: v if v is None or name in _OF_MESH else v[index] for name, v in self._fields().items()}
         return type(self)(**columns)
 
     def _fields(self) -> dict[str, Any]:
