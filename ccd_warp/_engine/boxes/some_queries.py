@@ -34,7 +34,10 @@ def with_some_queries(
     if blocks.sum() > _MOST_BLOCKS * len(blocks) or of_target.sum() > _MOST_BLOCKS * len(of_target):
         return None
     near = _blocks_near(query, target, np.flatnonzero(of_target))
-    return None if near is None else replace(tree_pair, query=_with_blocks(query, blocks | near, allocate))
+    if near is None:
+        return None
+    name = f"{query.name} for {tree_pair.kind.name} {target.name}"  # a tree has the queries of several pairs
+    return replace(tree_pair, query=_with_blocks(query, blocks | near, name, allocate))
 
 
 def _blocks_with(tree: Tree, is_chosen: NDArray[np.bool_]) -> _Blocks:
@@ -73,12 +76,12 @@ def _around(tree: Tree, level: int) -> tuple[NDArray[np.float32], NDArray[np.flo
     return low, high
 
 
-def _with_blocks(tree: Tree, blocks: _Blocks, allocate: Callable[[str, int], wp.array]) -> Tree:
+def _with_blocks(tree: Tree, blocks: _Blocks, name: str, allocate: Callable[[str, int], wp.array]) -> Tree:
     """A copy of a tree for queries in which the box around each other block is empty."""
     arrays, some = tree.arrays, Tree(tree.primitives)
-    some.name = f"{tree.name} of some"
+    some.name = name
     count = tree.num_floats(arrays.num_aabbs)
-    nodes = allocate(f"{some.name} boxes", count)
+    nodes = allocate(f"{name} boxes", count)
     wp.copy(nodes, arrays.nodes, count=count)
     some.set_order(arrays.num_aabbs, (arrays.primitive, arrays.corners, arrays.groups), nodes)
     around = some.level_boxes(1)
