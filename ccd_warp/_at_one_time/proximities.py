@@ -61,12 +61,13 @@ class ProximityStore:
         shared_by, order = (np.zeros(0, dtype=np.int32) if unique else None), np.zeros(0, dtype=np.int32)
         if count > 0:
             keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
-            launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
             rows = None
             if unique:
-                rows, shared_by = self._unique_rows()
+                rows, shared_by = self._unique_rows(keys)
                 of_rows = keys.numpy()[rows]
                 count, keys = len(rows), wp.array(np.resize(of_rows, len(keys)), dtype=wp.int64, device=device)
+            else:
+                launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
             places: wp.array = wp.empty(count, dtype=wp.int32, device=device)
             sort_places(keys, places, count, self._execution)
             order = places.numpy()
@@ -79,15 +80,19 @@ class ProximityStore:
             launch(kernels.order_proximities, count, inputs=[in_order, self._list], outputs=[ordered])
         return {name: array.numpy() for name, array in arrays.items()} | {"shared_by": shared_by}
 
-    def _unique_rows(self) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
-        """The first pair of each two features, ascending by their places in the list, and how many pairs have these."""
+    def _unique_rows(self, pair_keys: wp.array) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+        """The first pair of each two features, ascending by their places in the list, and how many pairs have these.
+
+        Computes the keys of all pairs.
+        """
         device, count = self._execution.device, self.total
         columns = {name: getattr(self._list, name) for name in ("count", "kind", "primitives", "features")}
         columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
         size = 2 * count if device.is_cuda else count
-        of_rows: list[tuple[int, Any]] = [(size, wp.int64), (count, wp.bool), (count, wp.int32)]
-        found = SharedFeatures(*(wp.empty(length, dtype=dtype, device=device) for length, dtype in of_rows))
-        sort = partial(sort_in_place, found.keys, count, self._execution)
+        keys: wp.array = wp.empty(size, dtype=wp.int64, device=device)
+        others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec2i, wp.bool, wp.int32))
+        found = SharedFeatures(keys, others, pair_keys, *of_rows)
+        sort = partial(sort_in_place, keys, count, self._execution)
         num_vertices = self._topology.mesh.num_vertices
         found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
         rows = np.flatnonzero(found.is_unique.numpy())

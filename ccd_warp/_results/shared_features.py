@@ -19,12 +19,16 @@ class SharedFeatures:
     """The pairs of a list that stand for their closest features, in arrays with a row for each pair.
 
     Attributes:
-        keys: Memory, int64.
+        keys: Memory of keys by features, int64.
+        others: Memory of features, wp.vec2i.
+        pair_keys: The keys of the pairs by kind and primitives, int64; empty where their rows are in this order.
         is_unique: Whether it is the first pair with its features, bool.
         shared_by: How many pairs have the features of those, int32; of other pairs it means nothing.
     """
 
     keys: wp.array
+    others: wp.array
+    pair_keys: wp.array
     is_unique: wp.array
     shared_by: wp.array
 
@@ -41,11 +45,12 @@ class SharedFeatures:
             sort: Sorts so many keys.
         """
         vertex_bits, row_bits, found = index_bits(num_vertices), index_bits(num_pairs), [self.is_unique, self.shared_by]
-        inputs = [pairs, vertex_bits, row_bits]
-        execution.launch(kernels.fill_feature_keys, len(self.is_unique), inputs, [self.keys, *found])
+        inputs, by_row = [pairs, vertex_bits, row_bits], [self.others, self.pair_keys]
+        execution.launch(kernels.fill_feature_keys, len(self.is_unique), inputs, [self.keys, *by_row, *found])
         if num_pairs:
             sort()
-            execution.launch(kernels.mark_unique, num_pairs, [pairs, row_bits, self.keys[:num_pairs]], found)
+            inputs = [row_bits, self.keys[:num_pairs], *by_row]
+            execution.launch(kernels.mark_unique, num_pairs, inputs, found)
 
 
 def index_bits(count: int) -> int:
@@ -71,10 +76,10 @@ def unique_rows(
     columns |= {"features": on_cpu(features, wp.int32), "count": on_cpu(np.array([count], dtype=np.int32), wp.int32)}
     columns |= {"edge_corners": on_cpu(edges[:, [0, 1, 1]], wp.vec3i), "face_corners": on_cpu(faces, wp.vec3i)}
     pairs = struct_of(kernels.FeaturePairs, columns)
-    pairs.is_in_order = 1
     keys, is_unique = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool)
-    shared_by = np.empty(count, dtype=np.int32)
-    found = SharedFeatures(on_cpu(keys, wp.int64), on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
+    others, shared_by = np.empty((count, 2), dtype=np.int32), np.empty(count, dtype=np.int32)
+    by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec2i), on_cpu(keys[:0], wp.int64)
+    found = SharedFeatures(*by_row, on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
     found.find(Execution(cpu, default_num_threads()), pairs, num_vertices, count, keys.sort)
     rows = np.flatnonzero(is_unique)
     return rows, shared_by[rows]

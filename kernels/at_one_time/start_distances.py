@@ -11,8 +11,8 @@ import warp as wp
 from ..boxes.thickness import distance_of
 from ..pair.norm import is_ball
 from ..pair.passing import clip_passing
-from ..pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ..pair.patch import Corners
+from ..pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ..pair.single_points import Points, corners, largest, points_of
 from ..pair_kind import EDGE_EDGE, VERTEX_FACE, VERTEX_PLANE
 from ..parameters import norm

@@ -2,7 +2,7 @@
 
 The features that several pairs may have are two vertices, or a vertex and an edge. Pairs are sorted by a key of the
 vertex, so that those near each other stay so, a hash of the rest, and the row of the pair. Those with one hash are
-neighbours then, nearly always with the same features.
+neighbours then, nearly always with the same features; in a list that is in order the first of them comes first.
 """
 
 import warp as wp
@@ -27,7 +27,6 @@ _NO_VERTEX = wp.constant(2147483647)
 class FeaturePairs:
     """Pairs of primitives by their closest features."""
 
-    is_in_order: int  # 1: the first of some is that of the lowest row; 0: the pairs are in any order, each once
     count: wp.array[wp.int32]  # more than there are rows where the list is full
     kind: wp.array[wp.int32]
     primitives: wp.array[wp.vec2i]
@@ -81,36 +80,33 @@ def mixed(x: wp.uint64) -> wp.uint64:
     return y ^ (y >> wp.uint64(31))
 
 
-@wp.func
-def is_before(pairs: FeaturePairs, n: int, m: int) -> bool:
-    """Whether a pair comes before another, by kind and then lexicographically."""
-    if pairs.is_in_order != 0:
-        return n < m
-    return sort_key(pairs.kind[n], pairs.primitives[n]) < sort_key(pairs.kind[m], pairs.primitives[m])
-
-
 @wp.kernel
 def fill_feature_keys(
     begin: int,
     # in
     pairs: FeaturePairs,
-    vertex_bits: int,  # of a key: those of the vertex, at the top
+    vertex_bits: int,  # of a feature key: those of the vertex, at the top
     row_bits: int,  # those of the row, at the bottom; between the two is the hash
     # out
     keys: wp.array[wp.int64],
+    others: wp.array[wp.vec2i],
+    pair_keys: wp.array[wp.int64],
     is_unique: wp.array[wp.bool],
     shared_by: wp.array[wp.int32],
 ):
-    """Compute the key of a pair by its features, unless no other has them."""
+    """Compute the key of a pair by its features, unless no other has them, and its own where that counts."""
     n = begin + wp.tid()
     keys[n] = _NO_KEY
     is_unique[n] = False
     if n < pairs.count[0]:
+        if pair_keys.shape[0] > 0:
+            pair_keys[n] = sort_key(pairs.kind[n], pairs.primitives[n])
         f = features_of(pairs, n)
         if f[0] < 0:
             is_unique[n] = True
             shared_by[n] = 1
         else:
+            others[n] = wp.vec2i(f[1], f[2])
             hash_bits = _KEY_BITS - vertex_bits - row_bits
             h = wp.int64(mixed((wp.uint64(f[1]) << wp.uint64(32)) | wp.uint64(f[2])) >> wp.uint64(64 - hash_bits))
             keys[n] = (((wp.int64(f[0]) << wp.int64(hash_bits)) | h) << wp.int64(row_bits)) | wp.int64(n)
@@ -120,9 +116,10 @@ def fill_feature_keys(
 def mark_unique(
     begin: int,
     # in
-    pairs: FeaturePairs,
     row_bits: int,
     keys: wp.array[wp.int64],  # ascending
+    others: wp.array[wp.vec2i],  # by row: the features but for the vertex
+    pair_keys: wp.array[wp.int64],  # by row: what orders pairs; empty where the rows are in order
     # out
     is_unique: wp.array[wp.bool],
     shared_by: wp.array[wp.int32],
@@ -148,21 +145,22 @@ def mark_unique(
     k = int(i)
     left = end - i
     while left > 0:
-        f = features_of(pairs, wp.int32(keys[k] & mask))
+        first = wp.int32(keys[k] & mask)
+        f = others[first]
         # other features may happen to have this hash; those that have come before are done
         is_new = bool(True)
         for j in range(i, k):
-            if features_of(pairs, wp.int32(keys[j] & mask)) == f:
+            if others[wp.int32(keys[j] & mask)] == f:
                 is_new = False
         if is_new:
-            first = wp.int32(keys[k] & mask)
             count = int(1)
             for j in range(k + 1, end):
                 n = wp.int32(keys[j] & mask)
-                if features_of(pairs, n) == f:
+                if others[n] == f:
                     count += 1
-                    if is_before(pairs, n, first):
-                        first = n
+                    if pair_keys.shape[0] > 0:
+                        if pair_keys[n] < pair_keys[first]:
+                            first = n
             is_unique[first] = True
             shared_by[first] = count
             left -= count

@@ -108,7 +108,7 @@ def at_one_time(case: StepCase, precision: str) -> Outputs:
         found |= outputs_of([result.flags.numpy()[0], result.count.numpy()[0]], f"launch_proximity {k} counts")
         found |= outputs_of(result.to_host(), f"launch_proximity {k}")
         once = pipeline.find_proximity(positions, distance, unique=True)
-        found |= outputs_of(once, f"find_proximity {k} unique") | outputs_of(once.shared_by, f"shared by {k}")
+        found |= outputs_of(once, f"find_proximity {k} unique")
         columns = result.kind.numpy(), result.primitives.numpy(), result.shared_by().numpy()
         pairs = np.column_stack(columns)[result.unique().numpy()]
         found |= outputs_of(pairs[np.lexsort(pairs.T[::-1])], f"launch_proximity {k} unique")

@@ -246,8 +246,8 @@ class LineSearchRounds:
         elif per == "vertex":
             least = everywhere.least_of_vertices(least)
         else:
-            group, count = (mesh.vertex_body, mesh.num_bodies) if per == "body" else (mesh.vertex_world, mesh.num_worlds)
-            of_group = np.full(count, np.inf)
+            group = mesh.vertex_body if per == "body" else mesh.vertex_world
+            of_group = np.full(mesh.num_bodies if per == "body" else mesh.num_worlds, np.inf)
             np.minimum.at(of_group, group, least)
             least = everywhere.least(of_group)[group]
         return self._course.shared(least)
