@@ -1,6 +1,7 @@
 """Lists of pairs that are near at one time, and what kernels are told of how near that is."""
 
-from functools import partial
+from collections.abc import Callable
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -55,30 +56,35 @@ class ProximityStore:
         """Count what the batch has appended."""
         self.total = int(self._count.numpy()[0])
 
-    def gather(self, *, unique: bool) -> dict[str, NDArray[Any] | None]:
-        """All pairs, or the first of each two features alone, sorted by kind and pair, in new arrays."""
-        device, count, launch = self._execution.device, self.total, self._execution.launch
-        shared_by, order = (np.zeros(0, dtype=np.int32) if unique else None), np.zeros(0, dtype=np.int32)
-        if count > 0:
-            keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
-            rows = None
-            if unique:
-                rows, shared_by = self._unique_rows(keys)
-                of_rows = keys.numpy()[rows]
-                count, keys = len(rows), wp.array(np.resize(of_rows, len(keys)), dtype=wp.int64, device=device)
-            else:
-                launch(kernels.proximity_keys, count, inputs=[self._list], outputs=[keys])
-            places: wp.array = wp.empty(count, dtype=wp.int32, device=device)
-            sort_places(keys, places, count, self._execution)
-            order = places.numpy()
-            if shared_by is not None and rows is not None:
-                order, shared_by = rows[order].astype(np.int32), shared_by[order]
-        arrays = {name: self._new(count, dtype) for name, dtype in PROXIMITY_DTYPES.items()}
-        if count > 0:
-            ordered = new_proximity_list({"count": self._count, **arrays})
-            in_order: wp.array = wp.array(order, dtype=wp.int32, device=device)
-            launch(kernels.order_proximities, count, inputs=[in_order, self._list], outputs=[ordered])
-        return {name: array.numpy() for name, array in arrays.items()} | {"shared_by": shared_by}
+    def gather(self, *, unique: bool) -> tuple[int, dict[str, Callable[[], NDArray[Any]]]]:
+        """The number of all pairs, or of the first of each two features alone, and their columns by name.
+
+        A column is computed when it is asked for, sorted by kind and pair, from the list, which is then no one else's.
+        """
+        device, count, pairs = self._execution.device, self.total, self._list
+        if count == 0:
+            arrays = {name: on_host(dtype) for name, dtype in PROXIMITY_DTYPES.items()}
+            columns = {name: partial(np.zeros, (0, *shape), dtype) for name, (dtype, shape) in arrays.items()}
+            return 0, columns | ({"shared_by": partial(np.zeros, 0, np.int32)} if unique else {})
+        keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
+        rows = shared_by = None
+        if unique:
+            rows, shared_by = self._unique_rows(keys)
+            keys.assign(np.resize(keys.numpy()[rows], len(keys)))
+            count = len(rows)
+        else:
+            self._execution.launch(kernels.proximity_keys, count, inputs=[pairs], outputs=[keys])
+        for name in PROXIMITY_DTYPES:
+            self._buffers.release(f"pair {name}")
+        order = cache(lambda: _order(keys, count, self._execution))
+
+        def column(name: str) -> NDArray[Any]:
+            places = order() if rows is None else rows.take(order())
+            values: NDArray[Any] = getattr(pairs, name).numpy().take(places, axis=0)
+            return values
+
+        columns = {name: partial(column, name) for name in PROXIMITY_DTYPES}
+        return count, columns | ({} if shared_by is None else {"shared_by": lambda: shared_by.take(order())})
 
     def _unique_rows(self, pair_keys: wp.array) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
         """The first pair of each two features, ascending by their places in the list, and how many pairs have these.
@@ -98,10 +104,9 @@ class ProximityStore:
         rows = np.flatnonzero(found.is_unique.numpy())
         return rows, found.shared_by.numpy()[rows]
 
-    def _new(self, count: int, dtype: Any) -> wp.array:
-        """A new array; on the CPU from NumPy, which asks for large pages, so that they are not cleared one by one."""
-        device = self._execution.device
-        if device.is_cuda:
-            return wp.empty(count, dtype=dtype, device=device)
-        of_numpy, shape = on_host(dtype)
-        return wp.array(np.empty((count, *shape), of_numpy), dtype=dtype, device=device, copy=False)
+
+def _order(keys: wp.array, count: int, execution: Execution) -> NDArray[np.intp]:
+    """The places of so many keys in ascending order."""
+    places: wp.array = wp.empty(count, dtype=wp.int32, device=execution.device)
+    sort_places(keys, places, count, execution)
+    return places.numpy().astype(np.intp)

@@ -82,13 +82,13 @@ class ProximityStep(StepAtOneTime):
                 plan.measure_pairs(NEAR)
                 store.end_batch()
         with self.timed("gather"):
-            arrays = store.gather(unique=unique)
-            dimension = self.mesh.dimension
+            count, columns = store.gather(unique=unique)
+            dimension, direction = self.mesh.dimension, columns["direction"]
             if dimension == 2:
-                arrays["direction"] = arrays["direction"][:, :2].copy()
+                columns["direction"] = lambda: direction()[:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
         self.finish()
-        return Proximities(**arrays, mesh=self.mesh, positions=x, radius=self.mesh.radius)
+        return Proximities.of_list(count, columns, mesh=self.mesh, positions=x, radius=self.mesh.radius)
 
 
 class DisplacementStep(StepAtOneTime):

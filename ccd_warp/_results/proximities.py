@@ -1,7 +1,8 @@
 """What is near at one time: the pairs, where they are nearest, and what follows from the mesh."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,35 @@ class Proximities(ClosePairs):
     mesh: CollisionMesh
     positions: NDArray[np.float64]
     radius: NDArray[np.float64] | None = None
-    shared_by: NDArray[np.int32] | None = None
+    shared_by: NDArray[np.int32] | None = field(default_factory=lambda: None)  # so that the class has none
+
+    @classmethod
+    def of_list(cls, count: int, columns: dict[str, Callable[[], NDArray[Any]]], **others: Any) -> "Proximities":
+        """A table of so many pairs, whose columns are computed when they are read, and other fields."""
+        table = object.__new__(cls)
+        others |= {} if "shared_by" in columns else {"shared_by": None}
+        vars(table).update(others, _count=count, _unread=columns)
+        return table
+
+    if not TYPE_CHECKING:  # no attributes but those that are declared
+
+        def __getattr__(self, name: str) -> Any:
+            """A column that has not been read before; of threads that ask at once, each may compute it."""
+            unread = vars(self).get("_unread", {})
+            column = unread.get(name)
+            if column is not None:
+                vars(self).setdefault(name, column())
+                unread.pop(name, None)
+            if name not in vars(self):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return vars(self)[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All columns, read."""
+        return self._fields()
+
+    def __len__(self) -> int:
+        return vars(self)["_count"] if "_count" in vars(self) else len(self.kind)
 
     def _known_mesh(self) -> CollisionMesh:
         return self.mesh
