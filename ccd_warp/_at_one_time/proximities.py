@@ -76,7 +76,8 @@ class ProximityStore:
             self._execution.launch(kernels.proximity_keys, count, inputs=[pairs], outputs=[keys])
         for name in PROXIMITY_DTYPES:
             self._buffers.release(f"pair {name}")
-        order = cache(lambda: _order(keys, count, self._execution))
+        alone = Execution(device, self._execution.num_threads)  # what is read later is no part of this call
+        order = cache(lambda: _order(keys, count, alone))
 
         def column(name: str) -> NDArray[Any]:
             places = order() if rows is None else rows.take(order())

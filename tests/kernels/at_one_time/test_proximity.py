@@ -133,6 +133,20 @@ def test_a_choice_of_pairs_a_copy_and_the_text():
     np.testing.assert_array_equal(found.points, points)
 
 
+@pytest.mark.parametrize("unique", [False, True])
+def test_columns_that_are_read_late_are_those_of_their_call(unique):
+    mesh, x = crowd()
+    pipeline, expected = ccd.CollisionPipeline(mesh), ccd.find_proximity(mesh, x, 0.1, unique=unique)
+    found, copied = pipeline.find_proximity(x, 0.1, unique=unique), pipeline.find_proximity(x, 0.1, unique=unique)
+    assert len(found) == len(expected) > 20 and "kind" not in vars(found)
+    copied = pickle.loads(pickle.dumps(copied))
+    assert len(pipeline.find_proximity(x[::-1], 1.0)) > 20
+    check_same(copied, expected)
+    check_same(found, expected)
+    with pytest.raises(AttributeError, match="no attribute 'kinds'"):
+        _ = found.kinds
+
+
 # --- on the device ---
 
 
