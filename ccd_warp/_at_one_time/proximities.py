@@ -64,8 +64,8 @@ class ProximityStore:
         device, count, pairs = self._execution.device, self.total, self._list
         if count == 0:
             arrays = {name: on_host(dtype) for name, dtype in PROXIMITY_DTYPES.items()}
-            columns = {name: partial(np.zeros, (0, *shape), dtype) for name, (dtype, shape) in arrays.items()}
-            return 0, columns | ({"shared_by": partial(np.zeros, 0, np.int32)} if unique else {})
+            arrays |= {"shared_by": (np.int32, ())} if unique else {}
+            return 0, {name: partial(_nothing, dtype, shape) for name, (dtype, shape) in arrays.items()}
         keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
         rows = shared_by = None
         if unique:
@@ -104,6 +104,11 @@ class ProximityStore:
         found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
         rows = np.flatnonzero(found.is_unique.numpy())
         return rows, found.shared_by.numpy()[rows]
+
+
+def _nothing(dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+    """A column of no pairs."""
+    return np.zeros((0, *shape), dtype)
 
 
 def _order(keys: wp.array, count: int, execution: Execution) -> NDArray[np.intp]:

@@ -99,16 +99,18 @@ def test_a_search_for_pairs_of_some_vertices_finds_all_of_them(seed, monkeypatch
     chosen = np.random.default_rng(seed).random(mesh.num_vertices) < 0.2
     pipeline, columns = ccd.CollisionPipeline(mesh, **scene.options), ("kind", "primitives", "toi", "status", "gap")
 
+    def of(contacts):
+        return [getattr(contacts, name).tolist() for name in columns]
+
     def found(among):
         contacts = pipeline._on_step(ContactStep, start, end, lambda step: step.of_vertices(among).contacts()).contacts
-        contacts = contacts[chosen[contacts.vertices].any(axis=1)]
-        return [getattr(contacts, name).tolist() for name in columns]
+        return of(contacts[chosen[contacts.vertices].any(axis=1)])
 
     searched = []
     for most in (0.0, 1.0):  # as a share of all blocks: search all queries, and as few as it can
         monkeypatch.setattr(some_queries, "_MOST_BLOCKS", most)
         result = ccd.line_search(mesh, start, end, per="vertex", safety=SAFETY, **scene.without_end())
-        searched.append([found(chosen), result.vertices.tolist(), rows_of(result.touching)])
+        searched.append([found(chosen), result.vertices.tolist(), of(result.touching)])
     assert searched[0] == searched[1] and searched[0][0] == found(None)
 
 

@@ -87,7 +87,7 @@ def _with_blocks(tree: Tree, blocks: _Blocks, name: str, allocate: Callable[[str
     around = some.level_boxes(1)
     is_empty = np.ones(len(around) * WIDTH, dtype=bool)
     is_empty[: len(blocks)] = ~blocks
-    is_empty = is_empty.reshape(-1, 1, 1, WIDTH)
-    np.copyto(around[:, :, 0], np.float32(np.inf), where=is_empty)
-    np.copyto(around[:, :, 1], np.float32(-np.inf), where=is_empty)
+    of_corners = is_empty.reshape(-1, 1, 1, WIDTH)
+    np.copyto(around[:, :, 0], np.float32(np.inf), where=of_corners)
+    np.copyto(around[:, :, 1], np.float32(-np.inf), where=of_corners)
     return some

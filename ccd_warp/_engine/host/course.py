@@ -58,8 +58,8 @@ class Course:
         with np.errstate(over="ignore", invalid="ignore"):
             way = fraction[:, None] * np.abs(0.5 * self.end - 0.5 * self.start)
             largest = np.maximum(np.maximum(np.abs(self.start), np.abs(self.end)), _LEAST)
-            may_stay: NDArray[np.bool_] = ~(way > _ROUNDINGS * largest)
-        return may_stay.all(axis=1)
+            may_stay: NDArray[np.bool_] = np.asarray((~(way > _ROUNDINGS * largest)).all(axis=1))
+        return may_stay
 
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which vertices share that have one fraction whatever is asked for."""
