@@ -1,5 +1,6 @@
 """All contacts of a step: the toi of every pair that the cull leaves."""
 
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -11,6 +12,8 @@ from ccd_warp._engine.host.oddities import hidden_sentence
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
 from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import located
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.pairs import pair_vertices
 from ccd_warp._results.results import MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.status import CCDStatus, PairKind
@@ -23,17 +26,34 @@ class ContactStep(ImpactStep):
 
     Attributes:
         among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
+        beside: Contacts of the step of which those without such a vertex are part of the result.
     """
 
     goal = "contacts"
     among: NDArray[np.bool_] | None = None
+    beside: Contacts | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
 
-    def of_vertices(self, among: NDArray[np.bool_] | None) -> Self:
-        """This step, of which only the contacts are wanted that have one of these vertices."""
-        self.among = among
+    def of_vertices(self, among: NDArray[np.bool_] | None, beside: Contacts | None = None) -> Self:
+        """This step, of which only the contacts are wanted that have one of these vertices; others may be known.
+
+        Contacts of float32 are none of a step that is made again in float64.
+        """
+        if beside is None or self.options.precision == "float64":
+            self.among, self.beside = among, beside
         return self
+
+    def _with_those_beside(self, contacts: Contacts) -> Contacts:
+        """Contacts with one of the vertices, and those beside them without any."""
+        among, beside = self.among, self.beside
+        if among is None or beside is None:
+            return contacts
+        of_step = among[pair_vertices(self.mesh, contacts)].any(axis=1)
+        beside = beside[~among[pair_vertices(self.mesh, beside)].any(axis=1)]
+        parts = contacts[of_step], replace(beside, normal=self.mesh._in_space(beside.normal))
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(contacts)}
+        return Contacts(**columns)
 
     def contacts(self, *, is_ordered: bool = True, is_placed: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
@@ -55,7 +75,7 @@ class ContactStep(ImpactStep):
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
             place = self._place() if is_placed else ()
-            contacts = located(gathered["contacts"], self.mesh, *place)
+            contacts = located(self._with_those_beside(gathered["contacts"]), self.mesh, *place)
         # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
         of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
         of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
@@ -84,7 +104,8 @@ class ContactStep(ImpactStep):
                 return
             self.bind_options(part)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
-            among = self.among if self.options.memory_limit is None else None  # it takes a copy of the boxes
+            # a search of some queries takes a copy of the boxes, and is not shared
+            among = self.among if self.options.memory_limit is None and self.ranks.is_alone else None
             batches = plan.batches(self.capacity(), among=among)
         if self.planes is not None:
             with self.timed("planes"):

@@ -104,11 +104,18 @@ class LineSearchRounds:
         """
         return (self._result_at_rest() if begins_at_rest else None) or self._result_of_rounds()
 
-    def _solved(self, ends: Ends) -> Contacts:
-        """The contacts of a step, in which what starts within its distance may part."""
+    def _solved(self, ends: Ends, strict: Contacts | None = None) -> Contacts:
+        """The contacts of a step, in which what starts within its distance may part.
+
+        Those of pairs that start beyond their distance may be ``strict`` ones that are known.
+        """
 
         def work(step: ContactStep) -> MeshResult:
-            return step.parting(self.distances).of_vertices(self._changed).contacts(is_ordered=False)
+            if strict is not None and self.distances is not None:
+                step.of_vertices(np.isfinite(self.distances), beside=strict)
+            else:
+                step.of_vertices(self._changed)
+            return step.parting(self.distances).contacts(is_ordered=False)
 
         return self._on_step(ends, work).contacts
 
@@ -166,7 +173,7 @@ class LineSearchRounds:
         if self.num_rounds == 0 and self._start_distances is not None and self.distances is None:
             self.distances = self._start_distances.of_worlds_near(self._course.start, ends, contacts)
             if self.distances is not None:
-                contacts = self._solved(ends)
+                contacts = self._solved(ends, contacts)
         self.num_rounds += 1
         return contacts
 
@@ -370,7 +377,9 @@ def _is_among(keys: NDArray[np.uint64], ascending: NDArray[np.uint64]) -> NDArra
 
 def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_start: NDArray[np.bool_]) -> Contacts:
     """Contacts of all rounds whose vertices are all at their start positions, as found last."""
-    parts = [part for part in stopping[::-1] if len(part)] or stopping[:1]
+    parts = [part for part in stopping[::-1] if len(part)]
+    if not parts:
+        return stopping[0]
     return _each_once([part[np.flatnonzero(_of_all(is_at_start, _vertices_of(mesh, part)))] for part in parts])
 
 
