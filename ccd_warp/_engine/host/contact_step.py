@@ -49,8 +49,8 @@ class ContactStep(ImpactStep):
         among, beside = self.among, self.beside
         if among is None or beside is None:
             return contacts
-        of_step = among[pair_vertices(self.mesh, contacts)].any(axis=1)
-        beside = beside[~among[pair_vertices(self.mesh, beside)].any(axis=1)]
+        of_step = np.flatnonzero(among[pair_vertices(self.mesh, contacts)].any(axis=1))
+        beside = beside[np.flatnonzero(~among[pair_vertices(self.mesh, beside)].any(axis=1))]
         parts = contacts[of_step], replace(beside, normal=self.mesh._in_space(beside.normal))
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(contacts)}
         return Contacts(**columns)
