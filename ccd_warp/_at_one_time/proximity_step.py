@@ -88,7 +88,7 @@ class ProximityStep(StepAtOneTime):
                 columns["direction"] = lambda: direction()[:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
         self.finish()
-        return Proximities.of_list(count, columns, mesh=self.mesh, positions=x, radius=self.mesh.radius)
+        return Proximities._of_list(count, columns, mesh=self.mesh, positions=x, radius=self.mesh.radius)
 
 
 class DisplacementStep(StepAtOneTime):

@@ -54,7 +54,7 @@ class Proximities(ClosePairs):
     shared_by: NDArray[np.int32] | None = field(default_factory=lambda: None)  # so that the class has none
 
     @classmethod
-    def of_list(cls, count: int, columns: dict[str, Callable[[], NDArray[Any]]], **others: Any) -> "Proximities":
+    def _of_list(cls, count: int, columns: dict[str, Callable[[], NDArray[Any]]], **others: Any) -> "Proximities":
         """A table of so many pairs, whose columns are computed when they are read, and other fields."""
         table = object.__new__(cls)
         others |= {} if "shared_by" in columns else {"shared_by": None}
