@@ -32,7 +32,7 @@ WORDS = {
     "half_spaces": ("planes",),
     "excluded_pairs": ("True",),
     "find_candidates": ("boxes ",),
-    "find_proximity": ("proximity", "measure_pairs", "near_planes"),
+    "find_proximity": ("proximity", "measure_pairs", "near_planes", "unique"),
     "find_intersections": ("intersections",),
     "motion": ("arc_", "place_bodies", "shorten_paths", "part_overlap"),
     "gradients": ("toi_", "adjoint", "attained", "ordered_sums", "regularity"),

@@ -198,7 +198,7 @@ class TreePair:
     @property
     def within(self) -> bool:
         """Whether the pairs are those of one set."""
-        return self.query is self.target
+        return self.query.primitives is self.target.primitives
 
     @property
     def is_symmetric(self) -> bool:

@@ -89,7 +89,7 @@ class DeviceStartDistances:
         """Record the launches that look for worlds in which the first pass has found a contact that may start close."""
         topology, moving = self._topology, self._topology.moving_vertices
         contacts = self._contacts
-        listed = contacts.count, contacts.kind, contacts.primitives
+        listed = contacts.count, contacts.kind, contacts.primitives, contacts.parameters
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(

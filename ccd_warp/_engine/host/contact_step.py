@@ -1,6 +1,7 @@
 """All contacts of a step: the toi of every pair that the cull leaves."""
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from ccd_warp._engine.host.pair_memory import MOST_PAIRS
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import located
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.pairs import pair_vertices
 from ccd_warp._results.results import MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.quick import of_values
@@ -21,16 +24,44 @@ from ccd_warp.kernels.step.minima import OPEN
 
 
 class ContactStep(ImpactStep):
-    """The contacts."""
+    """The contacts.
+
+    Attributes:
+        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
+        beside: Contacts of the step of which those without such a vertex are part of the result.
+    """
 
     goal = "contacts"
+    among: NDArray[np.bool_] | None = None
+    beside: Contacts | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
 
-    def contacts(self, *, is_ordered: bool = True) -> MeshResult:
+    def of_vertices(self, among: NDArray[np.bool_] | None, beside: Contacts | None = None) -> Self:
+        """This step, of which only the contacts are wanted that have one of these vertices; others may be known.
+
+        Contacts of float32 are none of a step that is made again in float64.
+        """
+        if beside is None or self.options.precision == "float64":
+            self.among, self.beside = among, beside
+        return self
+
+    def _with_those_beside(self, contacts: Contacts) -> Contacts:
+        """Contacts with one of the vertices, and those beside them without any."""
+        among, beside = self.among, self.beside
+        if among is None or beside is None:
+            return contacts
+        of_step = np.flatnonzero(among[pair_vertices(self.mesh, contacts)].any(axis=1))
+        beside = beside[np.flatnonzero(~among[pair_vertices(self.mesh, beside)].any(axis=1))]
+        parts = contacts[of_step], replace(beside, normal=self.mesh._in_space(beside.normal))
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(contacts)}
+        return Contacts(**columns)
+
+    def contacts(self, *, is_ordered: bool = True, is_placed: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
 
-        Where contacts need no order, the result has no first ones, and they do not know where they are.
+        Where contacts need no order, the result has no first ones; unless they are placed, they do not know where they
+        are.
         """
         store = self.workspace.contacts
         batch = self.found_at_once()
@@ -50,8 +81,8 @@ class ContactStep(ImpactStep):
             if self.paths is not None and len(self.motion.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
-            place = self._place() if is_ordered else ()
-            contacts = located(gathered["contacts"], self.mesh, *place)
+            place = self._place() if is_placed else ()
+            contacts = located(self._with_those_beside(gathered["contacts"]), self.mesh, *place)
         # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
         of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
         of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
@@ -77,7 +108,9 @@ class ContactStep(ImpactStep):
                 return
             self.bind_options(part)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
-            batches = plan.batches(self.capacity())
+            # a search of some queries takes a copy of the boxes, and is not shared
+            among = self.among if self.options.memory_limit is None and self.ranks.is_alone else None
+            batches = plan.batches(self.capacity(), among=among)
         if self.planes is not None:
             with self.timed("planes"):
                 expected = store.num_with_planes

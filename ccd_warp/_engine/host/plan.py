@@ -1,7 +1,9 @@
 """The driver of calls on the host, whose sizes and positions change from step to step: sections that it plays."""
 
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -9,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BoxSet
+from ccd_warp._engine.boxes.some_queries import with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
@@ -267,12 +270,15 @@ class HostPlan(Plan):
         """The stages with the values of their slots, to launch now."""
         return self._stages.with_values(self._recording.values)
 
-    def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
+    def batches(
+        self, largest: int, *, of_sample: bool = False, among: NDArray[np.bool_] | None = None
+    ) -> Iterator[Batch]:
         """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
 
-        They are one where :meth:`search` finds all, and otherwise those of a search in parts.
+        They are one where :meth:`search` finds all, and otherwise those of a search in parts. Where there are few
+        vertices ``among`` which one of each pair is wanted, of all others only some may be found.
         """
-        batch = self.search(largest, of_sample=of_sample)
+        batch = self.search(largest, of_sample=of_sample, among=among)
         if batch is None:
             section, tree_pairs = self._searched(of_sample=of_sample)
             yield from self._batches_of_parts(section, tree_pairs, largest, self._needed)
@@ -282,8 +288,8 @@ class HostPlan(Plan):
     def _searched(self, *, of_sample: bool) -> tuple[str, list[TreePair]]:
         return ("pairs of a sample", self.sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
 
-    def search(self, largest: int, *, of_sample: bool = False) -> Batch | None:
-        """Search all pairs, or those of a sample of the queries, into the capacity of the last step.
+    def search(self, largest: int, *, of_sample: bool = False, among: NDArray[np.bool_] | None = None) -> Batch | None:
+        """Search all pairs, or those of a sample of queries or of some vertices, into the capacity of the last step.
 
         The search tells how many pairs there are. If they are more than the capacity, this grows up to ``largest``
         pairs, and the search is repeated.
@@ -305,11 +311,15 @@ class HostPlan(Plan):
         def record(stages: Stages, recording: Recording) -> None:
             stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
 
+        some = None if among is None or self.execution.is_cuda else self._with_some_queries(tree_pairs, among)
         while True:
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self.counters.clear()
-            self.play(section, record)
+            if some is None:
+                self.play(section, record)
+            else:
+                self._search_some(some)
             self._needed = needed = self._num_needed()
             if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
                 return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
@@ -320,6 +330,24 @@ class HostPlan(Plan):
     def is_divided(self) -> bool:
         """Whether the last search of all pairs found more than fit, so that the next one is in parts."""
         return "pairs" in self._excess
+
+    def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
+        """Those of the tree pairs that may meet, with the queries that some vertices need; None if these are many."""
+        allocate = lambda name, count: self._workspace.buffers.get(name, count, wp.float32)  # noqa: E731
+        some = []
+        for tree_pair in itertools.compress(tree_pairs, self._meets):
+            with_some = with_some_queries(tree_pair, among, allocate)
+            if with_some is None:
+                return None
+            some.append(with_some)
+        return some
+
+    def _search_some(self, tree_pairs: list[TreePair]) -> None:
+        """Search tree pairs with some of their queries, now."""
+        stages = self.stages_now()
+        boxes = stages.boxes | {tree_pair.query.name: tree_pair.query.structs for tree_pair in tree_pairs}
+        for tree_pair in tree_pairs:
+            replace(stages, boxes=boxes).search(self.execution, tree_pair)
 
     def few_batches(self, largest: int) -> Iterator[Batch]:
         """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
