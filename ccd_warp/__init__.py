@@ -31,9 +31,7 @@ from ccd_warp._calls.one_shot import (
 )
 from ccd_warp._calls.pair_ccd import PairResult, edge_edge_ccd, point_point_ccd, point_segment_ccd, vertex_face_ccd
 from ccd_warp._calls.pipeline import CollisionPipeline
-from ccd_warp._calls.pose_sequence import PoseSequence, read_poses
 from ccd_warp._engine.host.candidates import Candidates
-from ccd_warp._files.sequence import Frames, FrameSequence, read_frames, read_sequence
 from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities, LaunchResult
 from ccd_warp._results.intersections import Intersections
@@ -117,15 +115,23 @@ __all__ = [
 
 if TYPE_CHECKING:
     from ccd_warp import viz
+    from ccd_warp._calls.pose_sequence import PoseSequence, read_poses
+    from ccd_warp._files.sequence import Frames, FrameSequence, read_frames, read_sequence
 
-# Loaded when they are first asked for.
-_PARTS = ("viz",)
+# Modules that are loaded when one of their names is first asked for, or they themselves.
+_PARTS = {
+    "viz": (),
+    "_calls.pose_sequence": ("PoseSequence", "read_poses"),
+    "_files.sequence": ("FrameSequence", "Frames", "read_frames", "read_sequence"),
+}
 
 
 def __getattr__(name: str) -> Any:
-    """A part of the package that is loaded when it is used."""
-    if name in _PARTS:
-        return importlib.import_module(f"{__name__}.{name}")
+    """A name whose module is loaded when it is used."""
+    for part, names in _PARTS.items():
+        if name == part or name in names:
+            module = importlib.import_module(f"{__name__}.{part}")
+            return getattr(module, name) if names else module
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

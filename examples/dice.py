@@ -102,7 +102,7 @@ class Throw:
 
     def respond(self, left: float) -> None:
         """Impulses between what is near: none comes nearer than it may in the time that is left."""
-        near = self.pipeline.find_proximity(self.positions(), NEAR).unique()
+        near = self.pipeline.find_proximity(self.positions(), NEAR, unique=True)
         bodies, directions = near.bodies, near.direction
         centres = np.vstack([self.poses[:, :3], np.zeros((1, 3))])
         # the relative velocity of the closest points is this times both twists; and what an impulse does to these

@@ -71,7 +71,7 @@ class TwoLayers:
         """One frame."""
         wish = self.positions.copy()
         wish[self.moves] += FRAME_TIME * (self.velocity[self.moves] + FRAME_TIME * GRAVITY)
-        wish = self.solve(wish, self.pipeline.find_proximity(self.positions, REACH).unique())
+        wish = self.solve(wish, self.pipeline.find_proximity(self.positions, REACH, unique=True))
         reached = self.pipeline.line_search(self.positions, wish, per="vertex").vertices if self.with_ccd else wish
         self.velocity = (1.0 - DAMPING) * (reached - self.positions) / FRAME_TIME
         self.positions = reached

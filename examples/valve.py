@@ -133,7 +133,7 @@ class Valve:
         at_vertices = sparse.block_diag(2 * [flow.basis.probes(self.x[self.moves].T)]).tocsr()
         carried = at_vertices @ flow.solve(load).ravel()  # velocities of vertices without forces of the leaflets
         mobility = at_vertices[:, flow.near] @ (at_vertices[:, flow.near] @ flow.influence).T  # and by a unit of each
-        near = self.pipeline.find_proximity(self.x, REACH).unique()
+        near = self.pipeline.find_proximity(self.x, REACH, unique=True)
         pairs = np.zeros((len(near.vertices), len(self.x)))
         np.add.at(pairs, (np.arange(len(pairs))[:, None], near.vertices), near.weights)
         self.wish, velocity = self.x.copy(), carried

@@ -19,9 +19,11 @@ from typing import Any
 
 from . import parameters
 from .kept_code import KeptCode
+from .later import BUILTINS
 from .once import building, once, uncollected
 
 _FOLDER = Path(__file__).parent
+_FOLDERS = {"", *(path.name for path in _FOLDER.iterdir() if path.is_dir())}
 # What a file imports from here: how many folders up, a module and its names, or a folder and modules.
 _IMPORT = re.compile(r"^ *from (\.+)([\w.]*) import (\([^)]*\)|.*)", re.MULTILINE)
 _NAME = re.compile(r"(\w+)(?: as \w+)?")
@@ -41,7 +43,7 @@ def _modules(name: str, level: int, imported: str, wanted: Iterable[str]) -> dic
     """The modules of an import in a file by name: several, or one with no name from which names are taken."""
     folder = name.split(".")[:-1]
     path = [*folder[: len(folder) - level + 1], *filter(None, imported.split("."))]
-    if (_FOLDER / Path(*path)).is_dir():
+    if "/".join(path) in _FOLDERS:
         return {module: ".".join([*path, module]) for module in wanted}
     return {"": ".".join(path)}
 
@@ -70,7 +72,7 @@ def _specialise(name: str, values: tuple[tuple[str, Any], ...]) -> ModuleType:
 
     def import_alike(imported: str, scope: Any = None, local: Any = None, wanted: Any = (), level: int = 0) -> Any:
         if level == 0:
-            return builtins.__import__(imported, scope, local, wanted, level)
+            return BUILTINS["__import__"](imported, scope, local, wanted, level)
         modules = _modules(name, level, imported, wanted)
         if "" not in modules:
             return SimpleNamespace(**{name: specialised(module, **alike) for name, module in modules.items()})

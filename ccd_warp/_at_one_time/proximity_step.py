@@ -64,8 +64,8 @@ class ProximityStep(StepAtOneTime):
     goal = "proximities"
     bytes_beside = BYTES_PER_PROXIMITY
 
-    def proximities(self, distance: float) -> Proximities:
-        """All pairs within a distance and their radii."""
+    def proximities(self, distance: float, *, unique: bool = False) -> Proximities:
+        """All pairs within a distance and their radii, or each two closest features once."""
         plan = self.search(distance)
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
@@ -82,13 +82,13 @@ class ProximityStep(StepAtOneTime):
                 plan.measure_pairs(NEAR)
                 store.end_batch()
         with self.timed("gather"):
-            arrays = store.gather()
-            dimension = self.mesh.dimension
+            count, columns = store.gather(unique=unique)
+            dimension, direction = self.mesh.dimension, columns["direction"]
             if dimension == 2:
-                arrays["direction"] = arrays["direction"][:, :2].copy()
+                columns["direction"] = lambda: direction()[:, :2].copy()
             x = self.positions[0][:, :dimension].copy()
         self.finish()
-        return Proximities(**arrays, mesh=self.mesh, positions=x, radius=self.mesh.radius)
+        return Proximities._of_list(count, columns, mesh=self.mesh, positions=x, radius=self.mesh.radius)
 
 
 class DisplacementStep(StepAtOneTime):

@@ -52,7 +52,7 @@ class StartDistanceStep(StepAtOneTime):
         topology, device = self.topology, self.topology.device
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
         if len(contacts):
-            values = {"kind": wp.int32, "primitives": wp.vec2i}
+            values = {"kind": wp.int32, "primitives": wp.vec2i, "parameters": wp.vec2d}
             listed: list[wp.array] = [
                 wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
             ]

@@ -153,20 +153,27 @@ def find_intersections(
 
 
 def find_proximity(
-    mesh: CollisionMesh, positions: ArrayLike, distance: float, **options: Unpack[ProximityOptions]
+    mesh: CollisionMesh,
+    positions: ArrayLike,
+    distance: float,
+    *,
+    unique: bool = False,
+    **options: Unpack[ProximityOptions],
 ) -> Proximities:
     """Find the pairs of primitives within a Euclidean distance of each other at one time, with their closest points.
 
     For forces of contact and repulsion, cohesion, or the neighbours of particles. The kinds of pairs are those of
     :func:`find_candidates`, and so is the collision filter; the two points in which surfaces that are apart are closest
     belong to such a pair. One and the same proximity often shows in several pairs, as a closest point may lie on the
-    rim of a face or at the end of an edge: :meth:`Proximities.unique` keeps each once.
+    rim of a face or at the end of an edge: :meth:`Proximities.unique` keeps each once, and so does ``unique=True``,
+    which never gathers the others.
 
     Args:
         mesh: The bodies. Where they have radii, those of both primitives are added to ``distance``.
         positions: Positions of all vertices, float, same length unit as the mesh, shape [V, 3], [W, V / W, 3] of W
             worlds of one size, or [V, 2] in the plane.
         distance: Largest distance of a pair, a length in the unit of the positions, finite and at least 0.
+        unique: Whether to keep each two closest features once, and count the pairs that have them.
         **options: Options of :class:`ccd_warp.ProximityOptions`.
 
     Returns:
@@ -187,9 +194,9 @@ def find_proximity(
     Among subnormal numbers the unit counts besides: no pair is farther apart by more than 2⁻¹⁰⁶⁹, and the distance is
     exact to within 2⁻¹⁰⁷⁴.
     """
-    checked_options = options_of("find_proximity", ProximityOptions, options, others=["distance"])
+    checked_options = options_of("find_proximity", ProximityOptions, options, others=["distance", "unique"])
     with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
-        return pipeline.find_proximity(positions, distance)
+        return pipeline.find_proximity(positions, distance, unique=unique)
 
 
 def displacement_bounds(

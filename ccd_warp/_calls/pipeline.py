@@ -218,7 +218,7 @@ class CollisionPipeline:
         self._check_no_capture()
         with self._lock:
             begin = time.perf_counter()
-            start, end = map(self.mesh._in_space, self.mesh._both_placed(*frames()))
+            start, end = self.mesh._both_in_space(*frames())
             workspace, self._workspace = self._workspace, None
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
@@ -498,7 +498,7 @@ class CollisionPipeline:
 
         return self._run(IntersectionStep, lambda: self._one_frame(positions), IntersectionStep.intersections)
 
-    def find_proximity(self, positions: ArrayLike, distance: float) -> Proximities:
+    def find_proximity(self, positions: ArrayLike, distance: float, *, unique: bool = False) -> Proximities:
         """Find the pairs within a Euclidean distance at one time (:func:`ccd_warp.find_proximity`).
 
         Separations of the pipeline play no part.
@@ -506,8 +506,9 @@ class CollisionPipeline:
         from ccd_warp._at_one_time.proximity_step import ProximityStep  # few programs need it
 
         with naming("find_proximity"):
-            distance = validated_distance(distance)
-        return self._run(ProximityStep, lambda: self._one_frame(positions), lambda step: step.proximities(distance))
+            distance, unique = validated_distance(distance), check_flag("unique", unique)
+        work = lambda step: step.proximities(distance, unique=unique)  # noqa: E731
+        return self._run(ProximityStep, lambda: self._one_frame(positions), work)
 
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
         """Lengths by which vertices may move (:func:`ccd_warp.displacement_bounds`).
@@ -554,7 +555,7 @@ class CollisionPipeline:
         is_ordered: bool = True,
     ) -> MeshResult:
         """The contacts of a step."""
-        contacts = partial(ContactStep.contacts, is_ordered=is_ordered)
+        contacts = partial(ContactStep.contacts, is_ordered=is_ordered, is_placed=is_ordered)
         return self._on_step(ContactStep, vertices_t0, vertices_t1, contacts, motion)
 
     def _checked_start(self, vertices_t0: ArrayLike, motion: RigidMotion | None = None) -> Intersections:

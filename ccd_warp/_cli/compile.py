@@ -17,7 +17,7 @@ from ccd_warp._runtime.target import LEVELS, cpu_target
 from ccd_warp._scene.input.options import resolve_device
 
 # What a word of --for adds to what all steps in float64 need, by parts of the names in `every_module`.
-_OF_START = ("own_box", "start_distances", "near_contacts", "measure_pairs")
+_OF_START = ("start_distances", "near_contacts", "measure_pairs")
 WORDS = {
     "mesh_ccd": (),
     "pairs": (),
@@ -25,13 +25,14 @@ WORDS = {
     "line_search": _OF_START,
     "launch": ("input_rows", "contact_points"),
     "thickness": ("thick", "euclidean", "arc_ball"),
+    "separation": ("own_box",),
     "float32": ("float32",),
     "2d": (" 2",),
     "hash": ("hash",),
     "half_spaces": ("planes",),
     "excluded_pairs": ("True",),
     "find_candidates": ("boxes ",),
-    "find_proximity": ("proximity", "measure_pairs", "near_planes"),
+    "find_proximity": ("proximity", "measure_pairs", "near_planes", "unique"),
     "find_intersections": ("intersections",),
     "motion": ("arc_", "place_bodies", "shorten_paths", "part_overlap"),
     "gradients": ("toi_", "adjoint", "attained", "ordered_sums", "regularity"),

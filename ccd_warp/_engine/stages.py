@@ -228,7 +228,7 @@ class Stages:
         recording: Recording,
         tree_pairs: list[TreePair],
         *,
-        is_needed: Callable[[int], bool] = lambda number: True,
+        is_needed: Callable[[int], bool] | None = None,
         is_any_unlisted: wp.array | None = None,
     ) -> None:
         """Search tree pairs, and count all pairs that the cull leaves, whether or not there was capacity for them.
@@ -236,7 +236,8 @@ class Stages:
         Args:
             recording: Where to record.
             tree_pairs: The tree pairs.
-            is_needed: Called on the CPU outside a capture: whether boxes of the trees of this number may overlap.
+            is_needed: Called on the CPU outside a capture for pairs with static trees, which alone may be far from all
+                others for long: whether boxes of the trees of this number may overlap. By default they always may.
             is_any_unlisted: None where the host sees the counts, and repeats the search. Otherwise the flag on the
                 device that says whether there were more candidates than the lists of CUDA could take, which are then
                 searched for again; and a pair for which there is no capacity gets toi 0.
@@ -247,8 +248,10 @@ class Stages:
         if not recording.is_cuda:
             with recording.at_once():
                 for number, tree_pair in enumerate(tree_pairs):
-                    is_pair_needed = partial(is_needed, number)
-                    self.search(recording, tree_pair, marks_overflow=marks_overflow, is_needed=is_pair_needed)
+                    needed = None
+                    if is_needed is not None and tree_pair.target.primitives.is_static:
+                        needed = partial(is_needed, number)
+                    self.search(recording, tree_pair, marks_overflow=marks_overflow, is_needed=needed)
             return
         self._list_candidates(recording, [(pair, range(pair.query.primitives.count)) for pair in tree_pairs])
         self._cull(recording, self.kinds, marks_overflow=marks_overflow)
@@ -301,7 +304,7 @@ class Stages:
             grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,
             num_needed=None if is_needed is None else lambda: count if is_needed() else 0,  # no more parts than items
-            is_long=lambda: is_long,
+            is_long=(lambda: True) if is_long else None,
         )
 
     def search_kernel(self, tree_pair: TreePair, end: str, *, is_cuda: bool) -> Any:

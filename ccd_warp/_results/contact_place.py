@@ -12,6 +12,7 @@ from ccd_warp._results.distinct import distinct, first_of
 from ccd_warp._results.pairs import pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._results.toi_gradient import ToiGradient
 from ccd_warp._results.touch import Touch
+from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
@@ -86,7 +87,7 @@ class MovingVertices:
     def copied(self, contacts: Contacts) -> "MovingVertices":
         """The same, of arrays that nobody else holds, with what the contacts need."""
         if len(self.start) < _VERTICES_A_CONTACT * len(contacts) + _FEW_VERTICES:
-            return replace(self, start=self.start.copy(), end=self.end.copy())
+            return MovingVertices(self.mesh, self.start.copy(), self.end.copy(), self.paths, self.rows)
         is_needed = np.zeros(len(self.start), dtype=bool)
         is_needed[contacts.vertices] = True
         is_needed[self.mesh.planes.vertices[self.mesh.planes.vertices >= 0]] = True
@@ -239,7 +240,7 @@ def located(
         start, end = (None if x is None else x[:, :2] for x in (start, end))
     if len(contacts) == 0:
         place.points = place.relative_velocity = np.zeros((0, mesh.dimension))
-    contacts = Contacts(**vars(contacts))._of(place)
+    contacts = of_values(Contacts, vars(contacts))._of(place)
     if len(contacts) and start is not None and end is not None:
         place.frames = MovingVertices(mesh, start, end, paths).copied(contacts)
     return contacts

@@ -170,6 +170,17 @@ class DeviceProximities(DevicePairs):
         """
         return self._known_step().contact_arrays.unique(self.features)
 
+    def shared_by(self) -> wp.array:
+        """How many pairs, this one included, have the closest features of each that :meth:`unique` marks.
+
+        Returns:
+            Numbers on the device, int32, shape [max_contacts], which of other pairs mean nothing.
+
+        Raises:
+            RuntimeError: If a graph is being captured and there was no earlier call.
+        """
+        return self._known_step().contact_arrays.shared_by(self.features)
+
     def to_host(self) -> Proximities:
         """The pairs as NumPy arrays in the order of :class:`ccd_warp.Proximities`; this waits for the device.
 

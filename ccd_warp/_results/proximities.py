@@ -1,21 +1,19 @@
 """What is near at one time: the pairs, where they are nearest, and what follows from the mesh."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._results.pairs import ClosePairs, features_of, radii_of_pairs
+from ccd_warp._results.pairs import ClosePairs, radii_of_pairs
+from ccd_warp._results.shared_features import unique_rows
 from ccd_warp._runtime.display import counted, html_table, kind_name, named_counts, pairs_of_bodies
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.mesh import CollisionMesh
-
-# Bits of `features`, one for each column of `vertices`; what spans the inside of a face, or of both edges.
-_BITS = np.array([1, 2, 4, 8], dtype=np.int32)
-_ALL = 15
 
 
 @text_completed_by(ClosePairs)
@@ -42,6 +40,8 @@ class Proximities(ClosePairs):
         mesh: The mesh.
         positions: Positions of all vertices, float64, shape [V, 3], or [V, 2] in the plane.
         radius: Radius of all vertices, float64, shape [V]; None where there are none.
+        shared_by: How many pairs, this one included, have the closest features of each that :meth:`unique` keeps,
+            int32, shape [m]; None of all pairs.
     """
 
     parameters: NDArray[np.float64]
@@ -51,6 +51,35 @@ class Proximities(ClosePairs):
     mesh: CollisionMesh
     positions: NDArray[np.float64]
     radius: NDArray[np.float64] | None = None
+    shared_by: NDArray[np.int32] | None = field(default_factory=lambda: None)  # so that the class has none
+
+    @classmethod
+    def _of_list(cls, count: int, columns: dict[str, Callable[[], NDArray[Any]]], **others: Any) -> "Proximities":
+        """A table of so many pairs, whose columns are computed when they are read, and other fields."""
+        table = object.__new__(cls)
+        others |= {} if "shared_by" in columns else {"shared_by": None}
+        vars(table).update(others, _count=count, _unread=columns)
+        return table
+
+    if not TYPE_CHECKING:  # no attributes but those that are declared
+
+        def __getattr__(self, name: str) -> Any:
+            """A column that has not been read before; of threads that ask at once, each may compute it."""
+            unread = vars(self).get("_unread", {})
+            column = unread.get(name)
+            if column is not None:
+                vars(self).setdefault(name, column())
+                unread.pop(name, None)
+            if name not in vars(self):
+                raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}", name=name, obj=self)
+            return vars(self)[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All columns, read."""
+        return self._fields()
+
+    def __len__(self) -> int:
+        return vars(self)["_count"] if "_count" in vars(self) else len(self.kind)
 
     def _known_mesh(self) -> CollisionMesh:
         return self.mesh
@@ -89,16 +118,11 @@ class Proximities(ClosePairs):
 
         They are two vertices, a vertex and an edge, two edges, or a vertex and a face. What a vertex has to do with an
         edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.
+        ``shared_by`` says in how many.
         """
-        rows = np.flatnonzero((self.features != _ALL) & (self.kind != int(PairKind.VERTEX_PLANE)))
-        spans = (self.features[rows, None] & _BITS) != 0
-        first, second = features_of(self.kind[rows], self.vertices[rows], spans)
-        low, high = np.minimum(first, second), np.maximum(first, second)
-        order = np.lexsort((high, low))  # stable: of equal ones the first pair comes first
-        low, high = low[order], high[order]
-        is_repeated = np.zeros(len(self), dtype=bool)
-        is_repeated[rows[order[1:]]] = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
-        return self[~is_repeated]
+        mesh, columns = self.mesh, (self.kind, self.primitives, self.features)
+        rows, shared_by = unique_rows(*columns, mesh.edges, mesh.faces, mesh.num_vertices)
+        return replace(self[rows], shared_by=shared_by)
 
     def __repr__(self) -> str:
         if len(self) == 0:

@@ -56,6 +56,10 @@ class ArcCourse(Course):
         of_rigid: NDArray[np.bool_] = (fraction == 0.0) | ~self._paths.moves[self._mesh.vertex_body]
         return np.where(self._is_rigid, of_rigid, super().are_at_start(vertices, fraction))
 
+    def may_stay(self, fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vertices may be where they start; on an arc one may come back there."""
+        return self._is_rigid | super().may_stay(fraction)
+
     def _of_bodies(self, fraction: NDArray[np.float64]) -> NDArray[np.float64]:
         """The least fraction of the vertices of each body, 1 of those without any."""
         return self._least_of_bodies(fraction, 1.0)

@@ -194,7 +194,7 @@ class MotionWorlds:
                 yield worlds, result, self._in_one_world(result.contacts, worlds)
             return
         mesh = self._mesh
-        of_step = partial(ContactStep.contacts, is_ordered=False)
+        of_step = partial(ContactStep.contacts, is_ordered=False, is_placed=False)
         for worlds, of_parts, result in parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 

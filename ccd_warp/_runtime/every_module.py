@@ -9,6 +9,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp import kernels
+from ccd_warp.kernels.later import define_kernels
 from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
 from ccd_warp.kernels.template import specialised
@@ -31,6 +32,7 @@ def every_module(width: int | None) -> dict[str, Any]:
         if "@wp.kernel" in path.read_text(encoding="utf-8"):
             name = f"{kernels.__name__}.{path.parent.name}.{path.stem}"
             module = wp.get_module(importlib.import_module(name).__name__)
+            define_kernels(name)
             if module.kernels and not (width and path.stem == _OF_CUDA):
                 modules[path.stem] = module
     for dimension in (2, 3):
@@ -51,8 +53,7 @@ def every_module(width: int | None) -> dict[str, Any]:
         of_start = specialised("at_one_time.start_distances", norm=norm)
         modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
-        if (real, norm) != (wp.float32, OWN_BOX_NORM):  # what is held is solved in float64
-            modules |= _of_solver(real, norm, width)
+        modules |= _of_solver(real, norm, width)
     return modules | _of_searches(width)
 
 

@@ -1,11 +1,15 @@
-"""The hashes of modules that come with the package, so that Warp need not read all kernels for them once more.
+"""The hashes of modules that were compiled before, so that Warp need not read all functions of kernels to compute them.
 
-They are kept with the digest of the files of kernels, and serve as long as these, and Warp's options, are the same.
+They come with the package, or lie in Warp's cache beside the objects. One serves as long as the files of kernels, the
+version of Warp and its options are the same, and names only what is there: what is compiled, Warp names by itself.
 """
 
 import hashlib
+import json
+import os
+import threading
 from collections.abc import Iterable
-from functools import cache
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,6 +17,13 @@ from weakref import WeakKeyDictionary
 import warp as wp
 
 from ccd_warp import kernels
+from ccd_warp.kernels.later import sources
+
+# What Warp learns of a kernel only where it looks for what that refers to, which it does for its hash.
+_OF_HASHING = ("kernel_dim", "tid_extent_limit_candidate")
+_FOLDER = "wp_ccd_warp.hashes"  # in Warp's cache, which `warp.clear_kernel_cache` empties of what begins with "wp_"
+_digested: dict[str, bytes] = {}
+_digest = ""
 
 
 class _KeptHasher:
@@ -32,20 +43,26 @@ class _KeptHasher:
         return self.unique_kernels.values()
 
 
-@cache
 def digest_of_sources() -> str:
-    """That of all files of kernels and their names."""
-    digest, folder = hashlib.sha256(), Path(kernels.__path__[0])
-    for path in sorted(folder.rglob("*.py")):
-        content = path.read_bytes()
-        digest.update(f"{path.relative_to(folder).as_posix()} {len(content)} ".encode() + content)
-    return digest.hexdigest()
+    """That of all files of kernels and their names, with the version of Warp: as they were when they were executed."""
+    global _digested, _digest
+    if not _digest or any(_digested.get(path) != content for path, content in [*sources.items()]):
+        folder = Path(kernels.__path__[0])
+        _digested = {str(path): path.read_bytes() for path in sorted(folder.rglob("*.py"))} | sources
+        digest = hashlib.sha256(wp.config.version.encode())
+        for path, content in _digested.items():
+            digest.update(f" {Path(path).relative_to(folder).as_posix()} {len(content)} ".encode() + content)
+        _digest = digest.hexdigest()
+    return _digest
 
 
-def hashes_of(module: Any, block_dim: int) -> dict[str, list[Any]]:
-    """The hash of a module, and for each kernel its own and whether it strides, by the name and the options."""
+def hashes_of(module: Any, block_dim: int | None) -> dict[str, list[Any]]:
+    """The hash of a module, and for each kernel its own, whether it strides and its dimension, by name and options."""
     module_hash, live = module.get_module_hash(block_dim), list(module._get_live_kernels())
-    of_kernels = {kernel.key: [kernel.hash.hex(), kernel.grid_stride] for kernel in live}
+    of_kernels = {
+        kernel.key: [kernel.hash.hex(), kernel.grid_stride, *(getattr(kernel.adj, name) for name in _OF_HASHING)]
+        for kernel in live
+    }
     is_known = len(of_kernels) == len(live) and not module.has_unresolved_static_expressions
     return {_key(module, block_dim): [module_hash.hex(), of_kernels]} if is_known else {}
 
@@ -60,13 +77,46 @@ def recall(module: Any, block_dim: int | None, index: dict[str, Any]) -> None:
         return
     hashes = {}
     for kernel in live:
-        kernel.adj.get_references()  # finds the dimension of its launches, too; what takes long is all that it calls
-        of_kernel, kernel.grid_stride = of_kernels[kernel.key]
+        of_kernel, kernel.grid_stride, *others = of_kernels[kernel.key]
+        for name, value in zip(_OF_HASHING, others, strict=True):
+            setattr(kernel.adj, name, value)
         kernel.hash = hashes[kernel] = bytes.fromhex(of_kernel)
     module.hashers[block_dim] = _KeptHasher(bytes.fromhex(module_hash), hashes)
     module.resolved_options[block_dim] = module.resolve_options(wp.config, block_dim=block_dim)
 
 
+def recall_from_cache(module: Any, block_dim: int | None) -> None:
+    """Give Warp the hash that is kept in its cache."""
+    if _is_ours(module):
+        with suppress(OSError, ValueError, TypeError, LookupError):  # there is none, or half of one
+            recall(module, block_dim, dict(json.loads(_path(module, block_dim).read_bytes())))
+
+
+def keep_in_cache(module: Any, block_dim: int | None) -> None:
+    """Keep a hash that Warp has computed."""
+    if not _is_ours(module) or isinstance(module.hashers.get(block_dim), _KeptHasher):
+        return
+    path = _path(module, block_dim)
+    own = path.with_suffix(f".{os.getpid()}.{threading.get_ident()}")  # another process may write the same
+    index = {"sources": digest_of_sources(), "hashes": hashes_of(module, block_dim)}
+    with suppress(OSError):  # a cache that cannot be written
+        path.parent.mkdir(exist_ok=True)
+        own.write_text(json.dumps(index), encoding="utf-8")
+        own.replace(path)
+
+
+def _is_ours(module: Any) -> bool:
+    """Whether the digest is that of all that a module may contain."""
+    files = {kernel.func.__code__.co_filename for kernel in module._get_live_kernels()}
+    return bool(files) and files <= sources.keys()
+
+
+def _path(module: Any, block_dim: int | None) -> Path:
+    name = hashlib.sha256(f"{digest_of_sources()} {_key(module, block_dim)}".encode()).hexdigest()
+    return Path(str(wp.config.kernel_cache_dir), _FOLDER, f"{name}.json")
+
+
 def _key(module: Any, block_dim: int | None) -> str:
     options = sorted(module.resolve_options(wp.config, block_dim=block_dim).items())
-    return f"{module.name} {hashlib.sha256(repr(options).encode()).hexdigest()}"
+    files = sorted({kernel.func.__module__ for kernel in module._get_live_kernels()})
+    return f"{module.name} {hashlib.sha256(repr((files, options)).encode()).hexdigest()}"

@@ -13,6 +13,7 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.kept_hashes import keep_in_cache, recall_from_cache
 from ccd_warp._runtime.packaged import load_packaged
 from ccd_warp._runtime.shared_header import one_header
 from ccd_warp._runtime.target import set_flags
@@ -33,12 +34,15 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     set_flags(kernel.module, device)
     if load_packaged(kernel.module, device, block_dim) and _is_there(kernel, device, block_dim):
         return
+    recall_from_cache(kernel.module, block_dim)
     # There is a folder of the module only if it was compiled before.
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if not os.path.isdir(folder):
         _say_once(device)
+        kernel.module.mark_modified()  # what is compiled is named by a hash of Warp's own
     try:
         _load(kernel, device, block_dim)
+        keep_in_cache(kernel.module, block_dim)
         return
     except Exception as error:  # Warp raises whatever a damaged file leads to
         failure = error
@@ -48,8 +52,10 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
             f"Warp's kernel cache is damaged in {folder} ({reason}); it is compiled again", RuntimeWarning, stacklevel=2
         )
         shutil.rmtree(folder, ignore_errors=True)
+        kernel.module.mark_modified()
         try:
             _load(kernel, device, block_dim)
+            keep_in_cache(kernel.module, block_dim)
             return
         except Exception as error:
             failure = error

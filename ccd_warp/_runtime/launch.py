@@ -240,6 +240,7 @@ class _Call:
     """A function that launches kernels of Warp's own, in place of a launch."""
 
     launch: Callable[[], None]
+    num_parts: ClassVar[int] = 1
 
     def parts(self) -> list[Callable[[], None]]:
         """The function, which has no parts."""
@@ -255,6 +256,26 @@ class _Launch:
     num_needed: Callable[[], int] | None = None
     is_long: Callable[[], bool] | None = None
 
+    @property
+    def is_short(self) -> bool:
+        """Whether it is one part, which is always needed and never takes long."""
+        return self.packed.num_parts == 1 and self.num_needed is None and self.is_long is None
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    """Launches of one part each, which are not worth a thread: the one that plays them calls one after the other."""
+
+    launches: list[_Launch]
+    parts: list[Callable[[], None]] = field(default_factory=list)
+
+    def play(self) -> None:
+        """Launch them, not in a capture."""
+        if not self.parts:
+            self.parts.extend([part for each in self.launches for part in each.packed.parts()])
+        for part in self.parts:
+            part()
+
 
 @dataclass(frozen=True)
 class _Conditional:
@@ -265,7 +286,21 @@ class _Conditional:
     groups: "list[_Group]"
 
 
-_Group = list[_Launch] | _Conditional
+_Group = list[_Launch] | _Sequence | _Conditional
+
+
+def _in_sequences(groups: list[_Group]) -> list[_Group]:
+    """The same groups, of which those that no other thread ever works on are joined where they follow one another."""
+    joined: list[_Group] = []
+    for group in groups:
+        is_large = isinstance(group, list) and len(group) > 1 and any(each.is_large for each in group)
+        if not isinstance(group, list) or is_large or not all(each.is_short for each in group):
+            joined.append(group)
+        elif joined and isinstance(joined[-1], _Sequence):
+            joined[-1].launches.extend(group)
+        else:
+            joined.append(_Sequence(group))
+    return joined
 
 
 def leaves_out_launches(device: Any) -> bool:
@@ -325,7 +360,7 @@ class Recording:
         """Record launches as a section."""
         self._groups = []
         yield
-        self._sections[name], self._groups = self._groups, []
+        self._sections[name], self._groups = _in_sequences(self._groups), []
 
     @contextmanager
     def only_if(self, condition: wp.array) -> Iterator[None]:
@@ -337,7 +372,7 @@ class Recording:
         outer, self._groups = self._groups, []
         yield
         on_host = None if self.execution.device.is_cuda else condition.numpy()
-        outer.append(_Conditional(condition, on_host, self._groups))
+        outer.append(_Conditional(condition, on_host, _in_sequences(self._groups)))
         self._groups = outer
 
     @contextmanager
@@ -439,8 +474,10 @@ class Recording:
             if isinstance(group, _Conditional):
                 self._play_conditional(section, group)
             elif is_serial:
-                for each in group:
+                for each in group.launches if isinstance(group, _Sequence) else group:
                     each.packed.launch()
+            elif isinstance(group, _Sequence):
+                group.play()
             else:
                 self._play_on_threads(section, group)
 

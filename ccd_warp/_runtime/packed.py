@@ -18,12 +18,15 @@ class PackedLaunch:
 
     How Warp hands bounds and arguments to a kernel is its own affair. So the launch is made once with a stand-in in
     place of the kernel, and what that is given is kept.
+
+    Attributes:
+        num_parts: Number of parts.
     """
 
     def __init__(self, command: wp.Launch, ranges: Sequence[tuple[int, int]]) -> None:
         """The parts are these ranges of items; the first parameter of the kernel is the item with which one begins."""
         self._command = command
-        self._ranges = ranges
+        self._ranges, self.num_parts = ranges, len(ranges)
         self._names = [argument.label for argument in command.kernel.adj.args]
         self._arguments: Any = None
         self._parts: list[Callable[[], None]] = []

@@ -17,7 +17,13 @@ from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.half_space import HalfSpace, Planes
 from ccd_warp._scene.input.arguments import check_count, check_items
-from ccd_warp._scene.input.arrays import as_positions, check_finite, validated_positions
+from ccd_warp._scene.input.arrays import (
+    are_few_and_finite,
+    as_positions,
+    check_finite,
+    is_float64,
+    validated_positions,
+)
 from ccd_warp._scene.input.body_arrays import joined_bodies
 from ccd_warp._scene.input.body_options import BodyOptions
 from ccd_warp._scene.input.cells import cells_by_type, with_surfaces
@@ -596,6 +602,15 @@ class CollisionMesh(ReadOnly):
         placed = self._placed(start)
         return placed, placed if end is start else self._placed(end)
 
+    def _both_in_space(
+        self, start: NDArray[np.float64], end: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Validated positions at both ends of a step as the engine takes them."""
+        if self.dimension == 3 and not len(self.unused_vertices):
+            return start, end
+        start, end = self._both_placed(start, end)
+        return self._in_space(start), self._in_space(end)
+
     @lazy_property
     def is_thick(self) -> bool:
         """Whether a vertex that takes part has a radius above 0."""
@@ -765,6 +780,8 @@ class CollisionMesh(ReadOnly):
             ValueError: If a shape does not match, or, of vertices that take part, a value is not finite or a row of a
                 static body differs from that in ``vertices_t0``; the sign of a zero is no difference.
         """
+        if self._are_plain(vertices_t0, vertices_t1):
+            return vertices_t0, vertices_t1  # type: ignore[return-value]
         start = self.frame(vertices_t0, "vertices_t0")
         by_world = self.rows_by_world
         if len(self.moving_vertices) == self.num_vertices:
@@ -787,6 +804,18 @@ class CollisionMesh(ReadOnly):
         full = start.copy()
         full[moving] = end
         return start, full
+
+    def _are_plain(self, start: ArrayLike, end: ArrayLike) -> bool:
+        """Whether these are few positions of all vertices, which all move, that need no more checks: as most are."""
+        return (
+            type(start) is np.ndarray
+            and type(end) is np.ndarray
+            and start.shape == end.shape == self.vertices.shape
+            and len(self.moving_vertices) == len(start)
+            and is_float64(start)
+            and is_float64(end)
+            and are_few_and_finite(start, end)
+        )
 
     def _check_static_stay(self, start: NDArray[np.float64], end: NDArray[np.float64]) -> None:
         """Check that the rows of static bodies, which are finite where they take part, are the same at both ends."""

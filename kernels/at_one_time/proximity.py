@@ -158,24 +158,3 @@ def proximity_keys(
     n = begin + wp.tid()
     if n < proximities.count[0]:
         keys[n] = sort_key(proximities.kind[n], proximities.primitives[n])
-
-
-@wp.kernel
-def order_proximities(
-    begin: int,
-    # in
-    order: wp.array[wp.int32],
-    proximities: ProximityList,
-    # out
-    ordered: ProximityList,
-):
-    """Copy the pairs in the given order."""
-    n = begin + wp.tid()
-    if n < proximities.count[0]:
-        k = order[n]
-        ordered.kind[n] = proximities.kind[k]
-        ordered.primitives[n] = proximities.primitives[k]
-        ordered.parameters[n] = proximities.parameters[k]
-        ordered.distance[n] = proximities.distance[k]
-        ordered.direction[n] = proximities.direction[k]
-        ordered.features[n] = proximities.features[k]

@@ -11,9 +11,10 @@ import warp as wp
 from ..boxes.thickness import distance_of
 from ..pair.norm import is_ball
 from ..pair.passing import clip_passing
+from ..pair.patch import Corners
 from ..pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ..pair.single_points import Points, corners, largest, points_of
-from ..pair_kind import VERTEX_FACE, VERTEX_PLANE
+from ..pair_kind import EDGE_EDGE, VERTEX_FACE, VERTEX_PLANE
 from ..parameters import norm
 from ..step.contacts import vertices_of
 from ..step.minima import Minima, world_of
@@ -26,6 +27,9 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _ROOT = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64]))
+# A share of a distance, and of the corners of a pair, that is more than all that rounding takes.
+_CLEARLY = wp.constant(wp.float64(1.0 - 2.0**-20))
+_NOISE = wp.constant(wp.float64(2.0**-40))
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 
 
@@ -39,10 +43,35 @@ def least_distance(kind: int, p: Points) -> wp.float64:
 
 
 @wp.func
-def passes_by(kind: int, a: Points, b: Points, distance: wp.float64) -> bool:
+def patch_point(kind: int, c: Corners, parameters: wp.vec2d) -> wp.vec3d:
+    """The difference of two points of a pair, given by their parameters."""
+    along_q = parameters[0]
+    along_r = parameters[1]
+    if kind == EDGE_EDGE:
+        along_q = parameters[1]
+        along_r = parameters[0]
+    return c.w00 + along_q * (c.w01 - c.w00) + along_r * (c.w10 - c.w00)
+
+
+@wp.func
+def comes_within(kind: int, c0: Corners, c1: Corners, parameters: wp.vec2d, distance: wp.float64) -> bool:
+    """Whether two points of a pair clearly come nearer than a distance; where these touch first, most pairs do."""
+    gap = patch_point(kind, c0, parameters)
+    motion = patch_point(kind, c1, parameters) - gap
+    nearest = gap + wp.clamp(-wp.dot(gap, motion) / wp.dot(motion, motion), _ZERO, _ONE) * motion
+    size = wp.length(nearest)
+    if wp.static(not is_ball(norm)):
+        size = wp.max(wp.abs(nearest))
+    return size < _CLEARLY * distance - _NOISE * (wp.max(largest(c0)) + wp.max(largest(c1)))
+
+
+@wp.func
+def passes_by(kind: int, a: Points, b: Points, parameters: wp.vec2d, distance: wp.float64) -> bool:
     """Whether a direction keeps a pair at a distance all the step, in the norm of the separation."""
     c0 = corners(kind, a)
     c1 = corners(kind, b)
+    if comes_within(kind, c0, c1, parameters, distance):
+        return False
     error = _ROOT * (largest(c0) + largest(c1))
     separation = wp.vec3d(distance, distance, distance)
     return clip_passing(c0, c1, error, separation, kind == VERTEX_FACE, wp.uint32(1), _ZERO, _ONE) > _ONE
@@ -59,6 +88,7 @@ def note_near_contacts(
     count: wp.array[wp.int32],
     kinds: wp.array[wp.int32],
     primitives: wp.array[wp.vec2i],
+    parameters: wp.array[wp.vec2d],
     vertex_corners: wp.array[wp.vec3i],
     edge_corners: wp.array[wp.vec3i],
     face_corners: wp.array[wp.vec3i],
@@ -84,12 +114,15 @@ def note_near_contacts(
     if kind == VERTEX_PLANE:
         return
     first, second = vertices_of(kind, primitives[n], vertex_corners, edge_corners, face_corners)
+    if world_near[world_of(minima, first[0])] != 0:
+        return
     start = points_of(kind, first, second, x)
     is_near = not (least_distance(kind, start) > distance_of(reach.distance, reach.radius, first, second))
     if not is_near and x_t1.shape[0] > 0:
         end = points_of(kind, first, second, x_t1)
         slack = reach.distance - reach.kept
-        is_near = passes_by(kind, start, end, distance_of(reach.kept, reach.radius, first, second) - slack)
+        kept = distance_of(reach.kept, reach.radius, first, second) - slack
+        is_near = passes_by(kind, start, end, parameters[n], kept)
     if is_near:
         world_near[world_of(minima, first[0])] = 1
 

@@ -6,7 +6,7 @@ The pairs are those of a list, or of a table: then the list has their kind alone
 import warp as wp
 
 from ..pair.lane_solver import LaneAnswer, first_rounds, later_rounds
-from ..pair.norm import has_arcs, is_by_pair
+from ..pair.norm import has_arcs
 from ..pair.pair_options import options_of_rows
 from ..pair.points import Points
 from ..pair.query import Options
@@ -16,7 +16,6 @@ from ..template import specialised
 from .lane_rows import Index
 
 on_arcs = has_arcs(norm)
-has_first_rounds = not is_by_pair(norm)
 if on_arcs:
     from ..pair.lane_windows import first_window, later_windows
     from .lane_rows import arcs_of_pairs
@@ -28,15 +27,13 @@ def first_answer(
     pairs: PairList, rows: Index, a: Points, b: Points, options: Options, cap: int, least: wp.float64
 ) -> LaneAnswer:
     """Make the first rounds of the pairs in all lanes, of which none skips them."""
-    answer = LaneAnswer()
+    lane_options = options_of_rows(options, pairs, rows)
     if wp.static(on_arcs):
-        lane_options = options_of_rows(options, pairs, rows)
         lane_options.arcs = arcs_of_pairs(pairs, rows, options.turns)
         t = simd64.spread(options.turns.t_begin)
-        answer = first_window(pairs.kind, a, b, lane_options, options, t, cap, least)
-    elif wp.static(has_first_rounds):
-        answer = first_rounds(pairs.kind, a, b, options, cap, least)
-    return answer
+        return first_window(pairs.kind, a, b, lane_options, options, t, cap, least)
+    else:
+        return first_rounds(pairs.kind, a, b, lane_options, cap, least)
 
 
 @wp.func

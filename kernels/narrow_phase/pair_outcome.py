@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import MAXIMUM_NORM, has_arcs, is_ball, is_by_pair
+from ..pair.norm import has_arcs, is_ball, is_by_pair
 from ..pair.pair_options import options_of_pair
 from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points
@@ -54,10 +54,11 @@ def outcome_of(answer: LaneAnswer, lane: int, options: Options) -> solver.Outcom
 
 @wp.func
 def skips_first_rounds(options: Options) -> bool:
-    """Whether pairs skip the first rounds, which know no separation and are not those of the bisection."""
-    if wp.static(by_pair):
-        return not wp.static(on_arcs) or options.method != CLIPPING
-    return options.minimum_separation > wp.float64(0.0) or options.method != CLIPPING
+    """Whether pairs skip the first rounds, which are not those of the bisection, and know no share of the gap."""
+    skips = options.method != CLIPPING
+    if wp.static(by_pair and not on_arcs):
+        skips = skips or options.start_gap_fraction > wp.float64(0.0)
+    return skips
 
 
 @wp.func
@@ -83,7 +84,7 @@ def finished(
 ) -> solver.Outcome:
     """The result of a pair that its lane has left open at time t, after ``used`` iterations.
 
-    Of a contact within a separation only the parameters are set: its lane has found a point, not the closest one.
+    Of a contact only the parameters are set: its lane has found a point, which need not be the closest one.
     """
     outcome = solver.Outcome()
     n = solver.normalise(kind, a, b, options)
@@ -121,10 +122,7 @@ def status_at_start(kind: int, gap: wp.float64, a: Points, options: Options) -> 
     most = most_gap(options)
     if gap <= most:
         return STATUS_INITIAL_CONTACT
-    separation = options.minimum_separation
-    if wp.static(norm == MAXIMUM_NORM):
-        separation *= options.length_scale
-    if is_near(kind, a, separation + most, is_euclidean):
+    if is_near(kind, a, options.minimum_separation + most, is_euclidean):
         return STATUS_INITIAL_CONTACT
     return STATUS_ROUNDING_LIMIT
 
@@ -138,11 +136,7 @@ def lanes_at_start(answer: LaneAnswer) -> wp.uint32:
 @wp.func
 def finished_lanes(answer: LaneAnswer, options: Options) -> wp.uint32:
     """The lanes of which `outcome_of` says all there is to say; for the others `finished` goes on."""
-    if wp.static(by_pair):
-        return answer.free
-    if options.minimum_separation > wp.float64(0.0):
-        return answer.free
-    finished = answer.free | answer.contact
+    finished = answer.free | (answer.contact & answer.closest)
     if answer.contact != _NONE and options.length_scale > wp.float64(0.0):
         finished = finished & ~(answer.contact & lanes_at_start(answer))
     return finished
@@ -157,12 +151,13 @@ def finished_of_table(
     is_contact = is_set(answer.contact, lane)
     if is_contact and outcome.status == STATUS_NO_COLLISION:
         return outcome
-    used = wp.int32(simd.lane_of(answer.iterations, lane))
-    of_solver = finished(kind, simd.lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
-    if not is_contact:
-        outcome = of_solver
-    elif options.minimum_separation > wp.float64(0.0):
-        outcome.parameters = of_solver.parameters
+    if not (is_contact and is_set(answer.closest, lane)):
+        used = wp.int32(simd.lane_of(answer.iterations, lane))
+        of_solver = finished(kind, simd.lane_of(answer.t, lane), used, is_contact, a, b, options, cap)
+        if is_contact:
+            outcome.parameters = of_solver.parameters
+        else:
+            outcome = of_solver
     if outcome.status == STATUS_INITIAL_CONTACT:
         outcome.status = status_at_start(kind, outcome.gap, a, options)
     return outcome

@@ -17,7 +17,7 @@ and no other pair at all.
 import warp as wp
 
 from ..atomics import claim
-from ..pair.norm import MAXIMUM_NORM, OWN_BOX_NORM, has_arcs
+from ..pair.norm import MAXIMUM_NORM, has_arcs
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import row_points
@@ -148,6 +148,8 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     def is_done(pair: OpenPair, least: LeastToi, are_shared: bool) -> bool:
         """Whether a pair of the queue is settled; the threads of a warp that share it find the same."""
         done = pair.row == _SETTLED
+        if wp.static(not is_last):
+            done = pair.row < 0
         if wp.static(is_bound):
             done = done or pair_outcome.is_beyond(pair.t, least)
             if are_shared:
@@ -257,11 +259,14 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     continue
                 if is_needed:
                     outcome = pair_outcome.outcome_of(answer, 0, options)
+                is_complete = bool(True)
+                if wp.static(is_table):
+                    is_complete = outcome.status == STATUS_NO_COLLISION or answer.closest != _NONE
                 if wp.static(not is_initial):
-                    queue.rows[n] = _SETTLED
-                    if wp.static(is_table):
-                        if outcome.status != STATUS_NO_COLLISION and skips_first:
-                            queue.rows[n] = _SETTLED - 1 - k
+                    queue.rows[n] = wp.where(is_complete, _SETTLED, _SETTLED - 1 - k)
+                elif wp.static(is_table):
+                    if not is_complete:
+                        enqueue(queue, pairs.counts, row, column, _SETTLED - 1 - k, answer.t, 0)
             if not items.writes:
                 continue
             if wp.static(is_table):
@@ -276,9 +281,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
     return solve_pairs
 
 
-points_toi = (
-    [] if norm == OWN_BOX_NORM or on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
-)
+points_toi = [] if on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
 solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

@@ -40,6 +40,7 @@ _PATIENCE = wp.constant(3)
 
 is_euclidean = is_ball(norm)
 vec3 = wp.types.vector(length=3, dtype=real)
+floor_errors = wp.constant(real(8.0))
 
 
 @wp.func
@@ -230,7 +231,7 @@ def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iter
 
     Invariant: the patch is free of contact on [t_start, t).
     """
-    floor = real(8.0) * problem.error  # a smaller gap may consist of rounding errors only
+    floor = floor_errors * problem.error  # a smaller gap may consist of rounding errors only
     contact_size = problem.separation + problem.delta
     if wp.static(not is_euclidean):
         contact_size = contact_size + floor
@@ -273,7 +274,7 @@ def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iter
             new_gap = slack * slack
         else:
             if use_facets:
-                facet = widest_facet(c, problem.separation, problem.error, patch.is_face)
+                facet = widest_facet(c, problem.separation, problem.error, patch.is_face, floor_errors)
                 s = advance_facets(patch, problem, facet, t, t_max, slow > 0)
                 at_floor = facet.floor_excess <= real(0.0)
                 new_gap = facet.slack * facet.slack

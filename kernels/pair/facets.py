@@ -42,7 +42,6 @@ three = wp.constant(real(3.0))
 six = wp.constant(real(6.0))
 nine = wp.constant(real(9.0))
 one_percent = wp.constant(real(0.01))
-floor_errors = wp.constant(real(8.0))
 round_up = wp.constant(real(1.0 + RELATIVE * UNIT_ROUNDOFF[real]))
 tiny_direction = wp.constant(real(TINY_DIRECTION[real]))
 far_behind = wp.constant(real(-1.0e30))
@@ -54,7 +53,7 @@ class Facet:
 
     number: Lanes
     slack: Lanes  # distance from the enlarged patch along the direction, divided by the L1 norm of the direction
-    floor_excess: Lanes  # largest slack beyond separation and rounding
+    floor_excess: Lanes  # largest slack beyond the separation and so many rounding bounds
 
 
 @wp.func
@@ -109,13 +108,13 @@ def direction(number: Lanes, c: Corners) -> Vec3:
 
 
 @simd.func
-def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3) -> Facet:
+def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, error: Vec3, floor: real) -> Facet:
     """Keep the facet with the larger slack, and the largest excess; number -1 counts for the excess alone."""
     m = magnitude(d)
     size = m.x + m.y + m.z
     counts = is_less(tiny_direction, size)
     gap = beyond(d, c) - dot(m, separation)
-    excess = gap - floor_errors * dot(m, error)
+    excess = gap - floor * dot(m, error)
     facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
     if number >= 0:
         # of two with similar slack the first is kept: axes are constant, whereas a side may vanish
@@ -127,20 +126,20 @@ def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, e
 
 
 @wp.func
-def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool) -> Facet:
-    """The facet that separates best at one time."""
+def widest_facet(c: Corners, separation: Vec3, error: Vec3, is_face: bool, floor: real) -> Facet:
+    """The facet that separates best at one time; ``floor`` is how many rounding bounds its excess leaves out."""
     facet = Facet()
     facet.number = spread(zero)
     facet.slack = spread(far_behind)
     facet.floor_excess = spread(far_behind)
     for axis in range(3):
-        facet = consider(facet, axis, axis_of(axis), c, separation, error)
+        facet = consider(facet, axis, axis_of(axis), c, separation, error, floor)
     for side in range(num_sides(is_face)):
         s = side_of(c, side)
         for axis in range(3):
-            facet = consider(facet, 3 * side + 3 + axis, cross(s, axis_of(axis)), c, separation, error)
+            facet = consider(facet, 3 * side + 3 + axis, cross(s, axis_of(axis)), c, separation, error, floor)
     # the normal is used for the excess only: clipping along it is left to the volume
-    return consider(facet, -1, cross(side_of(c, 0), side_of(c, 1)), c, separation, error)
+    return consider(facet, -1, cross(side_of(c, 0), side_of(c, 1)), c, separation, error, floor)
 
 
 @simd.func

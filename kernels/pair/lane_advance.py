@@ -15,7 +15,7 @@ from .inclusion import clip, clip_beyond
 from .lane_closest import LaneClosest, closest
 from .lane_pair import LanePair
 from .lane_touch import touching_point
-from .norm import is_ball
+from .norm import is_ball, is_by_pair
 from .patch import Corners, Volume, corners_at
 from .rounding import UNIT_ROUNDOFF
 from .simd import (
@@ -35,7 +35,7 @@ from .simd import (
     vec,
 )
 from .support import length
-from .volume import clip_volume
+from .volume import clip_volume, clip_with_reach, reach_of
 
 _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round: in the first rounds, and at most in the later ones.
@@ -48,6 +48,7 @@ _TURN_STEPS = wp.constant(2)
 
 
 is_euclidean = is_ball(norm)
+by_pair = is_by_pair(norm)
 
 unit = UNIT_ROUNDOFF[real]
 zero = wp.constant(real(0.0))
@@ -56,7 +57,8 @@ settled = wp.constant(real(8.0 * unit))  # a gain of the volume that is rounding
 quarter = wp.constant(real(0.25))
 patience = wp.constant(real(3.0))
 huge = wp.constant(real(1.0e30))
-stall_errors = wp.constant(real(128.0))
+# Rounding bounds of a gap below which a pair is near: the next clip leads to the contact, if there is one.
+near_errors = wp.constant(real(128.0))
 box_errors = wp.constant(real(256.0))
 floor_errors = wp.constant(real(8.0))
 
@@ -75,6 +77,7 @@ class LaneReached:
     open: Mask
     free: Mask
     contact: Mask
+    is_regular: Mask  # whether the weights of the contact are those of the closest point (`lane_closest`)
 
 
 @simd.func
@@ -97,19 +100,22 @@ class LaneStep:
     gap: Lanes  # square of the gap
     number: Lanes  # of the facet that separates farthest, where one is taken
     floor: Vec3  # size of the closest point below which the gap may consist of rounding errors only
-    at_floor: Mask  # whether it does
-    is_near: Mask  # whether it is few times as large
+    is_near: Mask  # whether the gap is few times as large
+
+
+@simd.func
+def point_at(c: Corners, u: Lanes, v: Lanes, is_face: bool) -> Vec3:
+    """The point of a patch with given weights."""
+    cu = one - u
+    cv = one - v
+    point = cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
+    if is_face:
+        point = (cu - v) * c.w00 + v * c.w01 + u * c.w10
+    return point
 
 
 if is_euclidean:
     from .ball import clip_turn, is_in_ball, offset, time_to_ball, turn_along, with_largest_one
-
-    @simd.func
-    def point_at(c: Corners, u: Lanes, v: Lanes) -> Vec3:
-        """The point of a patch with given weights."""
-        cu = one - u
-        cv = one - v
-        return cu * (cv * c.w00 + v * c.w01) + u * (cv * c.w10 + v * c.w11)
 
     @simd.func
     def clip_ahead(n: LanePair, c: Corners, d: Vec3, velocity: Vec3, is_face: bool, t: Lanes, end: Lanes) -> Lanes:
@@ -132,16 +138,16 @@ if is_euclidean:
         r = LaneStep()
         r.number = spread(zero)
         r.floor = floor_errors * n.error
-        r.at_floor = is_in_ball(near.d, r.floor, n.separation)
-        r.is_near = is_in_ball(near.d, stall_errors * n.error, n.separation)
+        r.is_near = is_in_ball(near.d, near_errors * n.error, n.separation)
         gap = length(near.d) - n.separation.x
         r.gap = gap * gap
         d = with_largest_one(near.d)
         r.t = clip_beyond(d, offset(d, n.error, n.separation), t, n.t0, n.t1, is_face)
-        turns = open & is_at_most(r.t, end) & opposite(r.at_floor)
-        if bits_of(turns) != _NONE:
-            velocity = point_at(n.t1, near.u, near.v) - point_at(n.t0, near.u, near.v)
-            r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
+        if wp.static(with_facets):
+            turns = open & is_at_most(r.t, end) & opposite(r.is_near)
+            if bits_of(turns) != _NONE:
+                velocity = point_at(n.t1, near.u, near.v, is_face) - point_at(n.t0, near.u, near.v, is_face)
+                r.t = select(turns, greatest(r.t, clip_ahead(n, c, near.d, velocity, is_face, t, end)), r.t)
         return r
 
     @simd.func
@@ -149,12 +155,22 @@ if is_euclidean:
         """Whether the gap at a point is at most the tolerance."""
         return is_in_ball(point, floor, n.separation + n.delta)
 
+    @simd.func
+    def is_at_floor(n: LanePair, d: Vec3, floor: Vec3) -> Mask:
+        """Whether a gap may consist of rounding errors only."""
+        return is_in_ball(d, floor, n.separation)
+
 else:
 
     @simd.func
     def is_contact(n: LanePair, point: Vec3, floor: Vec3) -> Mask:
         """Whether the gap at a point is at most the tolerance."""
         return is_within(point, floor + n.delta)
+
+    @simd.func
+    def is_at_floor(n: LanePair, d: Vec3, floor: Vec3) -> Mask:
+        """Whether a gap may consist of rounding errors only."""
+        return is_within(d, floor)
 
 
 if with_facets and not is_euclidean:
@@ -164,7 +180,9 @@ if with_facets and not is_euclidean:
     def needs_facets(n: LanePair, volume: Volume) -> Mask:
         """Whether only the facets of the patch and its separation box bring a pair all the way to a contact."""
         # a separation of the size of the rounding error is one more margin; a larger one has a box with facets
-        return volume.is_flat | opposite(is_within(n.separation, box_errors * n.error))
+        if wp.static(by_pair):
+            return volume.is_flat | opposite(is_within(n.separation, box_errors * n.error))
+        return volume.is_flat
 
     @simd.func
     def step_from(
@@ -174,17 +192,16 @@ if with_facets and not is_euclidean:
         r = LaneStep()
         r.number = spread(zero)
         r.floor = n.separation + floor_errors * n.error
-        r.at_floor = is_within(near.d, r.floor)
-        r.is_near = is_within(near.d, n.separation + stall_errors * n.error)
+        r.is_near = is_within(near.d, n.separation + near_errors * n.error)
         r.gap = dot(near.d, near.d)
         r.t = clip(near.d, n.error + n.separation, t, n.t0, n.t1, is_face)
         turns = open & needs_facets(n, volume)
         if bits_of(turns) != _NONE:
-            facet = widest_facet(c, n.separation, n.error, is_face)
+            facet = widest_facet(c, n.separation, n.error, is_face, near_errors)
             s = clip_facet(n.t0, n.t1, n.separation, n.error, facet.number, t, end, _FACET_STEPS)
             r.number = select(turns, facet.number, r.number)
             r.t = select(turns, greatest(r.t, select(is_less(zero, facet.slack), s, t)), r.t)
-            r.at_floor = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & r.at_floor)
+            r.is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & r.is_near)
             r.gap = select(turns, facet.slack * facet.slack, r.gap)
         return r
 
@@ -194,21 +211,26 @@ elif not is_euclidean:
     def step_from(
         n: LanePair, volume: Volume, c: Corners, near: LaneClosest, is_face: bool, open: Mask, t: Lanes, end: Lanes
     ) -> LaneStep:
-        """Clip pairs without a separation."""
+        """Clip pairs without a separation, or with the closest pair's direction alone."""
         r = LaneStep()
         r.number = spread(zero)
+        margin = n.error
         r.floor = floor_errors * n.error
-        r.at_floor = is_within(near.d, r.floor)
-        r.is_near = is_within(near.d, stall_errors * n.error)
+        near_by = near_errors * n.error
+        if wp.static(by_pair):
+            margin = margin + n.separation
+            r.floor = r.floor + n.separation
+            near_by = near_by + n.separation
+        r.is_near = is_within(near.d, near_by)
         r.gap = dot(near.d, near.d)
-        r.t = clip(near.d, n.error, t, n.t0, n.t1, is_face)
+        r.t = clip(near.d, margin, t, n.t0, n.t1, is_face)
         return r
 
 
 if with_facets:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
         """Clip open lanes until the volume gains nothing more: in later rounds most are about to be contacts.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
@@ -218,7 +240,7 @@ if with_facets:
         moving = open
         steps = int(0)
         while bits_of(moving) != _NONE and steps < _MOST_VOLUME_CLIPS:
-            s, next_x, now_free = clip_volume(volume, n.separation, has_separation, t, x, end)
+            s, next_x, now_free = clip_volume(volume, n.separation, wp.static(by_pair), t, x, end)
             free = free | (moving & now_free)
             gains = is_less(settled, s - t)
             t = select(moving, s, t)
@@ -230,7 +252,7 @@ if with_facets:
 else:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, has_separation: bool, open: Mask, t: Lanes, end: Lanes):
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
         """Clip all lanes a few times.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
@@ -238,9 +260,14 @@ else:
         x = end
         free = mask_of(_NONE)
         last = t
+        if wp.static(by_pair):
+            reach = reach_of(volume, n.separation)
         for _ in range(_VOLUME_CLIPS):
             last = t
-            t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
+            if wp.static(by_pair):
+                t, x, now_free = clip_with_reach(volume, reach, t, x, end)
+            else:
+                t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
             free = free | now_free
             if bits_of(open & opposite(free)) == _NONE:
                 break
@@ -248,16 +275,14 @@ else:
 
 
 @simd.func
-def advance_round(
-    kind: int, n: LanePair, volume: Volume, has_separation: bool, t_end: real, reached: LaneReached
-) -> LaneReached:
+def advance_round(kind: int, n: LanePair, volume: Volume, t_end: real, reached: LaneReached) -> LaneReached:
     """One round of the lanes that are open.
 
     Invariant: each pair is free of contact on [0, t).
     """
     is_face = kind == VERTEX_FACE
     end = spread(t_end)
-    t, free, is_settled = clip_with_volume(n, volume, has_separation, reached.open, reached.t, end)
+    t, free, is_settled = clip_with_volume(n, volume, reached.open, reached.t, end)
     r = reached
     r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
     still_open = reached.open & opposite(free)
@@ -271,27 +296,34 @@ def advance_round(
     near = closest(c, is_face)
     step = step_from(n, volume, c, near, is_face, still_open, t, end)
     free = free | is_less(end, step.t)
-    has_stalled = is_at_most(patience, reached.slow) & step.is_near
-    claims = (step.at_floor & is_settled) | has_stalled
-    point = near.point
-    touches = is_contact(n, point, step.floor)
-    if wp.static(with_facets and not is_euclidean):
-        # of a patch at the corner of a separation box another point may touch than the closest one
-        has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
-        others = still_open & claims & has_box & opposite(touches | free)
-        if bits_of(others) != _NONE:
-            size = step.floor + n.delta
-            point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
-            touches = is_contact(n, point, step.floor)
-    contact = still_open & claims & touches & opposite(free)
-    r.u = select(contact, near.u, reached.u)
-    r.v = select(contact, near.v, reached.v)
-    r.point = select(contact, point, reached.point)
+    has_stalled = is_at_most(patience, reached.slow)
+    contact = still_open & step.is_near & (is_settled | has_stalled) & opposite(free)
+    if bits_of(contact) != _NONE:
+        # where the clip has led, which is free until then; what rounding hides at the start stays there
+        stays = is_at_most(t, zero) & is_at_floor(n, near.d, step.floor)
+        at = select(stays, t, step.t)
+        c = corners_at(n.t0, n.t1, at)
+        point = point_at(c, near.u, near.v, is_face)
+        touches = is_contact(n, point, step.floor)
+        if wp.static(with_facets and by_pair and not is_euclidean):
+            # of a patch at the corner of a separation box another point may touch than the closest one
+            has_box = opposite(is_within(n.separation, vec(spread(zero), spread(zero), spread(zero))))
+            others = contact & has_box & opposite(touches)
+            if bits_of(others) != _NONE:
+                size = step.floor + n.delta
+                point = select(others, touching_point(n.separation, c, step.number, point, size, is_face), point)
+                touches = is_contact(n, point, step.floor)
+        contact = contact & touches
+        step.t = select(contact, at, step.t)
+        r.u = select(contact, near.u, reached.u)
+        r.v = select(contact, near.v, reached.v)
+        r.point = select(contact, point, reached.point)
+        r.is_regular = reached.is_regular | (contact & near.is_regular)
     is_small = is_less(step.t - reached.t, quarter * (end - reached.t))
     is_slow = is_small & is_less(quarter * reached.gap, step.gap)
     r.slow = select(is_slow, reached.slow + one, reached.slow)
     r.gap = step.gap
-    r.t = select(reached.open, select(contact, t, step.t), reached.t)
+    r.t = select(reached.open, step.t, reached.t)
     r.free = reached.open & free
     r.contact = contact
     # a lane that gains nothing needs other tools

@@ -10,13 +10,15 @@ from ..parameters import real
 from . import simd
 from .patch import Corners
 from .rounding import TINY, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, cross, dot, greatest, is_at_most, is_less, least, minus, select, spread
+from .simd import Lanes, Mask, Vec3, cross, dot, greatest, is_at_most, is_less, least, minus, select, spread
 
 tiny = wp.constant(real(TINY[real]))
 quarter = wp.constant(real(0.25))
 rounding = wp.constant(real((64.0 * UNIT_ROUNDOFF[real]) ** 2))
 zero = wp.constant(real(0.0))
 one = wp.constant(real(1.0))
+# Square of the sine between the sides above which the weights lose a third of the digits at most.
+regular = wp.constant(real(1.0e-3))
 
 
 @wp.struct
@@ -27,6 +29,7 @@ class LaneClosest:
     u: Lanes
     v: Lanes
     point: Vec3
+    is_regular: Mask  # whether its weights are as accurate as those of `closest_point`, but for a few digits
 
 
 @simd.func
@@ -73,7 +76,8 @@ def closest_in_triangle(a: Vec3, ab: Vec3, ac: Vec3):
     side_u = select(nearer, se, side_u)
     e = select(nearer, ac - ab, select(is_less(nothing, side_u), ac, ab))
     inverse = one / det
-    return select(inside, v * inverse, side_v), select(inside, u * inverse, side_u), inside, e
+    is_regular = is_less(regular * (bb * cc), det)
+    return select(inside, v * inverse, side_v), select(inside, u * inverse, side_u), inside, e, is_regular
 
 
 @simd.func
@@ -91,7 +95,7 @@ def closest_in_parallelogram(a: Vec3, ab: Vec3, ac: Vec3):
     v = unit_interval((d1 - bc * u) / bb)
     inner_v = is_less(nothing, v) & is_less(v, one)
     inner_u = is_less(nothing, u) & is_less(u, one)
-    return v, u, inner_v & inner_u, select(inner_v, ab, ac)
+    return v, u, inner_v & inner_u, select(inner_v, ab, ac), is_less(regular * (bb * cc), det)
 
 
 @simd.func
@@ -101,12 +105,14 @@ def closest(c: Corners, is_triangle: bool) -> LaneClosest:
     ab = c.w01 - c.w00
     ac = c.w10 - c.w00
     if is_triangle:
-        v, u, inside, e = closest_in_triangle(c.w00, ab, ac)
+        v, u, inside, e, is_regular = closest_in_triangle(c.w00, ab, ac)
+        r.is_regular = is_regular
         r.u = u
         r.v = v
         r.point = c.w00 + v * ab + u * ac
     else:
-        v, u, inside, e = closest_in_parallelogram(c.w00, ab, ac)
+        v, u, inside, e, is_regular = closest_in_parallelogram(c.w00, ab, ac)
+        r.is_regular = is_regular
         r.u = u
         r.v = v
         cu = one - u

@@ -195,9 +195,12 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     if wp.static(by_pair):
         # a length in each lane
         separation_length = simd64.least(options.minimum_separation, limit)
+        if wp.static(not is_euclidean):
+            if options.length_scale <= wp.float64(0.0):
+                separation_length = simd64.least(options.minimum_separation * scale, limit)
         separation_length = without_margin(separation_length, most, points_t0, points_t1, options)
     else:
-        separation_length = simd64.least(options.minimum_separation * scale, limit)
+        separation_length = simd64.spread(wp.float64(0.0))
     gap_length = delta_length
     if wp.static(by_pair and not has_arcs(norm)):
         gap_length = simd64.select(simd64.mask_of(lanes_at_start_distance(options)), wp.float64(0.0), delta_length)

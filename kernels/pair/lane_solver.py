@@ -51,20 +51,12 @@ class LaneAnswer:
 
     free: wp.uint32  # bits of the lanes
     contact: wp.uint32
+    closest: wp.uint32  # whether the parameters of a contact are those of the closest point
     t: simd64.Lanes
     u: simd64.Lanes  # parameters of a contact, as reported
     v: simd64.Lanes
     gap: simd64.Lanes
     iterations: simd64.Lanes
-
-
-@wp.func
-def has_distance(options: Options) -> bool:
-    """Whether a pair may have a separation; where each has its own, that of any of them may be above 0."""
-    if wp.static(by_pair):
-        return True
-    else:
-        return options.minimum_separation > wp.float64(0.0)
 
 
 @simd.func
@@ -121,26 +113,26 @@ def make_solve(with_facets: bool):
         answer = LaneAnswer()
         n = normalise(kind, points_t0, points_t1, options)
         open = n.is_valid & lanes
-        if wp.static(with_facets):
-            if has_distance(options) and options.start_gap_fraction > wp.float64(0.0):
+        if wp.static(with_facets and by_pair):
+            if options.start_gap_fraction > wp.float64(0.0):
                 n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
-        has_separation = bool(False)
-        if wp.static(with_facets):
-            has_separation = has_distance(options)
-        volume = volume_of(n.t0, n.t1, n.separation, has_separation)
+        volume = volume_of(n.t0, n.t1, n.separation, wp.static(by_pair))
         t = narrowed(t_start)
-        if wp.static(with_facets and may_keep_start_distance):
+        if wp.static(may_keep_start_distance):
             kept = lanes_at_start_distance(options) & open
             if kept != _NONE:
-                end = spread(options.t_end)
-                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
-                t = select(mask_of(kept), s, t)
-                answer.free = bits_of(is_less(end, t)) & open
-                open = open & ~answer.free
+                if wp.static(with_facets):
+                    end = spread(options.t_end)
+                    s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
+                    t = select(mask_of(kept), s, t)
+                    answer.free = bits_of(is_less(end, t)) & open
+                    open = open & ~answer.free
+                else:
+                    open = open & ~kept  # that begins the later rounds, at the start
         reached = start(t, open)
         rounds = int(0)
         while open != _NONE and rounds < num_rounds:
-            reached = advance_round(kind, n, volume, has_separation, options.t_end, reached)
+            reached = advance_round(kind, n, volume, options.t_end, reached)
             answer.free = answer.free | bits_of(reached.free)
             answer.contact = answer.contact | bits_of(reached.contact)
             # what is free up to the bound needs no better answer
@@ -149,6 +141,11 @@ def make_solve(with_facets: bool):
             rounds += 1
         if answer.contact != _NONE:
             answer.gap = gap_of(n, reached)
+            answer.closest = bits_of(reached.is_regular)
+            if wp.static(not by_pair):
+                answer.closest = all_lanes
+            elif wp.static(not is_euclidean):
+                answer.closest = _NONE
             answer.u = widened(reached.v)
             answer.v = widened(reached.u)
             if kind == EDGE_EDGE or kind == POINT_POINT:
@@ -171,7 +168,7 @@ def first_rounds(
 ) -> LaneAnswer:
     """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound.
 
-    They have no minimum separation.
+    What keeps its start distance stays at the start.
     """
     t = simd64.spread(wp.float64(0.0))
     return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
@@ -190,9 +187,7 @@ def later_rounds(
     bound: wp.float64,
 ) -> LaneAnswer:
     """Advance the given lanes on from a time, after ``used`` iterations each."""
-    rounds = cap
-    if not has_distance(options):
-        rounds -= FIRST_ROUNDS
+    rounds = cap - FIRST_ROUNDS
     if options.method != CLIPPING:
         rounds = 0
     rounds = wp.min(rounds, _LATER_ROUNDS)

@@ -3,16 +3,16 @@
 In the maximum norm the separation is a box, in the Euclidean norm a ball. Both are convex, so the inclusion test along
 a direction d has the support of the shape for its offset: Σ|d_k|·separation_k of the box, separation·|d| of the ball.
 A ball stays one only if all axes are scaled alike: in the Euclidean norm a pair is normalised by one power of two, and
-the three components of its separation are equal. There each pair has a separation of its own (`pair_options`), as radii
-and start distances ask for; in the maximum norm only what keeps one has, which is a norm of its own here. Kernels are
-made for one norm, so that a scene without Euclidean distances compiles nothing of them. Where bodies turn, a pair has a
-separation of its own for each part of the step, which includes how far its points are from their chords (`arcs`): two
-more norms.
+the three components of its separation are equal. Each pair has a separation of its own (`pair_options`), as radii and
+start distances ask for. Kernels are made for one norm, so that a scene compiles nothing of the others, and one without
+a separation nothing of any. Where bodies turn, a pair has a separation of its own for each part of the step, which
+includes how far its points are from their chords (`arcs`): two more norms.
 """
 
+# A box; in the solver one of no size.
 MAXIMUM_NORM = "maximum"
 EUCLIDEAN_NORM = "euclidean"
-# A box for each pair, where something starts within its distance (`start_distance`).
+# A box of a size for each pair.
 OWN_BOX_NORM = "own_box"
 # Of pairs whose points move on arcs.
 ARC_BOX_NORM = "arc_box"
@@ -25,7 +25,7 @@ def is_ball(norm: str) -> bool:
 
 
 def is_by_pair(norm: str) -> bool:
-    """Whether each pair has a separation of its own, which may be above 0."""
+    """Whether pairs may have a separation, each its own."""
     return norm != MAXIMUM_NORM
 
 

@@ -15,7 +15,7 @@ class Options:
     """Options of a query."""
 
     tolerance: wp.float64
-    minimum_separation: wp.float64  # a multiple of the length scale; a length if Euclidean, or of each pair
+    minimum_separation: wp.float64  # a length; a multiple of that of a pair if it is a box and there is no length scale
     start_gap_fraction: wp.float64  # 0: the minimum separation applies to every pair
     length_scale: wp.float64  # 0: the length scale of each pair itself
     t_max: wp.float64

@@ -131,14 +131,17 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
                 small = vec3d(smaller, smaller, smaller)
                 scale = longest_side(scaled(points_t0, small), scaled(points_t1, small))
         delta_length = wp.min(options.tolerance * scale, LARGEST)
-        separation_length = wp.min(options.minimum_separation * scale, LARGEST)
+        separation_length = wp.float64(0.0)
         m = wp.max(largest(c0), largest(c1))
         reach = m  # what fits into a normalised unit
         if wp.static(is_euclidean):
             # one scale for all axes, so that the ball stays a ball
             reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
         if wp.static(by_pair):
-            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)  # a length
+            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
+            if wp.static(not is_euclidean):
+                if options.length_scale <= wp.float64(0.0):
+                    separation_length = wp.min(options.minimum_separation * scale, LARGEST)
             if options.margin > wp.float64(0.0):
                 size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
                 size += of_coordinates * farthest(points_t0, points_t1) * shrink

@@ -99,23 +99,41 @@ def restrict(f: Volume, t: Lanes, x: Lanes) -> Hull:
 
 
 @simd.func
-def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
-    """Bernstein coefficients, on [t, x], of a cubic above the support of the separation along n."""
-    ct = one - t
-    cx = one - x
-    t0 = ct * f.normal_t0 + t * f.normal_mid
-    t1 = ct * f.normal_mid + t * f.normal_t1
-    x0 = cx * f.normal_t0 + x * f.normal_mid
-    x1 = cx * f.normal_mid + x * f.normal_t1
-    a = support(separation, ct * t0 + t * t1)
-    b = support(separation, cx * t0 + x * t1)
-    c = support(separation, cx * x0 + x * x1)
+def support_above(separation: Vec3, n0: Vec3, nm: Vec3, n1: Vec3) -> Hull:
+    """Bernstein coefficients of a cubic above the support of the separation along a normal, given by its own."""
+    a = support(separation, n0)
+    b = support(separation, nm)
+    c = support(separation, n1)
     r = Hull()
     r.c0 = round_up * a
     r.c1 = round_up * (third * (a + b + b))
     r.c2 = round_up * (third * (b + b + c))
     r.c3 = round_up * c
     return r
+
+
+@simd.func
+def reach_of(f: Volume, separation: Vec3) -> Volume:
+    """`support_above` of the whole step: a cubic to be restricted with f, tight where the normal hardly turns."""
+    h = support_above(separation, f.normal_t0, f.normal_mid, f.normal_t1)
+    r = Volume()
+    r.b0 = h.c0
+    r.b1 = h.c1
+    r.b2 = h.c2
+    r.b3 = h.c3
+    return r
+
+
+@simd.func
+def separation_offset(f: Volume, separation: Vec3, t: Lanes, x: Lanes) -> Hull:
+    """`support_above` on [t, x]."""
+    ct = one - t
+    cx = one - x
+    t0 = ct * f.normal_t0 + t * f.normal_mid
+    t1 = ct * f.normal_mid + t * f.normal_t1
+    x0 = cx * f.normal_t0 + x * f.normal_mid
+    x1 = cx * f.normal_mid + x * f.normal_t1
+    return support_above(separation, ct * t0 + t * t1, cx * t0 + x * t1, cx * x0 + x * x1)
 
 
 @simd.func
@@ -126,23 +144,30 @@ def crossing(h: Hull) -> Lanes:
 
 
 @simd.func
-def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: Lanes, end: Lanes):
-    """One clip: with f on [t, x], the time up to which it keeps its sign, and the x of the next clip.
+def lowered(h: Hull, by: Hull) -> Hull:
+    """The difference of two hulls."""
+    h.c0 = h.c0 - by.c0
+    h.c1 = h.c1 - by.c1
+    h.c2 = h.c2 - by.c2
+    h.c3 = h.c3 - by.c3
+    return h
 
-    The third result says which lanes are free until ``end``. A lane that gains nothing gets ``end`` for its next x.
-    """
+
+@simd.func
+def beyond_bound(f: Volume, t: Lanes, x: Lanes) -> Hull:
+    """Bernstein coefficients of |f| on [t, x] with the sign at t, less the bound."""
     h = restrict(f, t, x)
     is_negative = is_less(h.c0, zero)
     h.c0 = select(is_negative, minus(h.c0), h.c0) - f.bound
     h.c1 = select(is_negative, minus(h.c1), h.c1) - f.bound
     h.c2 = select(is_negative, minus(h.c2), h.c2) - f.bound
     h.c3 = select(is_negative, minus(h.c3), h.c3) - f.bound
-    if has_separation:
-        offset = separation_offset(f, separation, t, x)
-        h.c0 = h.c0 - offset.c0
-        h.c1 = h.c1 - offset.c1
-        h.c2 = h.c2 - offset.c2
-        h.c3 = h.c3 - offset.c3
+    return h
+
+
+@simd.func
+def clip_hull(h: Hull, t: Lanes, x: Lanes, end: Lanes):
+    """The clip with a cubic on [t, x] that proves a pair free where it is above zero."""
     is_proof = is_less(zero, h.c0)
     is_clear = is_proof & is_less(zero, least(h.c1, least(h.c2, h.c3)))
     # the fraction of [t, x] is rounded down, so it never reaches the crossing
@@ -153,3 +178,21 @@ def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: 
     step = s - t
     ahead = least(end, s + select(is_clear, four * step, step + step))
     return s, select(has_gained, ahead, end), is_clear & is_at_most(end, x)
+
+
+@simd.func
+def clip_with_reach(f: Volume, reach: Volume, t: Lanes, x: Lanes, end: Lanes):
+    """`clip_volume` with the reach of the separation over the whole step (`reach_of`)."""
+    return clip_hull(lowered(beyond_bound(f, t, x), restrict(reach, t, x)), t, x, end)
+
+
+@simd.func
+def clip_volume(f: Volume, separation: Vec3, has_separation: bool, t: Lanes, x: Lanes, end: Lanes):
+    """One clip: with f on [t, x], the time up to which it keeps its sign, and the x of the next clip.
+
+    The third result says which lanes are free until ``end``. A lane that gains nothing gets ``end`` for its next x.
+    """
+    h = beyond_bound(f, t, x)
+    if has_separation:
+        h = lowered(h, separation_offset(f, separation, t, x))
+    return clip_hull(h, t, x, end)

@@ -14,8 +14,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 # Key of a row without a contact, which sorts last.
 _NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
-# Bits of the features of a pair that spans the inside of a face, or of both edges, and that no other pair has.
-_INSIDE = wp.constant(15)
 _ONE = wp.constant(wp.float64(1.0))
 _MINUS_ONE = wp.constant(wp.float64(-1.0))
 
@@ -168,83 +166,3 @@ def fill_weights(
         elif kind == POINT_POINT:
             w[2] = _MINUS_ONE
         weights[n] = w
-
-
-@wp.func
-def features_of(
-    contacts: ContactList,
-    n: int,
-    edge_corners: wp.array[wp.vec3i],
-    face_corners: wp.array[wp.vec3i],
-    features: wp.array[wp.int32],
-) -> wp.vec3i:
-    """The two closest features of a pair: a vertex, and both ends of an edge, or twice the larger of two vertices.
-
-    Of a pair whose features no other has: -1.
-    """
-    bits = features[n]
-    if bits == _INSIDE or contacts.kind[n] == VERTEX_PLANE:
-        return wp.vec3i(-1, -1, -1)
-    v = vertices_of(contacts, n, edge_corners, face_corners)
-    least = wp.vec2i(2147483647, 2147483647)
-    largest = wp.vec2i(-1, -1)
-    for k in range(4):
-        if (bits & (1 << k)) != 0:
-            side = wp.where(k > 1 or (k == 1 and contacts.kind[n] == VERTEX_FACE), 1, 0)
-            least[side] = wp.min(least[side], v[k])
-            largest[side] = wp.max(largest[side], v[k])
-    if least[0] != largest[0] or (least[1] == largest[1] and least[1] < least[0]):
-        return wp.vec3i(least[1], least[0], largest[0])
-    return wp.vec3i(least[0], least[1], largest[1])
-
-
-@wp.kernel
-def fill_feature_keys(
-    begin: int,
-    # in
-    contacts: ContactList,
-    edge_corners: wp.array[wp.vec3i],
-    face_corners: wp.array[wp.vec3i],
-    features: wp.array[wp.int32],
-    order: wp.array[wp.int32],
-    by_end: int,  # 1: by the last vertex of the features; 0: by the two before it
-    # out
-    keys: wp.array[wp.int64],
-):
-    """Keys that order pairs by their closest features in two stable sorts, each at its place in an order."""
-    n = begin + wp.tid()
-    k = order[n]
-    key = _NO_KEY
-    if k < contacts.count[0]:
-        f = features_of(contacts, k, edge_corners, face_corners, features)
-        if by_end != 0:
-            key = wp.int64(f[2])
-        elif f[0] >= 0:
-            key = (wp.int64(f[0]) << wp.int64(32)) | wp.int64(f[1])
-    keys[n] = key
-
-
-@wp.kernel
-def mark_unique(
-    begin: int,
-    # in
-    contacts: ContactList,
-    edge_corners: wp.array[wp.vec3i],
-    face_corners: wp.array[wp.vec3i],
-    features: wp.array[wp.int32],
-    order: wp.array[wp.int32],
-    # out
-    is_unique: wp.array[wp.bool],
-):
-    """Mark of all pairs with the same closest features the first in the order, which begins with the rows of pairs."""
-    n = begin + wp.tid()
-    if n >= contacts.count[0]:
-        is_unique[n] = False
-        return
-    k = order[n]
-    f = features_of(contacts, k, edge_corners, face_corners, features)
-    is_first = n == 0 or f[0] < 0
-    if not is_first:
-        before = features_of(contacts, order[n - 1], edge_corners, face_corners, features)
-        is_first = f[0] != before[0] or f[1] != before[1] or f[2] != before[2]
-    is_unique[k] = is_first

@@ -37,7 +37,7 @@ def test_the_first_contact_says_what_touches_what_and_where(step):
     assert repr(first).startswith("Contact(vertex-face of ball and cloth at (")
     assert repr(first).endswith(f"toi={result.toi!r})") and repr(first)[8:40] in repr(result)
     alone = ccd.Contacts(**vars(contacts))  # made of arrays, which know no mesh
-    assert repr(alone[0]) == "Contact(vertex-face, toi=0.41396618080018466)"
+    assert repr(alone[0]) == "Contact(vertex-face, toi=0.41396618080018616)"
     none = ccd.mesh_ccd(mesh, start, start)
     assert none.first is None and list(none.contacts) == [] and repr(none) == "MeshResult(toi=inf, no contact)"
     assert none.contacts.points.shape == (0, 3) and none.contacts.vertices.shape == (0, 4)

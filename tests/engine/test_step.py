@@ -15,6 +15,7 @@ from held_memory import held_bytes, requires_status
 from scenes import FACE, TRIANGLE, crowd, leaning_stack, sheet, single, soup
 
 import ccd_warp as ccd
+from ccd_warp._engine.mesh.topology import Topology, choose_quantization
 
 pytestmark = OF_ROUNDING
 
@@ -47,6 +48,25 @@ def test_hard_pairs_in_one_mesh_are_all_found(family, scale, kind):
 
 
 # --- what is left out ---
+
+
+def test_positions_as_near_others_as_these_allow_have_their_quantization():
+    """All moved along an axis, away from the middle, or at random; and of those four times as far not all have it."""
+    rng, num_other = np.random.default_rng(12), 0
+    for _ in range(40):
+        mesh = ccd.CollisionMesh.from_arrays([soup(rng, int(rng.integers(1, 60)), 0.3)])
+        topology = Topology.of(mesh, wp.get_device("cpu"))
+        start = np.ldexp(mesh.vertices * rng.uniform(0.5, 1, 3) + rng.uniform(-3, 3, 3), int(rng.integers(-30, 30)))
+        both = np.stack([start, start + 0.1 * np.ptp(start) * rng.standard_normal(start.shape)])
+        found = choose_quantization(topology, tuple(both), 2)
+        slack = found.slack(np.abs(both).max())
+        ways = [sign * axis + 0 * both for axis in np.eye(3) for sign in (-1, 1)]
+        ways += [np.sign(both - found.centre), -np.sign(both - found.centre), rng.uniform(-1, 1, both.shape)]
+        for way in ways:
+            near, far = (choose_quantization(topology, tuple(both + k * slack * way), 2) for k in (1, 4))
+            assert near[:2] == found[:2]
+            num_other += far[:2] != found[:2]
+    assert num_other > 40
 
 
 def test_boxes_of_static_bodies_are_made_once():

@@ -58,6 +58,7 @@ ARGUMENTS = {
     **{"distance": (LENGTH, ["near", [0.1]], ZERO), "search_radius": ("a finite length above 0", [0.0, [0.1]], REAL)},
     **{"per": ("one of 'scene', 'world', 'body', 'vertex'", ["face"], ())},
     **{"safety": ("a number between 0 and 1", [0.0, 1.0], REAL), "check_start": ("True or False", ["yes", 2], FLAG)},
+    "unique": ("True or False", ["yes", 2], FLAG),
     **{"mesh": ("a CollisionMesh|the mesh first", [[START]], ()), "motion": ("a RigidMotion", [POSES], NONE)},
     "vertices_t1": (r"(shape )?\(6, 3\) like vertices_t0|both vertices_t0 and vertices_t1|" + DEVICE, [], ()),
     **{"vertices_t1 of launch of displacements": ("one of them", [], NONE), "displacements": (DEVICE, [], ())},
@@ -136,7 +137,7 @@ def leaves(result, name=""):
     """The arrays and plain values that a result consists of, but for times, by where they are."""
     if isinstance(result, wp.array):
         result = result.numpy()
-    if isinstance(result, ccd.CollisionMesh):
+    if isinstance(result, (ccd.CollisionMesh, ccd.Proximities)):
         parts = result.__getstate__()
     elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion)):
         parts = vars(result.to_host() if isinstance(result, ccd.DeviceContacts) else result)
@@ -168,7 +169,8 @@ def check_same(result, expected):
 EVERY = [(call, argument) for call, (_, arguments) in CALLS.items() for argument in arguments]
 # What a message calls an argument that has parts.
 NAMES = {"bodies": "bod", "others": "", "vertices of body 0": "of body 0", "vertices": ""}
-OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "per", "safety", "max_rounds"}
+OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "unique", "per"}
+OPTIONS |= {"safety", "max_rounds"}
 IS_PATH = {"mesh_path", "poses_path", "path", "start_path", "end_path", "paths", "faces", "static"}
 
 

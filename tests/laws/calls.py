@@ -107,7 +107,10 @@ def at_one_time(case: StepCase, precision: str) -> Outputs:
         result = pipeline.launch_proximity(array, distance)
         found |= outputs_of([result.flags.numpy()[0], result.count.numpy()[0]], f"launch_proximity {k} counts")
         found |= outputs_of(result.to_host(), f"launch_proximity {k}")
-        pairs = np.column_stack([result.kind.numpy(), result.primitives.numpy()])[result.unique().numpy()]
+        once = pipeline.find_proximity(positions, distance, unique=True)
+        found |= outputs_of(once, f"find_proximity {k} unique")
+        columns = result.kind.numpy(), result.primitives.numpy(), result.shared_by().numpy()
+        pairs = np.column_stack(columns)[result.unique().numpy()]
         found |= outputs_of(pairs[np.lexsort(pairs.T[::-1])], f"launch_proximity {k} unique")
         found |= outputs_of(pipeline.launch_displacement_bounds(array, distance).bounds, f"launched bounds {k}")
     return found

@@ -17,7 +17,7 @@ _OF_CONTACTS = ("points", "vertices", "weights", "bodies", "world")
 # What is compared of results that are no plain fields.
 _OF_PAIRS = ("kind", "primitives", "parameters", "points", "vertices")
 _NAMES: dict[type, tuple[str, ...]] = {
-    ccd.Proximities: (*_OF_PAIRS, "distance", "direction", "features"),
+    ccd.Proximities: (*_OF_PAIRS, "distance", "direction", "features", "shared_by"),
     ccd.Intersections: (*_OF_PAIRS, "edge_parameter", "bodies", "world", "is_crossing"),
     ccd.RigidMotion: ("poses_t0", "poses_t1"),
 }

@@ -7,6 +7,8 @@ import pytest
 from slides import SLIDERS, slides_of
 
 import ccd_warp as ccd
+from ccd_warp._engine.boxes import some_queries
+from ccd_warp._engine.host.contact_step import ContactStep
 from laws.calls import EVERY_PER, PRECISIONS
 from laws.test_searches import rows_of
 from laws.test_truth import SEEDS, near_pairs, scene_of
@@ -89,6 +91,27 @@ def test_what_is_left_of_the_way_is_free(seed):
     whole = ccd.collision_free_step(mesh, start, end, precision=precision, **options)
     reached = near_on_the_way(scene, start, end, pairs, holds, lambda c: (start[c] != end[c]).any(axis=(1, 2)))
     assert not [key for key, time in reached.items() if time.late(whole)]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_search_for_pairs_of_some_vertices_finds_all_of_them(seed, monkeypatch):
+    scene, mesh, start, end, _ = scene_of(seed)
+    chosen = np.random.default_rng(seed).random(mesh.num_vertices) < 0.2
+    pipeline, columns = ccd.CollisionPipeline(mesh, **scene.options), ("kind", "primitives", "toi", "status", "gap")
+
+    def of(contacts):
+        return [getattr(contacts, name).tolist() for name in columns]
+
+    def found(among):
+        contacts = pipeline._on_step(ContactStep, start, end, lambda step: step.of_vertices(among).contacts()).contacts
+        return of(contacts[chosen[contacts.vertices].any(axis=1)])
+
+    searched = []
+    for most in (0.0, 1.0):  # as a share of all blocks: search all queries, and as few as it can
+        monkeypatch.setattr(some_queries, "_MOST_BLOCKS", most)
+        result = ccd.line_search(mesh, start, end, per="vertex", safety=SAFETY, **scene.without_end())
+        searched.append([found(chosen), result.vertices.tolist(), of(result.touching)])
+    assert searched[0] == searched[1] and searched[0][0] == found(None)
 
 
 @pytest.mark.parametrize("count", [1000, pytest.param(12000, marks=pytest.mark.long)])

@@ -177,6 +177,29 @@ def test_earlier_calls_change_no_bit(call, scene):
     assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
 
 
+@pytest.mark.parametrize("scene", [*range(40), "sheet", "worlds", "apart", "radii", "few iterations", "crowd"])
+def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
+    """Of one pipeline, or mesh, whose steps leave each other what stays the same, and of new ones with a limit."""
+    case = case_of(scene)
+    mesh, start, end = case.make()
+    given = case.options | {"precision": precision_of(scene)}
+    away = 300.0 * case.size
+    ends = [(start, end), (start, end), (end, start), (start + away, end + away), (start, start + 0.5 * (end - start))]
+    ends = [(x, with_static_at_rest(mesh, x, y)) for x, y in ends]
+    used, found, truth = ccd.CollisionPipeline(mesh, **given), {}, {}
+    in_turn = ("mesh_ccd",) * 5 + ("collision_free_step",) * 5 + ("mesh_ccd", "find_candidates") * 2
+    for k, name in enumerate((*in_turn, "collision_free_step", "is_step_collision_free", "mesh_ccd", "mesh_ccd")):
+        step, shorter = ends[k % len(ends)], given | {"t_max": 0.7}
+        alone, shortened = (ccd.CollisionPipeline(mesh, **each, memory_limit=1 << 40) for each in (given, shorter))
+        found[k] = getattr(used, name)(*step), used.counts
+        truth[k] = getattr(alone, name)(*step), alone.counts
+        if name != "find_candidates":  # of one mesh, which keeps the same for all of its calls
+            once = [getattr(ccd, name)(mesh, *step, **each) for each in (given, given, shorter, shorter, given)]
+            truth[k] += (truth[k][0], truth[k][0], *[getattr(shortened, name)(*step)] * 2, truth[k][0])
+            found[k] += tuple(once)
+    assert different(outputs_of(found), outputs_of(truth)) == []
+
+
 @pytest.mark.parametrize("scene", [*range(16), *LARGE])
 def test_memory_changes_no_bit(scene):
     """Nor the order of candidates."""

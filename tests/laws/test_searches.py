@@ -16,6 +16,25 @@ def rows_of(found):
     return [(k, *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
 
 
+def features_of(found, row):
+    """The closest features of a pair, each the vertices that span it; None where no other pair can have them."""
+    kind, bits = int(found.kind[row]), int(found.features[row])
+    if kind == ccd.PairKind.VERTEX_PLANE or bits == 15:
+        return None
+    spanned, cut = [bits >> k & 1 for k in range(4)], 1 if kind == ccd.PairKind.VERTEX_FACE else 2
+    sides = (zip(found.vertices[row, of].tolist(), spanned[of], strict=True) for of in (slice(cut), slice(cut, 4)))
+    return frozenset(frozenset(vertex for vertex, is_spanned in side if is_spanned) for side in sides)
+
+
+def first_of_features(found):
+    """The first row of each two features, and how many rows have them, in the order of these rows."""
+    first = {}
+    for row in range(len(found)):
+        features = features_of(found, row) or row
+        first[features] = first.get(features, (row, 0))[0], first.get(features, (row, 0))[1] + 1
+    return np.array([*first.values()], dtype=int).reshape(-1, 2).T
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_candidates_are_the_pairs_whose_boxes_overlap(seed):
     scene, mesh, start, end, pairs = scene_of(seed)
@@ -50,6 +69,10 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
         assert is_close[found.kind != int(ccd.PairKind.VERTEX_PLANE)].all()
         between = found.points[:, 0] - found.points[:, 1] - (found.distance - radii)[:, None] * found.direction
         assert (np.linalg.norm(between, axis=1) <= 4e-15 * (size + np.abs(x).max())).all()
+        first, shared_by = first_of_features(found)
+        for once in (found.unique(), ccd.find_proximity(mesh, x, distance, unique=True, **scene.only(*OF_SEARCH))):
+            assert rows_of(once) == rows_of(found[first]) and once.shared_by.tolist() == shared_by.tolist()
+            assert (once.parameters == found.parameters[first]).all() and (once.points == found.points[first]).all()
         if "pair_kinds" not in scene.options:
             bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.only(*OF_SEARCH))
             expected, largest = displacement_bounds(pairs, x, distance, kept)

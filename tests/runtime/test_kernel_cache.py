@@ -63,7 +63,7 @@ def test_a_damaged_file_is_named_and_compiled_again_and_a_whole_one_is_not_touch
 
 def test_a_gpu_takes_its_own_code_from_the_cache_and_no_other(tmp_path, monkeypatch):
     loads = []
-    module = SimpleNamespace(get_module_identifier=lambda _: "m", options={})
+    module = SimpleNamespace(get_module_identifier=lambda _: "m", options={}, _get_live_kernels=list)
     module.load = lambda device, block_dim, **how: loads.append(how)
     monkeypatch.setattr(wp, "load_module", lambda **how: loads.append("as Warp does"))
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))

@@ -48,7 +48,7 @@ def test_flags_of_a_level_are_those_of_warp_but_for_the_processor_and_those_of_a
 def test_a_kernel_is_compiled_for_the_level_and_is_called_on_cuda_as_on_every_other_machine():
     if target.cpu_target() == "native":
         pytest.skip("this processor has no level")
-    kernel = next(iter(wp.get_module(rest_order.__name__).kernels.values()))
+    kernel = rest_order.fill_centres
     load_or_repair(kernel, wp.get_device("cpu"), None)
     flags = kernel.module.resolved_options[1]["cpu_compiler_flags"]
     assert f"-target-cpu {target.LEVELS[cpu_lanes()]} " in flags

@@ -3,7 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -19,6 +19,7 @@ from ccd_warp._engine.mesh.topology import (
     WIDTH,
     Positions,
     PrimitiveSet,
+    Quantization,
     Topology,
     choose_quantization,
     sorted_keys,
@@ -53,6 +54,33 @@ class _StaticKey:
         )
 
 
+class _Around(NamedTuple):
+    """Positions of a step around which all others have the same quantization.
+
+    Attributes:
+        positions: A copy of them.
+        changes: Memory for what others differ by.
+        slack: The largest difference.
+    """
+
+    positions: NDArray[np.float64]
+    changes: NDArray[np.float64]
+    slack: float
+
+    @classmethod
+    def of(cls, positions: Positions, quantization: Quantization) -> "_Around":
+        """Those around the positions of a step."""
+        both = np.stack(positions)
+        return cls(both, np.empty_like(both), quantization.slack(float(np.abs(both).max(initial=0.0))))
+
+    def has_near(self, positions: Positions) -> bool:
+        """Whether they are among those."""
+        changes = self.changes
+        for values, at_end, change in zip(positions, self.positions, changes, strict=True):
+            np.subtract(values, at_end, out=change)
+        return float(np.maximum.reduce(np.abs(changes, out=changes), axis=None)) <= self.slack
+
+
 class StepBoxes:
     """Boxes of a mesh, kept between steps and recomputed by each.
 
@@ -73,9 +101,12 @@ class StepBoxes:
         self._num_aabbs = 0
         # the boxes of each set, those of trees in the order of the rest configuration
         self._rest: dict[str, tuple[Any, ...]] = {}
+        # the numbers of the boxes of trees, and the places of those of some blocks among them
+        self._checked: dict[str, tuple[NDArray[np.float32], NDArray[np.intp]]] = {}
         # sets of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
+        self._around: _Around | None = None
         self._static_extent = np.float32(0.0)
         self._static_rows = blocks_of(topology.mesh.static_vertex_ranges)
 
@@ -103,7 +134,7 @@ class StepBoxes:
         mesh = self.topology.mesh
         if not goes_on:
             self.num_boxes = self.num_sorted = 0
-        self.quantization = choose_quantization(self.topology, positions, num_aabbs)
+        self.quantization, self._around = choose_quantization(self.topology, positions, num_aabbs), None
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
             self._rest.clear()
@@ -127,11 +158,23 @@ class StepBoxes:
                     self.keep_in_order(box_set, execution)
                     self._filled.add(box_set.name)
 
+    def begin_again(self, positions: Positions) -> None:
+        """Start a step with the sets of the last one, none of which is static or may be sorted.
+
+        Where all positions are near those of an earlier step, the map is theirs, and what it was chosen from is not.
+        """
+        if self._around is not None and self._around.has_near(positions):
+            return
+        self.quantization = choose_quantization(self.topology, positions, self._num_aabbs)
+        around = _Around.of(positions, self.quantization)
+        self._around = around if around.slack >= 0.0 and self.topology.mesh.num_worlds == 1 else None
+
     def _lay_out(self, box_set: BoxSet, layout: Layout, goes_on: bool) -> None:
         """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
         is_new = box_set.name not in self._rest
         if is_new:
             box_set.lay_out(layout)
+            self._checked.pop(box_set.name, None)
         is_changed = is_new or box_set.adapt(layout)
         if is_changed:
             self._rest[box_set.name] = box_set.structs
@@ -212,17 +255,23 @@ class StepBoxes:
         """
         return self._static_extent if primitives.is_static else self.quantization.typical_extent
 
-    def _is_in_order(self, tree: Any) -> bool:
-        """Whether most of the blocks are small enough to consist of neighbours."""
-        count = tree.levels[0]
+    def may_be_sorted(self, box_set: BoxSet) -> bool:
+        """Whether a tree is sorted on the CPU where most of its blocks do not consist of neighbours."""
         # of few blocks every query tests no more than the boxes of one block before these; a sample has no neighbours;
         # and where a world has hardly more than a block, most hold two, and are large in every order
-        are_few = tree.primitives.count <= _FEW_OF_A_WORLD * len(self.topology.world_places.unit)
-        if count <= WIDTH or are_few or tree.primitives.is_sample:
+        are_few = box_set.primitives.count <= _FEW_OF_A_WORLD * len(self.topology.world_places.unit)
+        return not (box_set.levels[0] <= WIDTH or are_few or box_set.primitives.is_sample)
+
+    def _is_in_order(self, tree: Any) -> bool:
+        """Whether most of the blocks are small enough to consist of neighbours."""
+        if not self.may_be_sorted(tree):
             return True
-        checked = uneven_samples(count, _CHECKED_BLOCKS)
-        boxes = tree.level_boxes(1)[checked // WIDTH, :, :, :, checked % WIDTH]
+        if tree.name not in self._checked:
+            places = tree.places_of_blocks(uneven_samples(tree.levels[0], _CHECKED_BLOCKS))
+            self._checked[tree.name] = tree.arrays.nodes.numpy(), places
+        nodes, places = self._checked[tree.name]
         with np.errstate(invalid="ignore", over="ignore"):
-            longest = (boxes[:, :, 1] - boxes[:, :, 0]).max(axis=(1, 2))
+            lower, upper = nodes.take(places)
+            longest = np.maximum.reduce(np.subtract(upper, lower, out=upper), axis=0)
         longest.sort()
         return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self._typical_extent_of(tree.primitives))

@@ -82,6 +82,13 @@ class Tree(BoxSet):
         floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
         return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
 
+    def places_of_blocks(self, blocks: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Where the boxes around blocks have their lower and upper corners among the nodes, shape [2, 3 AABBs, n]."""
+        num_aabbs = self.arrays.num_aabbs
+        size, of_box = num_aabbs * BLOCK_FLOATS, WIDTH * np.arange(6 * num_aabbs).reshape(num_aabbs, 2, 3)
+        first: NDArray[np.intp] = (self.levels[0] + blocks // WIDTH) * size + blocks % WIDTH
+        return of_box.swapaxes(0, 1).reshape(2, -1, 1) + first
+
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """The box around the tree, in quantized coordinates; on the CPU."""
         block = self.level_boxes(len(self.levels) - 1)[0]
@@ -187,7 +194,7 @@ class TreePair:
     @property
     def within(self) -> bool:
         """Whether the pairs are those of one set."""
-        return self.query is self.target
+        return self.query.primitives is self.target.primitives
 
     @property
     def is_symmetric(self) -> bool:

@@ -1,6 +1,7 @@
 """What the pairs that a launch lists are asked for beside its arrays, computed on the device at that moment."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,10 @@ import warp as wp
 from ccd_warp._engine.host.contacts import new_contact_list
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._results.shared_features import SharedFeatures
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.structs import struct_of
+from ccd_warp.kernels.at_one_time.unique import FeaturePairs
 from ccd_warp.kernels.step import contact_place as kernels
 from ccd_warp.kernels.template import specialised
 
@@ -79,37 +83,38 @@ class ContactArrays:
 
         Two stable sorts of the whole capacity, as the number of contacts is known on the device alone.
         """
-        keys, order = self._ordered_pairs("order_by_toi", self._capacity)
-        self._execution.launch(kernels.fill_toi_keys, self._capacity, inputs=[self._list, order], outputs=[keys])
-        wp.utils.radix_sort_pairs(keys, order, self._capacity)
+        name, capacity = "order_by_toi", self._capacity
+        keys = self._array(name, "keys", wp.int64, 2 * capacity)  # the sort needs twice the size
+        order = self._array(name, "order", wp.int32, 2 * capacity)
+        self._execution.launch(kernels.fill_pair_keys, capacity, inputs=[self._list], outputs=[keys, order])
+        wp.utils.radix_sort_pairs(keys, order, capacity)
+        self._execution.launch(kernels.fill_toi_keys, capacity, inputs=[self._list, order], outputs=[keys])
+        wp.utils.radix_sort_pairs(keys, order, capacity)
         return order[: self._capacity]
 
     def unique(self, features: wp.array) -> wp.array:
-        """Which pairs are the first, by kind and pair, that have their closest features, bool.
+        """Which pairs are the first, by kind and pair, that have their closest features, bool."""
+        return self._shared_features("unique", features).is_unique
 
-        Three stable sorts, by pair and by the two halves of the key of the features: of the whole capacity, or of as
-        many rows as there are where the host knows that.
-        """
-        count, device = self._capacity, self._topology.device
-        if device.is_cpu and not device.is_capturing:
+    def shared_by(self, features: wp.array) -> wp.array:
+        """How many pairs have the closest features of those, int32."""
+        return self._shared_features("shared_by", features).shared_by
+
+    def _shared_features(self, name: str, features: wp.array) -> SharedFeatures:
+        capacity, device = self._capacity, self._topology.device
+        size = 2 * capacity  # the sort needs twice the size
+        keys, order = (self._array(name, key, t, size) for key, t in (("keys", wp.int64), ("order", wp.int32)))
+        of_rows = (("others", wp.vec2i), ("pair keys", wp.int64), ("is unique", wp.bool), ("shared by", wp.int32))
+        found = SharedFeatures(keys, *(self._array(name, key, dtype, capacity) for key, dtype in of_rows))
+        columns = {key: getattr(self._list, key) for key in ("count", "kind", "primitives")} | {"features": features}
+        columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
+        count = capacity
+        if device.is_cpu and not device.is_capturing:  # the host knows how many rows there are
             count = min(count, int(self._list.count.numpy()[0]))
-        keys, order = self._ordered_pairs("unique", count)
-        inputs = [self._list, *(self._topology.corners[kind] for kind in ("edge", "face")), features, order]
-        for by_end in (1, 0) if count else ():
-            self._execution.launch(kernels.fill_feature_keys, count, inputs=[*inputs, by_end], outputs=[keys])
-            wp.utils.radix_sort_pairs(keys, order, count)
-        is_unique = self._array("unique", "unique", wp.bool, self._capacity)
-        self._execution.launch(kernels.mark_unique, self._capacity, inputs=inputs, outputs=[is_unique])
-        return is_unique
-
-    def _ordered_pairs(self, name: str, count: int) -> tuple[wp.array, wp.array]:
-        """Keys, and so many rows ordered by kind and pair, those without a pair last."""
-        keys = self._array(name, "keys", wp.int64, 2 * self._capacity)  # the sort needs twice the size
-        order = self._array(name, "order", wp.int32, 2 * self._capacity)
-        self._execution.launch(kernels.fill_pair_keys, count, inputs=[self._list], outputs=[keys, order])
-        if count:
-            wp.utils.radix_sort_pairs(keys, order, count)
-        return keys, order
+        sort = partial(wp.utils.radix_sort_pairs, keys, order, count)
+        num_vertices = self._topology.mesh.num_vertices
+        found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
+        return found
 
     def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
         """The array of this name, filled by a kernel that takes the contacts and these inputs."""

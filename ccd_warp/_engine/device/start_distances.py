@@ -59,7 +59,7 @@ class DeviceStartDistances:
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         distance = largest_start_distance(mesh, options, mesh._largest_radius)
-        norm = norm_of(mesh, options, may_change=True, keeps_start_distances=True, on_arcs=on_arcs)
+        norm = norm_of(mesh, options, may_change=True, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
@@ -89,7 +89,7 @@ class DeviceStartDistances:
         """Record the launches that look for worlds in which the first pass has found a contact that may start close."""
         topology, moving = self._topology, self._topology.moving_vertices
         contacts = self._contacts
-        listed = contacts.count, contacts.kind, contacts.primitives
+        listed = contacts.count, contacts.kind, contacts.primitives, contacts.parameters
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(

@@ -47,6 +47,10 @@ class Buffers:
         self.num_allocations += 1
         return new
 
+    def release(self, name: str) -> None:
+        """Leave the array of a name to those who have it."""
+        self._arrays.pop(name, None)
+
     def num_bytes_but(self, *words: str) -> int:
         """Bytes of all arrays whose names contain none of the words."""
         return sum(

@@ -1,6 +1,7 @@
 """All contacts of a step: the toi of every pair that the cull leaves."""
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,30 +10,67 @@ from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, Contac
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.oddities import hidden_sentence
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
+from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import located
+from ccd_warp._results.contacts import Contacts
+from ccd_warp._results.pairs import pair_vertices
 from ccd_warp._results.results import MeshResult
 from ccd_warp._results.touch import Touch
+from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import OPEN
 
 
 class ContactStep(ImpactStep):
-    """The contacts."""
+    """The contacts.
+
+    Attributes:
+        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
+        beside: Contacts of the step of which those without such a vertex are part of the result.
+    """
 
     goal = "contacts"
+    among: NDArray[np.bool_] | None = None
+    beside: Contacts | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
 
-    def contacts(self, *, is_ordered: bool = True) -> MeshResult:
+    def of_vertices(self, among: NDArray[np.bool_] | None, beside: Contacts | None = None) -> Self:
+        """This step, of which only the contacts are wanted that have one of these vertices; others may be known.
+
+        Contacts of float32 are none of a step that is made again in float64.
+        """
+        if beside is None or self.options.precision == "float64":
+            self.among, self.beside = among, beside
+        return self
+
+    def _with_those_beside(self, contacts: Contacts) -> Contacts:
+        """Contacts with one of the vertices, and those beside them without any."""
+        among, beside = self.among, self.beside
+        if among is None or beside is None:
+            return contacts
+        of_step = np.flatnonzero(among[pair_vertices(self.mesh, contacts)].any(axis=1))
+        beside = beside[np.flatnonzero(~among[pair_vertices(self.mesh, beside)].any(axis=1))]
+        parts = contacts[of_step], replace(beside, normal=self.mesh._in_space(beside.normal))
+        columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(contacts)}
+        return Contacts(**columns)
+
+    def contacts(self, *, is_ordered: bool = True, is_placed: bool = True) -> MeshResult:
         """Compute the toi of every pair that the cull leaves, and gather the result.
 
-        Where contacts need no order, the result has no first ones, and they do not know where they are.
+        Where contacts need no order, the result has no first ones; unless they are placed, they do not know where they
+        are.
         """
         store = self.workspace.contacts
-        for part in self.motion.slices:
-            self._find(part, store)
+        batch = self.found_at_once()
+        if batch is None:
+            for part in self.motion.slices:
+                self._find(part, store)
+        elif batch.num_pairs:
+            with self.timed("narrow phase"):
+                self._solve_all(batch, store)
         if not store.is_complete:
             least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
             raise ValueError(
@@ -40,11 +78,11 @@ class ContactStep(ImpactStep):
                 f"contacts of this step, or collision_free_step, which keeps none"
             )
         with self.timed("gather"):
-            if len(self.motion.slices) > 1:
+            if self.paths is not None and len(self.motion.slices) > 1:
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
-            place = self._place() if is_ordered else ()
-            contacts = located(gathered["contacts"], self.mesh, *place)
+            place = self._place() if is_placed else ()
+            contacts = located(self._with_those_beside(gathered["contacts"]), self.mesh, *place)
         # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
         of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
         of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
@@ -57,23 +95,22 @@ class ContactStep(ImpactStep):
         self.oddities.is_stuck = num_hidden > 0
         within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
         hidden = hidden_sentence(num_hidden, self.mesh, self.positions, within)
-        of_step = {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
-        return MeshResult(**(gathered | of_step))
+        gathered |= {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
+        return of_values(MeshResult, gathered | {"start": None})
 
     def _find(self, part: Slice, store: ContactStore) -> None:
         """Add the contacts of a slice, or of the whole step."""
         plan = self.begin_slice(part)
         with self.timed("pairs"):
             if part is self.motion.slices[0]:
-                limit = self.options.memory_limit
-                largest = MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
-                store.begin(self.execution, largest)
-                plan.reset_minima(store.count)
+                self.reset(plan)
             if self.is_idle():
                 return
             self.bind_options(part)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
-            batches = plan.batches(self.capacity())
+            # a search of some queries takes a copy of the boxes, and is not shared
+            among = self.among if self.options.memory_limit is None and self.ranks.is_alone else None
+            batches = plan.batches(self.capacity(), among=among)
         if self.planes is not None:
             with self.timed("planes"):
                 expected = store.num_with_planes
@@ -85,18 +122,16 @@ class ContactStep(ImpactStep):
         has_shared = False
         for batch in self.batches(batches):
             with self.timed("narrow phase"):
+                if batch.is_only:
+                    has_shared = True
+                    self._solve_all(batch, store)
+                    continue
                 self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
                 plan.bind(contacts=store.begin_batch(sum(batch.num_pairs.values())))
                 plan.solve(is_second=False)
-                if batch.is_only:
-                    if not self.ranks.is_alone:
-                        plan.counters.set_column(OPEN, self.ranks.all_open(plan.num_open()))
-                    has_shared = True
-                    plan.solve(is_second=True)
-                else:
-                    for kind in plan.num_open():
-                        keys = plan.memory.keys(kind, batch.num_pairs[kind]).numpy()
-                        open_keys.setdefault(kind, []).append(keys[keys < 0])
+                for kind in plan.num_open():
+                    keys = plan.memory.keys(kind, batch.num_pairs[kind]).numpy()
+                    open_keys.setdefault(kind, []).append(keys[keys < 0])
                 store.end_batch()
         with self.timed("narrow phase"):
             keys_left = {kind: np.concatenate(keys) for kind, keys in open_keys.items()}
@@ -107,11 +142,32 @@ class ContactStep(ImpactStep):
                 plan.solve(is_second=True)
                 store.end_batch()
 
+    def _solve_all(self, batch: Batch, store: ContactStore) -> None:
+        """Both rounds of the narrow phase on pairs that are all there are."""
+        plan = self.plan
+        self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
+        plan.bind(contacts=store.begin_batch(sum(batch.num_pairs.values())))
+        plan.solve(is_second=False)
+        if not self.ranks.is_alone:
+            plan.counters.set_column(OPEN, self.ranks.all_open(plan.num_open()))
+        plan.solve(is_second=True)
+        store.end_batch()
+
+    def reset(self, plan: HostPlan) -> None:
+        """Begin a list of contacts, and set every toi to infinity."""
+        limit = self.options.memory_limit
+        largest = MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
+        self.workspace.contacts.begin(self.execution, largest)
+        plan.reset_minima(self.workspace.contacts.count)
+
     def _place(self) -> tuple[Any, ...]:
         """Where contacts are, what counts as touching, if it is one thing for all pairs, and what is how thick."""
         radius, radii = self.mesh.radius if self.mesh.is_thick else None, None
         if radius is not None:
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
         is_euclidean = is_ball(self.plan.norm)
-        touch = Touch.of(self.options, self.length_scale, is_euclidean=is_euclidean, radius=radius)
+        of_touch = self.options, self.length_scale
+        touch = self.workspace.packed_once(
+            ("touch", *of_touch), lambda: Touch.of(*of_touch, is_euclidean=is_euclidean, radius=radius)
+        )
         return *self.ends, self.paths, None if self.lets_part else touch, radii

@@ -1,7 +1,6 @@
 """Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -15,6 +14,7 @@ from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
@@ -35,6 +35,8 @@ _SAMPLES = 1 << 10
 _ALIGNMENT = 256
 # Contacts that are few: their launches are recorded for so many, whatever their number.
 _FEW = 1 << 10
+# Who has a toi and a first contact, in the order of the arrays.
+_OWNERS = "vertex", "body", "world"
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
@@ -77,6 +79,7 @@ class _Ordered:
         self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
         self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
         self._views = None if is_cuda else self._views_of(self._all.numpy())
+        self._owners = [slice(i, j) for i, j in itertools.pairwise(self._bounds)]
 
     def _views_of(self, memory: NDArray[np.uint8]) -> tuple[dict[str, NDArray[Any]], NDArray[np.int32]]:
         """The columns of the contacts in the allocation on the host, and the first ones."""
@@ -92,8 +95,12 @@ class _Ordered:
         if views is None:
             views = self._views_of(self._all.numpy() if count else np.empty(len(self._all), np.uint8))
         columns, first = views
-        first = np.where(first == _LAST, _NO_CONTACT, first) if count else np.full(len(first), _NO_CONTACT)
-        return columns, [first[i:j] for i, j in itertools.pairwise(self._bounds)]
+        if count:
+            first = first.copy()
+            first[first == _LAST] = _NO_CONTACT
+        else:
+            first = np.full(len(first), _NO_CONTACT)
+        return columns, [first[rows] for rows in self._owners]
 
     def fill_keys(self, launcher: Execution | Recording, contacts: Any) -> None:
         """Compute the keys of the contacts of a list."""
@@ -104,13 +111,8 @@ class _Ordered:
         if execution.is_cuda:
             sort_places(self.keys, self.order, count, execution)
         else:
-            keys, order = self._sorted
+            keys, order = self.keys.numpy(), self.order.numpy()
             order[:count] = _sorted_places(keys[:count], execution)
-
-    @lazy_property
-    def _sorted(self) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-        """Keys and order on the CPU, whose views Warp takes as long to make as few contacts take to sort."""
-        return self.keys.numpy(), self.order.numpy()
 
     def fill(self, launcher: Execution | Recording, contacts: Any) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
@@ -125,10 +127,6 @@ class _Ordered:
 
             inputs = [self._contacts, planes_of(self._topology).body, self._minima]
             launcher.launch(meet_planes.first_plane_contacts, self._capacity, inputs=inputs, outputs=[self._first[1]])
-
-
-# Launches on a list of contacts, or on the slot of one.
-_Launches = Callable[[Execution | Recording, Any], None]
 
 
 class ContactStore:
@@ -242,47 +240,50 @@ class ContactStore:
         if not is_ordered and count:
             contacts = {name: values.copy() for name, values in self._columns().items()}
             return self._gathered(contacts, [np.full(j - i, _NO_CONTACT) for i, j in self._ranges[:-1]])
-        are_few = count <= _FEW and not is_cuda
-        ordered = self._few if are_few else _Ordered(self._topology, self.count, self.minima, count, is_cuda)
-        launched = self._play if are_few else self._launch
+        if count <= _FEW and not is_cuda:
+            if count > 0:
+                self._order_few()
+            contacts, first = self._few.read(count)
+            # the arrays stay
+            return self._gathered({name: values[:count].copy() for name, values in contacts.items()}, first)
+        ordered = _Ordered(self._topology, self.count, self.minima, count, is_cuda)
         if count > 0:
-            launched("keys", ordered.fill_keys)
+            ordered.fill_keys(self._execution, self._list)
             ordered.sort(count, self._execution)
-            launched("contacts", ordered.fill)
-        contacts, first = ordered.read(count)
-        if are_few:  # the arrays stay
-            contacts = {name: values[:count].copy() for name, values in contacts.items()}
-        return self._gathered(contacts, first)
+            ordered.fill(self._execution, self._list)
+        return self._gathered(*ordered.read(count))
 
     def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> dict[str, Any]:
         if self._execution.is_cuda:
             toi = self._toi.numpy() if self._read is None else self._read
         else:
             toi = self._toi_view.copy()
-        *of_owners, scene = (toi[i:j] for i, j in self._ranges)
-        owners = "vertex", "body", "world"
-        results: dict[str, Any] = {"contacts": Contacts(**contacts), "toi": float(scene[0])}
-        results |= {f"{owner}_toi": values for owner, values in zip(owners, of_owners, strict=True)}
-        return results | {f"{owner}_contact": values for owner, values in zip(owners, first, strict=True)}
+        results: dict[str, Any] = {"contacts": of_values(Contacts, contacts), "toi": float(toi[self._ranges[-1][0]])}
+        for name, (begin, end), of_owners in zip(_OWNERS, self._ranges, first, strict=False):
+            results[f"{name}_toi"], results[f"{name}_contact"] = toi[begin:end], of_owners
+        return results
 
     @lazy_property
     def _few(self) -> "_Ordered":
         """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
         return _Ordered(self._topology, self.count, self.minima, _FEW, is_cuda=False)
 
-    def _launch(self, section: str, launch: _Launches) -> None:
-        """Launch what a recording would have as a section."""
-        launch(self._execution, self._list)
-
-    def _play(self, section: str, record: _Launches) -> None:
-        """Run a section of the recording for few contacts, recorded at its first use."""
+    def _order_few(self) -> None:
+        """Order few contacts by a recording, made at its first use."""
         if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
-            self._recording = Recording(self._execution, {"found": None})
+            few, found, self._recording = self._few, Slot("found"), Recording(self._execution, {"found": None})
+            keys, order = few.keys.numpy(), few.order.numpy()
+
+            def sort() -> None:
+                order[: self.total] = keys[: self.total].argsort()
+
+            self._recording.bind("found", self._list)
+            with self._recording.section("ordered"):
+                few.fill_keys(self._recording, found)
+                self._recording.call(sort)
+                few.fill(self._recording, found)
         self._recording.bind("found", self._list)
-        if section not in self._recording:
-            with self._recording.section(section):
-                record(self._recording, Slot("found"))
-        self._recording.play(section)
+        self._recording.play("ordered")
 
 
 def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution) -> None:

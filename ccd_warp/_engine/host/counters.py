@@ -25,10 +25,11 @@ class Counters:
         self._counters, self.least_bits = counters, counters[NUM_ALL_COUNTS:]
         self._view = None if is_cuda else _split(counters.numpy())
         self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
+        self._rows: list[list[int]] | None = None  # the same of the counts alone, on the CPU as well
 
     def change(self) -> None:
         """Note that a launch may change them."""
-        self._read = None
+        self._read = self._rows = None
 
     def _on_host(self) -> _OnHost:
         if self._view is not None:
@@ -41,8 +42,15 @@ class Counters:
         """The counts of each kind, a row each, after the last launch."""
         return self._on_host()[0]
 
+    def rows(self) -> list[list[int]]:
+        """The same as lists, of which it takes less to read some."""
+        if self._rows is None:
+            self._rows = self.counts().tolist()
+        return self._rows
+
     def clear(self) -> None:
         """Count the pairs of the next launches from 0."""
+        self._rows = None
         if self._view is not None:
             self._view[0].fill(0)
         else:
@@ -51,7 +59,7 @@ class Counters:
 
     def set_column(self, column: int, numbers: Mapping[PairKind, int]) -> None:
         """Let pairs of kinds count as so many."""
-        counts = self.counts()
+        counts, self._rows = self.counts(), None
         for kind, number in numbers.items():
             counts[kind, column] = number
         if self._view is None:

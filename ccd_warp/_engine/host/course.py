@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.motion import moved
 
+# The most that rounding takes of a way, as a share of the coordinates, which count as no less than this.
+_ROUNDINGS, _LEAST = 2.0**-49, 2.0**-900
+
 
 class Ends(NamedTuple):
     """A step as a solver takes it.
@@ -49,6 +52,14 @@ class Course:
         """Which vertices have not moved on the way to positions that are those at a fraction of each, shape [V]."""
         is_at_start: NDArray[np.bool_] = (vertices == self.start).all(axis=1)
         return is_at_start
+
+    def may_stay(self, fraction: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which vertices may be where they start at these fractions; the others are not, nor at any larger ones."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            way = fraction[:, None] * np.abs(0.5 * self.end - 0.5 * self.start)
+            largest = np.maximum(np.maximum(np.abs(self.start), np.abs(self.end)), _LEAST)
+            may_stay: NDArray[np.bool_] = np.asarray((~(way > _ROUNDINGS * largest)).all(axis=1))
+        return may_stay
 
     def shared(self, least: NDArray[np.float64]) -> NDArray[np.float64]:
         """A value of each vertex, which vertices share that have one fraction whatever is asked for."""

@@ -1,6 +1,7 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -8,11 +9,23 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.oddities import DistanceInEdges
-from ccd_warp._engine.host.plan import HostPlan
+from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.lengths import half_rounded_up
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
+from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
+
+
+@dataclass(frozen=True)
+class _AtOnce:
+    """What the steps with the same options share that :meth:`ImpactStep.found_at_once` makes."""
+
+    plan: HostPlan
+    length_scale: float
+    separation: float
+    inflation: float
+    most_pairs: int
+    packed: Any  # the options
 
 
 class ImpactStep(Step):
@@ -26,6 +39,7 @@ class ImpactStep(Step):
 
     lets_part = False
     start_distances: wp.array | None = None
+    far_distance: DistanceInEdges | None = None
 
     def parting(self, start_distances: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide, if the options let it.
@@ -42,10 +56,62 @@ class ImpactStep(Step):
             self.start_distances.assign(start_distances)
         return self
 
-    def norm(self) -> str:
-        """The norm of separations, of which each pair has one of its own where start distances are kept."""
-        keeps = self.start_distances is not None
-        return norm_of(self.mesh, self.options, keeps_start_distances=keeps, on_arcs=self.motion.on_arcs)
+    def found_at_once(self) -> Batch | None:
+        """All pairs of a step on straight lines, in one process, without half-spaces and a limit of memory, on the CPU.
+
+        This plays what :meth:`begin_slice`, :meth:`bind_options` and :meth:`HostPlan.batches` do, with what stays the
+        same from step to step: in a small scene that would take longer than the kernels.
+
+        Returns:
+            The pairs; None if the step is another one, or if they do not fit the memory, and nothing has been done.
+        """
+        if self.paths is not None or self.start_distances is not None or not self.ranks.is_alone:
+            return None
+        shared = self.workspace.packed_once((self.goal, self.options, self.options.threads), self._at_once)
+        if shared is None or shared.plan.is_divided:
+            return None
+        begin = time.perf_counter()
+        self.plan = plan = shared.plan
+        self.execution, self.planes = plan.execution, None
+        self.length_scale, self.separation, self.inflation = shared.length_scale, shared.separation, shared.inflation
+        plan.begin_counts()
+        if self.separation > 0.0 or self.mesh.is_thick:
+            self._note_distance()
+            if self.far_distance is not None:
+                return None
+        if self._step_before is shared and plan.is_repeatable:
+            plan.fill_boxes_again(self.positions)
+        else:
+            plan.set_positions(self.positions)
+            near = self._bodies_near()
+            if near is not None and not near.any():
+                plan.skip_boxes()
+            else:
+                plan.fill_boxes(self.positions, self.options.t_max, self.inflation, self.workspace.active(near))
+            plan.bind(options=shared.packed)
+            plan.set_search(self.options.t_max, self.inflation, self.separation)
+        boxes_end = time.perf_counter()
+        self.reset(plan)
+        batch = plan.search(shared.most_pairs)
+        if batch is not None:
+            self.survivors |= batch.num_pairs
+            self.workspace.last_step = shared
+            self.timings |= {"boxes": boxes_end - begin, "pairs": time.perf_counter() - boxes_end, "narrow phase": 0.0}
+        return batch
+
+    def _at_once(self) -> _AtOnce | None:
+        """What is the same in all steps with these options; None if the pairs of none are found at once."""
+        plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
+        is_sampled = self.goal == "bound" and self.topology.samples_queries
+        if plan.execution.is_cuda or plan.has_planes or is_sampled or self.options.memory_limit is not None:
+            return None
+        length_scale = length_scale_of(self.mesh, self.options)
+        separation = self.options.separation(length_scale)
+        self.plan, self.length_scale = plan, length_scale
+        return _AtOnce(plan, length_scale, separation, half_rounded_up(separation), self.capacity(), self._packed())
+
+    def reset(self, plan: HostPlan) -> None:
+        """Forget what earlier steps have found, before a search."""
 
     def begin_slice(self, part: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""
@@ -54,10 +120,14 @@ class ImpactStep(Step):
     def _inflation(self) -> float:
         self.length_scale = length_scale_of(self.mesh, self.options)
         self.separation = self.options.separation(self.length_scale)
+        self._note_distance()
+        return half_rounded_up(self.separation)
+
+    def _note_distance(self) -> None:
+        """Note the distance of pairs, if it is many edges long."""
         x, rings = self.positions[0], self.mesh.exclusion_rings
         self.far_distance = DistanceInEdges.of(self.topology, x, self.separation, rings=rings)
         self.oddities.distance = self.oddities.distance or self.far_distance
-        return half_rounded_up(self.separation)
 
     def is_idle(self) -> bool:
         """Whether there is nothing to search; the memory limit and the stages are then those of any other slice."""

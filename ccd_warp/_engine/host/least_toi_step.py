@@ -42,11 +42,13 @@ class LeastToiStep(ImpactStep):
         self._any_suffices = any_suffices
         if not any_suffices:
             self.parting(start_distances)
-        best = np.inf
-        for part in self.motion.slices:
+        batch, best = self.found_at_once(), np.inf
+        for part in self.motion.slices if batch is None else ():
             best = self._least_of(part, best)
             if best <= part.t_end:
                 break
+        if batch is not None and batch.num_pairs:
+            best = self._least_of_all(batch)
         self.oddities.is_stuck = best <= 0.0
         self.finish()
         return 0.0 if start_distances is not None and self._is_lost(best) else best
@@ -89,12 +91,7 @@ class LeastToiStep(ImpactStep):
             plan.begin_candidates(num_with_planes)
             open_pairs: _OpenPairs = {}
             for batch in self.batches(self._searched(plan, best, of_sample=of_sample)):
-                with self.timed("narrow phase"):
-                    plan.solve(is_second=False)
-                    for kind in plan.num_open():
-                        of_kind = plan.memory.keys, plan.memory.open_toi
-                        keys, toi = (of_batch(kind, batch.num_pairs[kind]).numpy() for of_batch in of_kind)
-                        open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
+                self._solve(plan, batch, open_pairs)
                 if self._suffices(plan.counters.least()):
                     break
             best = self.ranks.least_number(plan.counters.least())
@@ -103,6 +100,26 @@ class LeastToiStep(ImpactStep):
             with self.timed("narrow phase"):
                 best = self.ranks.least_number(self._least_open_toi(plan, best, open_pairs))
         return best
+
+    def _solve(self, plan: HostPlan, batch: Batch, open_pairs: _OpenPairs) -> None:
+        """The first round of the narrow phase on a batch, whose open pairs are added to the others."""
+        with self.timed("narrow phase"):
+            plan.solve(is_second=False)
+            for kind in plan.num_open():
+                of_kind = plan.memory.keys, plan.memory.open_toi
+                keys, toi = (of_batch(kind, batch.num_pairs[kind]).numpy() for of_batch in of_kind)
+                open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
+
+    def _least_of_all(self, batch: Batch) -> float:
+        """The least toi of pairs that are all there are."""
+        open_pairs: _OpenPairs = {}
+        self._solve(self.plan, batch, open_pairs)
+        best = self.plan.counters.least()
+        return best if self._suffices(best) or not open_pairs else self._least_open_toi(self.plan, best, open_pairs)
+
+    def reset(self, plan: HostPlan) -> None:
+        """Begin without a toi."""
+        plan.counters.set_least(np.inf)
 
     def _searched(self, plan: HostPlan, best: float, *, of_sample: bool) -> Iterator[Batch]:
         """The batches of a search; none where few of its queries show that what touches does so at once."""

@@ -50,6 +50,7 @@ class PairMemory:
         self.most_pairs = MOST_PAIRS // CANDIDATES_EACH if is_cuda else MOST_PAIRS
         self._buffers, self._is_cuda, self._keeps_toi, self._has_queue = buffers, is_cuda, keeps_toi, has_queue
         self._keys: wp.array | None = None  # the array that is divided among the kinds
+        self._total = 0  # of the capacities
         self._queue: list[wp.array] = []
         self._recording: Recording
 
@@ -74,14 +75,15 @@ class PairMemory:
 
     def reserve(self, num_queries: Callable[[PairKind], int], largest: int) -> None:
         """Have memory for the pairs of the last step, at first for one pair of each query, at most for so many."""
-        wanted = self.capacities
+        wanted, keys = self.capacities, self._buffers.get("keys", 0, wp.int64)
+        if keys is self._keys and self._total <= largest:
+            return
         if not all(wanted.values()):
             wanted = {kind: max(num_queries(kind), _LEAST_CAPACITY) for kind in self.kinds}
         total = sum(wanted.values())
         if total > largest:
             wanted = {kind: max(count * largest // total, 1) for kind, count in wanted.items()}
-        if wanted != self.capacities or self._buffers.get("keys", 0, wp.int64) is not self._keys:
-            self._divide(wanted)
+        self._divide(wanted)
 
     def grow(self, needed: dict[PairKind, int], largest: int) -> bool:
         """Have memory for so many pairs, and more where ``largest`` pairs allow it; returns whether they do."""
@@ -104,7 +106,7 @@ class PairMemory:
                 parts.append(candidates[CANDIDATES_EACH * begin : CANDIDATES_EACH * end])
             self._give(kind, *parts)
             begin = end
-        self.capacities, self._keys = capacities, keys
+        self.capacities, self._keys, self._total = capacities, keys, total
         self._reserve_queue(max(capacities.values(), default=0))
 
     def share(self, count: int) -> None:

@@ -1,14 +1,17 @@
 """The driver of calls on the host, whose sizes and positions change from step to step: sections that it plays."""
 
+import itertools
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.boxes.box_sets import BoxSet
+from ccd_warp._engine.boxes.some_queries import with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
@@ -17,6 +20,7 @@ from ccd_warp._engine.motion import Motion
 from ccd_warp._engine.plan import AT_ONE_TIME, Goal, Plan
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
@@ -25,6 +29,7 @@ if TYPE_CHECKING:
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._scene.input.options import Options
 
+_CANDIDATES, _FOUND, _OPEN = int(CANDIDATES), int(FOUND), int(OPEN)
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
@@ -38,8 +43,7 @@ _FIELDS = (
 )
 
 
-@dataclass(frozen=True)
-class Batch:
+class Batch(NamedTuple):
     """Pairs whose keys the search has just written.
 
     Attributes:
@@ -90,6 +94,7 @@ class HostPlan(Plan):
             has_queue=has_queue,
         )
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
+        self._needed: Mapping[PairKind, int] = {}  # pairs of the last search
         self._search_values: tuple[float, ...] | None = None
         self.is_idle = False
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
@@ -186,9 +191,32 @@ class HostPlan(Plan):
         is_sorted = self.trees[0].is_sorted_when_filled
         # on CUDA each tree is sorted anew by the AABBs of its vertices, and then filled
         self._fill(t_end, with_trees=is_sorted or not self.execution.is_cuda)
-        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self.moving_trees]):
+        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
             self._bind_trees()
         self._fill_slender()
+
+    @lazy_property
+    def is_repeatable(self) -> bool:
+        """Whether nothing but the quantization follows from the positions, in a step on the CPU without spatial hashes.
+
+        All bodies are searched then, none of which is static, and no tree is sorted.
+        """
+        is_fixed = not (self.static_trees or self.slender_trees or self._kept_in_order)
+        is_whole = not self.topology.may_have_inactive_bodies and self._are_copied and len(self.trees) > 0
+        return is_fixed and is_whole and not self.trees[0].is_sorted_when_filled
+
+    def fill_boxes_again(self, positions: Positions) -> None:
+        """Compute the boxes where the last step of the workspace was one of this plan, with the same options."""
+        for name, values in zip(_POSITIONS, positions, strict=True):
+            self._workspace.positions(name, values)
+        self._boxes.begin_again(positions)
+        self.bind(quantization=self._boxes.quantization.packed)
+        self._recording.play("boxes")
+
+    @lazy_property
+    def _kept_in_order(self) -> list[BoxSet]:
+        """The trees of which a step may change the order."""
+        return [tree for tree in self.moving_trees if self.execution.is_cuda or self._boxes.may_be_sorted(tree)]
 
     def skip_boxes(self, *, goes_on: bool = False) -> None:
         """Search nothing in a step, or in a slice with which it ``goes_on``, as no body is near another."""
@@ -242,37 +270,84 @@ class HostPlan(Plan):
         """The stages with the values of their slots, to launch now."""
         return self._stages.with_values(self._recording.values)
 
-    def batches(self, largest: int, *, of_sample: bool = False) -> Iterator[Batch]:
+    def batches(
+        self, largest: int, *, of_sample: bool = False, among: NDArray[np.bool_] | None = None
+    ) -> Iterator[Batch]:
         """Search all pairs, or those of a sample of the queries, and yield what the cull leaves in batches.
 
-        The first search tells how many pairs there are. If they are more than the capacity, which grows up to
-        ``largest`` pairs, it is repeated; if they are more than these, in parts. Where the last step had so many, the
-        search is in parts from the beginning.
+        They are one where :meth:`search` finds all, and otherwise those of a search in parts. Where there are few
+        vertices ``among`` which one of each pair is wanted, of all others only some may be found.
         """
-        section, tree_pairs = ("pairs of a sample", self.sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
+        batch = self.search(largest, of_sample=of_sample, among=among)
+        if batch is None:
+            section, tree_pairs = self._searched(of_sample=of_sample)
+            yield from self._batches_of_parts(section, tree_pairs, largest, self._needed)
+        elif batch.num_pairs:
+            yield batch
+
+    def _searched(self, *, of_sample: bool) -> tuple[str, list[TreePair]]:
+        return ("pairs of a sample", self.sampled_pairs) if of_sample else ("pairs", self.tree_pairs)
+
+    def search(self, largest: int, *, of_sample: bool = False, among: NDArray[np.bool_] | None = None) -> Batch | None:
+        """Search all pairs, or those of a sample of queries or of some vertices, into the capacity of the last step.
+
+        The search tells how many pairs there are. If they are more than the capacity, this grows up to ``largest``
+        pairs, and the search is repeated.
+
+        Returns:
+            What the cull leaves, of no kind where nothing is searched; None if it is more than ``largest`` pairs, or
+            was in the last step, and so is to be searched in parts.
+        """
+        section, tree_pairs = self._searched(of_sample=of_sample)
         if not tree_pairs or self.is_idle:
-            return
+            return Batch({}, is_only=True)
         if section in self._excess:
-            yield from self._batches_of_parts(section, tree_pairs, largest, self._excess[section])
-            return
+            self._needed = self._excess[section]
+            return None
         self.memory.reserve(lambda kind: sum(p.query.primitives.count for p in tree_pairs if p.kind == kind), largest)
-        self._meets = [self.may_meet(tree_pair) for tree_pair in tree_pairs]
+        has_static = len(self.static_trees) > 0
+        self._meets = [not has_static or self.may_meet(tree_pair) for tree_pair in tree_pairs]
 
         def record(stages: Stages, recording: Recording) -> None:
             stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
 
+        some = None if among is None or self.execution.is_cuda else self._with_some_queries(tree_pairs, among)
         while True:
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self.counters.clear()
-            self.play(section, record)
-            needed = self._num_needed()
+            if some is None:
+                self.play(section, record)
+            else:
+                self._search_some(some)
+            self._needed = needed = self._num_needed()
             if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
-                yield self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
-                return
+                return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
             if not self.memory.grow(needed, largest):
-                break
-        yield from self._batches_of_parts(section, tree_pairs, largest, needed)
+                return None
+
+    @property
+    def is_divided(self) -> bool:
+        """Whether the last search of all pairs found more than fit, so that the next one is in parts."""
+        return "pairs" in self._excess
+
+    def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
+        """Those of the tree pairs that may meet, with the queries that some vertices need; None if these are many."""
+        allocate = lambda name, count: self._workspace.buffers.get(name, count, wp.float32)  # noqa: E731
+        some = []
+        for tree_pair in itertools.compress(tree_pairs, self._meets):
+            with_some = with_some_queries(tree_pair, among, allocate)
+            if with_some is None:
+                return None
+            some.append(with_some)
+        return some
+
+    def _search_some(self, tree_pairs: list[TreePair]) -> None:
+        """Search tree pairs with some of their queries, now."""
+        stages = self.stages_now()
+        boxes = stages.boxes | {tree_pair.query.name: tree_pair.query.structs for tree_pair in tree_pairs}
+        for tree_pair in tree_pairs:
+            replace(stages, boxes=boxes).search(self.execution, tree_pair)
 
     def few_batches(self, largest: int) -> Iterator[Batch]:
         """Batches of a few queries of each tree pair, of at most ``largest`` pairs; further pairs of them are left."""
@@ -328,27 +403,27 @@ class HostPlan(Plan):
     def _batch(self, num_pairs: dict[PairKind, int], is_only: bool) -> Batch:
         """A batch, after it is counted."""
         self.num_batches += 1
-        counts = self.counters.counts()[:, CANDIDATES].tolist()
+        rows = self.counters.rows()
         for kind in self._searched_kinds:
-            self.num_candidates[kind] += counts[kind]
+            self.num_candidates[kind] += rows[kind][_CANDIDATES]
         return Batch(num_pairs, is_only)
 
     def _num_found(self) -> dict[PairKind, int]:
-        counts = self.counters.counts()[:, FOUND].tolist()
-        return {kind: counts[kind] for kind in self._searched_kinds}
+        rows = self.counters.rows()
+        return {kind: rows[kind][_FOUND] for kind in self._searched_kinds}
 
     def _num_needed(self) -> dict[PairKind, int]:
         """The capacity for pairs that the search needs; on CUDA for its candidates, too."""
         needed = self._num_found()
         if self.execution.is_cuda:
-            counts = self.counters.counts()
-            return {kind: max(n, -(-int(counts[kind, CANDIDATES]) // CANDIDATES_EACH)) for kind, n in needed.items()}
+            rows = self.counters.rows()
+            return {kind: max(n, -(-rows[kind][_CANDIDATES] // CANDIDATES_EACH)) for kind, n in needed.items()}
         return needed
 
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
-        counts = self.counters.counts()[:, OPEN].tolist()
-        return {kind: counts[kind] for kind in self._searched_kinds if counts[kind]}
+        rows = self.counters.rows()
+        return {kind: rows[kind][_OPEN] for kind in self._searched_kinds if rows[kind][_OPEN]}
 
     def solve(self, *, is_second: bool) -> None:
         """A round of the narrow phase on the pairs of a batch."""

@@ -18,6 +18,8 @@ from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice, StepPaths
 from ccd_warp._engine.plan import Goal
 from ccd_warp._results.results import Counts
+from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.quick import of_values
 from ccd_warp._scene.input.options import Options
 
 # Memory for pairs where the user sets no limit.
@@ -32,7 +34,6 @@ class Step:
     Attributes:
         goal: What it looks for.
         bytes_beside: Bytes that a pair takes beside what the search of it does.
-        motion: How vertices move, and in which slices the step is searched.
         plan: What is searched, from `begin` on.
         planes: The stage in which vertices meet half-spaces; None in scenes without.
         vertices_t0: Positions at the start, on the device.
@@ -76,8 +77,13 @@ class Step:
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
-        at = positions, options.t_max
-        self.motion = Motion(self.topology, *at) if paths is None else paths.begin(workspace, *at)
+        self._step_before, workspace.last_step = workspace.last_step, None
+
+    @lazy_property
+    def motion(self) -> Motion:
+        """How vertices move, and in which slices the step is searched."""
+        at = self.positions, self.options.t_max
+        return Motion(self.topology, *at) if self.paths is None else self.paths.begin(self.workspace, *at)
 
     def __enter__(self) -> Self:
         return self
@@ -120,7 +126,7 @@ class Step:
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
-        active = self.motion.active
+        active = None if self.paths is None else self.motion.active
         if not self.topology.may_have_inactive_bodies:
             return active
         radius = self.motion.radius.numpy() if self.motion.on_arcs else None
@@ -169,23 +175,20 @@ class Step:
 
         ``counts`` are those that the goal knows, by their names.
         """
-        plan, mesh, boxes = self.plan, self.mesh, self.workspace.boxes
+        plan, boxes = self.plan, self.workspace.boxes
         plan.release_positions()
-        self.motion.release()
-        self.counts = Counts(
-            num_bodies=mesh.num_bodies,
-            num_vertices=counts.pop("num_vertices", mesh.num_vertices),
-            num_edges=mesh.num_edges,
-            num_faces=mesh.num_faces,
-            num_codimensional_edges=len(mesh.codimensional_edges),
-            num_codimensional_points=len(mesh.codimensional_points),
-            num_active_bodies=self._num_active_bodies,
-            num_boxes=boxes.num_boxes,
-            num_sorted_sets=boxes.num_sorted,
-            num_searches={kind: plan.num_searches[kind] for kind in plan.kinds},
-            num_candidates={kind: plan.num_candidates[kind] for kind in plan.kinds},
-            num_after_cull={kind: self.survivors[kind] for kind in plan.kinds if self.counts_survivors},
-            num_batches=plan.num_batches,
-            **counts,
-        )
+        if self.paths is not None:
+            self.motion.release()
+        kinds, searches, candidates = plan.kinds, plan.num_searches, plan.num_candidates
+        of_step = {
+            "num_active_bodies": self._num_active_bodies,
+            "num_boxes": boxes.num_boxes,
+            "num_sorted_sets": boxes.num_sorted,
+            "num_searches": {kind: searches[kind] for kind in kinds},
+            "num_candidates": {kind: candidates[kind] for kind in kinds},
+            "num_after_cull": {kind: self.survivors[kind] for kind in kinds} if self.counts_survivors else {},
+            "num_contacts": {},
+            "num_batches": plan.num_batches,
+        }
+        self.counts = of_values(Counts, self.workspace.no_counts | of_step | counts)
         self.timer.finish()

@@ -11,6 +11,7 @@ from ccd_warp._engine.boxes.step_boxes import StepBoxes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
 from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._results.results import Counts
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
@@ -18,7 +19,7 @@ from ccd_warp._scene.input.messages import warn
 from ccd_warp._scene.mesh import CollisionMesh
 
 # Structs of the kernels that are kept, enough for the different kinds of calls in a loop.
-_MOST_PACKED = 8
+_MOST_PACKED = 16
 
 
 class Workspace:
@@ -45,6 +46,7 @@ class Workspace:
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self.motions: dict[type, Any] = {}  # of which steps keep the arrays, by their class
+        self.last_step: object = None  # what the last step shares with others like it, where it may be repeated
         self._packed: dict[Any, Any] = {}
         self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
         self._active: wp.array | None = None
@@ -72,6 +74,15 @@ class Workspace:
             topology = self.topology if topology_of is None else topology_of(self.topology)
             self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology, beside=self)
         return self._at_one_time[goal]
+
+    @lazy_property
+    def no_counts(self) -> dict[str, Any]:
+        """The fields of `Counts` before a step has done anything."""
+        mesh = self.topology.mesh
+        sizes: dict[str, Any] = {"bodies": mesh.num_bodies, "vertices": mesh.num_vertices, "edges": mesh.num_edges}
+        sizes |= {"faces": mesh.num_faces, "codimensional_edges": len(mesh.codimensional_edges)}
+        sizes |= {"codimensional_points": len(mesh.codimensional_points)}
+        return vars(Counts(**{f"num_{name}": number for name, number in sizes.items()}))
 
     @lazy_property
     def own_positions(self) -> Positions:

@@ -6,7 +6,7 @@ import warp as wp
 
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, OWN_BOX_NORM, is_ball
+from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, is_ball
 
 if TYPE_CHECKING:
     from ccd_warp._scene.input.options import Options
@@ -44,7 +44,6 @@ def norm_of(
     options: "Options",
     *,
     may_change: bool = False,
-    keeps_start_distances: bool = False,
     on_arcs: bool = False,
 ) -> str:
     """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
@@ -53,7 +52,6 @@ def norm_of(
         mesh: The bodies.
         options: The options of the call.
         may_change: Whether radii of 0 may be replaced by others, as on the device.
-        keeps_start_distances: Whether what starts within its distance does, so that each pair has one of its own.
         on_arcs: Whether bodies turn, for which the norm of either shape has one of its own.
 
     Raises:
@@ -62,7 +60,7 @@ def norm_of(
     if mesh.radius is None or not (may_change or mesh.is_thick):
         if on_arcs:
             return ARC_BALL_NORM if is_ball(options.norm) else ARC_BOX_NORM
-        return OWN_BOX_NORM if keeps_start_distances and not is_ball(options.norm) else options.norm
+        return options.norm
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -36,6 +36,8 @@ VERTEX_AABB_FLOATS = int(kernels.VERTEX_AABB_FLOATS)
 BLOCK_CORNERS = int(kernels.BLOCK_CORNERS)
 NUM_SAMPLES = 128
 _MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
+# Of sorted samples those at the ends of the middle nine tenths, and two in the middle.
+_RANKS = np.array([_MARGIN, _MIDDLE - 1, _MIDDLE, NUM_SAMPLES - 1 - _MARGIN])
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
@@ -237,7 +239,7 @@ class Topology:
     def samples(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Vertices, shape [n], and the vertices of primitives, shape [k, n], from which the quantization is chosen."""
         mesh = self.mesh
-        primitives = next((p for p in (mesh.edges, mesh.faces) if len(p)), np.arange(mesh.num_vertices)[:, None])
+        primitives = mesh.edges if len(mesh.edges) else np.arange(mesh.num_vertices)[:, None]
         sampled = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
         return uneven_samples(mesh.num_vertices, NUM_SAMPLES), sampled.T.astype(np.intp, order="C")
 
@@ -569,11 +571,29 @@ class Quantization(NamedTuple):
         origin: What maps to 0.
         scale: By how much lengths shrink, a power of two.
         typical_extent: The longest side of a typical box, in quantized coordinates.
+        centre: The middle of the scene, from which the origin was chosen.
+        half: Half its size, from which the scale and the lattice of the origin were chosen.
     """
 
     origin: tuple[float, float, float]
     scale: float
     typical_extent: np.float32
+    centre: list[float]
+    half: float
+
+    def slack(self, largest: float) -> float:
+        """By how much each coordinate may change, at most, so that a scene of one world surely has the same map.
+
+        Both the centre and the size are order statistics of coordinates that are at most ``largest``: they change by no
+        more than these do, but for rounding. Below 0 where that cannot be said.
+        """
+        exponent = math.frexp(self.half)[1]
+        if not (self.half > 0.0 and abs(exponent) < LARGEST_EXPONENT - 100 and largest < 2.0**900):
+            return -1.0
+        half_lattice = 2.0**exponent
+        margins = [half_lattice - abs(c - origin) for c, origin in zip(self.centre, self.origin, strict=True)]
+        margin = min(self.half - 0.5 * half_lattice, half_lattice - self.half, *margins)
+        return 0.5 * margin - 2.0**-40 * largest
 
     @property
     def packed(self) -> Any:
@@ -597,36 +617,36 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
     middle of its cell.
     """
     if len(positions[0]) == 0:
-        return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0))
-    halves, has_origins = topology.sampled(positions), topology.world_places.has_origins
+        return Quantization((0.0, 0.0, 0.0), 0.0, np.float32(0.0), [0.0, 0.0, 0.0], 0.0)
+    sampled, has_origins = topology.sampled(positions), topology.world_places.has_origins
+    rows = np.empty((4, NUM_SAMPLES))  # the coordinates of the centres of vertices, and the extents of primitives
     with np.errstate(over="ignore", under="ignore"):
-        halves *= 0.5  # so that no sum or difference overflows
-        centres = halves[0, :, 0] + halves[1, :, 0]
+        sampled *= 0.5  # so that no sum or difference overflows
+        centres = np.add(sampled[0, :, 0], sampled[1, :, 0], out=rows[:3])
         if has_origins:  # with these `half` is how far from its origin most of a world is
             distances = np.sort(np.abs(centres).max(axis=0))
-        centres.sort()
-        extents = _longest_sides([halves[:, :, k] for k in range(1, halves.shape[2])], num_aabbs)
-        extents.sort()
-    low, centre, high = centres[:, _MARGIN].tolist(), centres[:, _MIDDLE].tolist(), centres[:, -1 - _MARGIN].tolist()
-    half_extent = sum(extents[_MIDDLE - 1 : _MIDDLE + 1].tolist()) / 2.0
-    half = max([0.5 * b - 0.5 * a for a, b in zip(low, high, strict=True)])
-    if has_origins:
-        half = float(distances[-1 - 2 * _MARGIN])
-    exponent = min(max(math.frexp(max(half, half_extent))[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
-    lattice = 2.0 ** (exponent - 2)
-    x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
-    scale = 2.0 ** -(exponent + topology.world_places.bits)
-    half_extent += topology.typical_radius_of(topology.samples[1])
-    with np.errstate(over="ignore", under="ignore"):
-        return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale))
+        _longest_sides(sampled[:, :, 1], sampled[:, :, -1], num_aabbs, out=rows[3])
+        rows.sort()
+        *of_axes, (_, low_extent, high_extent, _) = rows.take(_RANKS, axis=1).tolist()
+        half_extent = (low_extent + high_extent) / 2.0
+        half = max([0.5 * high - 0.5 * low for low, _, _, high in of_axes])
+        if has_origins:
+            half = float(distances[-1 - 2 * _MARGIN])
+        half = max(half, half_extent)
+        exponent = min(max(math.frexp(half)[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
+        lattice, centre = 2.0 ** (exponent - 2), [middle for _, _, middle, _ in of_axes]
+        x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
+        scale = 2.0 ** -(exponent + topology.world_places.bits)
+        half_extent += topology.typical_radius_of(topology.samples[1])
+        return Quantization((x, y, z), scale, np.float32(2.0 * half_extent * scale), centre, half)
 
 
-def _longest_sides(points: list[NDArray[np.float64]], num_aabbs: int) -> NDArray[np.float64]:
-    """The longest side of all boxes of each primitive, given its first points, its second ones, …, shape [2, 3, n]."""
-    # NumPy takes a few times as long for the least of two numbers along an axis as of two arrays
-    low, high = reduce(np.minimum, points), reduce(np.maximum, points)
-    sides = np.maximum(*(high - low)) if num_aabbs == 2 else np.maximum(*high) - np.minimum(*low)
-    return np.maximum(np.maximum(sides[0], sides[1]), sides[2])
+def _longest_sides(
+    a: NDArray[np.float64], b: NDArray[np.float64], num_aabbs: int, out: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """The longest side of all boxes of each primitive between two points at both ends of a step, shape [2, 3, n]."""
+    sides = np.abs(b - a) if num_aabbs == 2 else np.maximum(*np.maximum(a, b)) - np.minimum(*np.minimum(a, b))
+    return np.maximum.reduce(sides.reshape(-1, NUM_SAMPLES), axis=0, out=out)
 
 
 def _rounded(number: float) -> float:

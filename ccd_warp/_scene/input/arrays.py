@@ -108,8 +108,8 @@ def check_finite(
     but: NDArray[np.integer] | None = None,
 ) -> None:
     """Raise a ValueError if a value is not finite, but in some rows; ``where`` describes a row of the array."""
-    if array.size <= _FEW and math.isfinite(np.vdot(array, array)):
-        return  # as below, in a third of the time; on one thread, since there are few
+    if are_few_and_finite(array, array):
+        return  # as below, in a third of the time
     with np.errstate(over="ignore", invalid="ignore"):
         if np.isfinite(array.sum()):
             return  # an infinity or NaN would make the sum non-finite; a sum that overflows proves nothing
@@ -122,10 +122,18 @@ def check_finite(
         raise ValueError(f"{name} holds {array[at]} in {place}; expected finite values")
 
 
+def are_few_and_finite(a: NDArray[np.float64], b: NDArray[np.float64]) -> bool:
+    """Whether two arrays of one shape are so small that NumPy has one thread, and their product shows they are finite.
+
+    What is not finite makes its product so, and the sum, whatever the other number is.
+    """
+    return a.size <= _FEW and math.isfinite(np.vdot(a, b))
+
+
 def check_both_finite(a: NDArray[np.float64], b: NDArray[np.float64], names: tuple[str, str], row_name: str) -> None:
     """Raise a ValueError if a value of two arrays of one shape is not finite."""
-    if a.size <= _FEW and math.isfinite(np.vdot(a, b)):
-        return  # what is not finite makes its product so, and the sum, whatever the other number is
+    if are_few_and_finite(a, b):
+        return
     for array, name in zip((a, b), names, strict=True):
         check_finite(array, name, row_name)
 

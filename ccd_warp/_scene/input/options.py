@@ -3,8 +3,7 @@
 import difflib
 import numbers
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Literal, cast, get_args
@@ -131,7 +130,9 @@ class Options:
     @property
     def norm(self) -> str:
         """The norm of the separation, for which kernels are made (``kernels.pair.norm``)."""
-        return norm.EUCLIDEAN_NORM if self.minimum_distance > 0 else norm.MAXIMUM_NORM
+        if self.minimum_distance > 0:
+            return norm.EUCLIDEAN_NORM
+        return norm.OWN_BOX_NORM if self.minimum_separation > 0 else norm.MAXIMUM_NORM
 
     def separation(self, length_scale: float) -> float:
         """The minimum separation or distance, a length."""
@@ -176,9 +177,7 @@ class Options:
             start_distances: How near each vertex was to anything at the start, on the device, where that matters.
             turns: How vertices turn in a slice of the step, as the struct of the kernels.
         """
-        separation = self.minimum_distance if self.minimum_distance > 0 else self.minimum_separation
-        if (start_distances is not None or turns is not None) and length_scale is not None:
-            separation = self.separation(length_scale)  # each pair has a length of its own
+        separation = self.separation(1.0 if length_scale is None else length_scale)
         values = (
             self.tolerance,
             separation,
@@ -204,7 +203,15 @@ class Options:
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, without what is kept with them."""
-        return {name: value for name, value in vars(self).items() if name != "of_first_round"}
+        return {name: value for name, value in vars(self).items() if name in self.__dataclass_fields__}
+
+    def __hash__(self) -> int:
+        return self._hash
+
+    @lazy_property
+    def _hash(self) -> int:
+        """The hash, of which every step asks several times."""
+        return hash(tuple([getattr(self, name) for name in self.__dataclass_fields__]))
 
     @lazy_property
     def of_first_round(self) -> Any:
@@ -243,13 +250,18 @@ def options_of(
         raise ValueError(f"{function}: {error}") from error.__cause__
 
 
-@contextmanager
-def naming(function: str) -> Iterator[None]:
+class naming:
     """Prefix a ValueError about an option with the name of the public function."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{function}: {error}") from error.__cause__
+
+    def __init__(self, function: str) -> None:
+        self._function = function
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, traceback: object) -> None:
+        if isinstance(error, ValueError):
+            raise ValueError(f"{self._function}: {error}") from error.__cause__
 
 
 def _made(**values: Any) -> Options:

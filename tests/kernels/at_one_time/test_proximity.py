@@ -11,6 +11,7 @@ from laws.outputs import different, outputs_of
 from scenes import FACE, NO_FACES, crowd_of_all_kinds, pairs_in_worlds, stacked
 
 import ccd_warp as ccd
+from ccd_warp._results import shared_features
 
 KIND = ccd.PairKind
 CORNERS = {KIND.VERTEX_FACE: 4, KIND.EDGE_EDGE: 4, KIND.POINT_SEGMENT: 3, KIND.POINT_POINT: 2}
@@ -110,6 +111,17 @@ def test_unique_keeps_each_two_features_once():
     assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
 
 
+def test_features_with_one_hash_are_told_apart(monkeypatch):
+    found, bits = ccd.find_proximity(*crowd(), 0.1), shared_features.index_bits
+    once, num_vertices = found.unique(), found.mesh.num_vertices
+    hash_bits = 63 - bits(num_vertices) - bits(len(found))
+    # vertices take nearly all bits of a key, so that one is left for the hash
+    monkeypatch.setattr(shared_features, "index_bits", lambda n: bits(n) + (n == num_vertices) * (hash_bits - 1))
+    again = found.unique()
+    check_same(again, once)
+    assert again.shared_by.tolist() == once.shared_by.tolist() and max(again.shared_by) > 2
+
+
 def test_a_choice_of_pairs_a_copy_and_the_text():
     mesh, x = stacked(0.0, 0.1)
     found = ccd.find_proximity(mesh, x, 0.2)
@@ -119,6 +131,20 @@ def test_a_choice_of_pairs_a_copy_and_the_text():
     assert repr(found[:0]) == "Proximities(no pair)" and "vertex-face" in found._repr_html_()
     x += 1.0  # the caller's positions may change afterwards
     np.testing.assert_array_equal(found.points, points)
+
+
+@pytest.mark.parametrize("unique", [False, True])
+def test_columns_that_are_read_late_are_those_of_their_call(unique):
+    mesh, x = crowd()
+    pipeline, expected = ccd.CollisionPipeline(mesh), ccd.find_proximity(mesh, x, 0.1, unique=unique)
+    found, copied = pipeline.find_proximity(x, 0.1, unique=unique), pipeline.find_proximity(x, 0.1, unique=unique)
+    assert len(found) == len(expected) > 20 and "kind" not in vars(found)
+    copied = pickle.loads(pickle.dumps(copied))
+    assert 20 < len(pipeline.find_proximity(1.01 * x, 0.1, unique=unique)) < len(found)  # which fit where those were
+    check_same(copied, expected)
+    check_same(found, expected)
+    with pytest.raises(AttributeError, match="no attribute 'kinds'"):
+        _ = found.kinds
 
 
 # --- on the device ---

@@ -33,11 +33,12 @@ def make_probe(real):
         getattr(ball, x) for x in ("offset", "turn_of_side", "clip_turn", "with_largest_one")
     )
     clip_beyond, separation_offset = inclusion.clip_beyond, volume.separation_offset
+    reach_of, restrict = volume.reach_of, volume.restrict
     module = wp.get_module(f"test_ball_rounding.{real.__name__}")
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
 
     # the offset of the volume at a time; clips with the direction, with the volume, turning with each side
-    fields = [("unit", wp.vec3d), ("error separation", vec3), ("offset bound", real), ("of_volume", volume.Hull)]
+    fields = [("unit", wp.vec3d), ("error separation", vec3), ("offset bound", real), ("of_volume reach", volume.Hull)]
     Found = struct("Found", [*fields, ("clips", vec5)])
 
     @wp.kernel(module=module)
@@ -51,6 +52,7 @@ def make_probe(real):
         s.separation = separation
         s.offset = offset(d[i], error, separation)
         s.of_volume = separation_offset(n.problem.volume, separation, times[i], times[i])
+        s.reach = restrict(reach_of(n.problem.volume, separation), times[i], times[i])
         s.bound = n.problem.volume.bound
         a = with_largest_one(d[i])
         beyond = offset(a, error, separation)
@@ -131,6 +133,7 @@ def test_offset_of_the_volume_is_above_the_exact_one_within_its_bound(kind, real
     for name in ("c0", "c1"):
         found = exactly(out["of_volume"][name])[:, None]
         assert (found + bound > exact).all() and (found < exact * rational(1.00001) + 4 * bound).all()
+        assert (exactly(out["reach"][name])[:, None] + bound > exact).all()
 
 
 @pytest.mark.parametrize("real", REALS)

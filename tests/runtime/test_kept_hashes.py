@@ -1,0 +1,189 @@
+"""Hashes of modules that are kept in Warp's cache: those that Warp computes, and none of other files of kernels."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import warp as wp
+from ccd_warp.kernels.boxes import rest_order
+
+import ccd_warp as ccd
+from ccd_warp import kernels
+from ccd_warp._runtime.every_module import every_module
+from ccd_warp._runtime.kept_hashes import keep_in_cache, recall_from_cache
+from ccd_warp._runtime.kernel_cache import load_or_repair
+from ccd_warp._runtime.lanes import cpu_lanes
+from ccd_warp._runtime.quiet import start_warp
+from ccd_warp._runtime.target import set_flags
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    """An empty cache in place of Warp's."""
+    start_warp()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    return tmp_path
+
+
+def _is_recalled(module):
+    module.mark_modified()
+    recall_from_cache(module, 1)
+    return 1 in module.hashers
+
+
+def _all_of(module):
+    hashes = module.get_module_hash(1), module.resolved_options[1]
+    kernels = {kernel.key: (kernel.hash, kernel.grid_stride, kernel.adj) for kernel in module._get_live_kernels()}
+    return *hashes, {k: (*h, adj.kernel_dim, adj.tid_extent_limit_candidate) for k, (*h, adj) in kernels.items()}
+
+
+def test_hashes_that_are_kept_are_those_that_warp_computes(cache):
+    for module in every_module(cpu_lanes()).values():
+        assert not _is_recalled(module)
+        computed = _all_of(module)
+        keep_in_cache(module, 1)
+        for kernel in module._get_live_kernels():
+            kernel.hash = kernel.grid_stride = kernel.adj.kernel_dim = None
+        assert _is_recalled(module) and _all_of(module) == computed, module.name
+    assert len([*cache.glob("wp_ccd_warp.hashes/*")]) == len(every_module(cpu_lanes()))
+    wp.clear_kernel_cache()
+    assert not _is_recalled(module)
+
+
+def test_hashes_are_kept_for_options_and_of_files_of_this_package_alone(cache):
+    module = rest_order.fill_centres.module
+    module.get_module_hash(1)
+    keep_in_cache(module, 1)
+    assert _is_recalled(module)
+    set_flags(module, wp.get_device("cpu"))
+    module.options["cpu_compiler_flags"] += " -g"
+    assert not _is_recalled(module)
+
+    @wp.kernel(module="unique")
+    def of_user(x: wp.array[int]):
+        x[wp.tid()] = 1
+
+    of_user.module.get_module_hash(1)
+    keep_in_cache(of_user.module, 1)
+    assert not _is_recalled(of_user.module)
+
+
+@pytest.mark.parametrize(
+    "damaged", [b"", bytes(100), b'{"sources": ', b"[1]", b'{"sources": "of others", "hashes": {}}']
+)
+def test_a_damaged_hash_is_as_if_it_were_not_there(cache, damaged):
+    module = rest_order.fill_centres.module
+    module.mark_modified()
+    module.get_module_hash(1)
+    keep_in_cache(module, 1)
+    (path,) = cache.glob("wp_ccd_warp.hashes/*")
+    path.write_bytes(damaged)
+    assert not _is_recalled(module)
+
+
+def test_a_cache_that_cannot_be_written_keeps_none(cache, monkeypatch):
+    (cache / "file").touch()
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache / "file"))
+    module = rest_order.fill_centres.module
+    module.mark_modified()
+    module.get_module_hash(1)
+    keep_in_cache(module, 1)
+    assert not _is_recalled(module)
+
+
+def test_what_is_compiled_is_named_by_warp_whatever_was_kept(cache, monkeypatch):
+    kernel = rest_order.fill_centres
+    module, device = kernel.module, wp.get_device("cpu")
+    set_flags(module, device)
+    right = module.get_module_hash(1)
+    keep_in_cache(module, 1)
+    (path,) = cache.glob("wp_ccd_warp.hashes/*")
+    path.write_text(path.read_text().replace(right.hex(), "0" * 64))
+    assert _is_recalled(module) and module.get_module_hash(1) == bytes(32)
+
+    def load_module(**_):
+        raise RuntimeError(module.get_module_identifier(1))
+
+    monkeypatch.setattr(wp, "load_module", load_module)
+    with pytest.raises(RuntimeError, match=right.hex()[:7]):
+        load_or_repair(kernel, device, None)
+    module.unload()
+
+
+OF_COPY = """
+import sys
+
+import warp as wp
+
+from ccd_warp import kernels
+from ccd_warp.kernels.boxes import thickness
+from ccd_warp._runtime.kept_hashes import keep_in_cache, recall_from_cache
+from ccd_warp._runtime.quiet import start_warp
+
+start_warp()
+module = thickness.fill_box_radius.module
+edited = kernels.__path__[0] + "/boxes/thickness.py"
+if len(sys.argv) > 1:  # while this process has them in memory
+    text = open(edited).read()
+    open(edited, "w").write("# another line\\n" + text)
+recall_from_cache(module, 1)
+is_recalled = 1 in module.hashers
+print(is_recalled, module.get_module_hash(1).hex())
+keep_in_cache(module, 1)
+"""
+
+
+def _begin(copy, *arguments):
+    environment = {**os.environ, "PYTHONPATH": str(copy), "WARP_CACHE_PATH": str(copy.parent / "cache")}
+    command = [sys.executable, "-P", "-c", OF_COPY, *arguments]
+    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+
+
+def _outcome(process):
+    is_recalled, module_hash = process.communicate()[0].split()[-2:]
+    return is_recalled == "True", module_hash
+
+
+def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes_between(tmp_path):
+    copy = tmp_path / "copy"
+    unneeded = shutil.ignore_patterns("__pycache__", "_objects")
+    for of_package, name in ((Path(ccd.__file__).parent, "ccd_warp"), (kernels.__path__[0], "ccd_warp/kernels")):
+        shutil.copytree(of_package, copy / name, ignore=unneeded, dirs_exist_ok=True)
+    both = [_begin(copy), _begin(copy)]
+    (_, first), (_, other) = map(_outcome, both)
+    assert first == other and _outcome(_begin(copy)) == (True, first)
+    kept = [*(tmp_path / "cache").rglob("wp_ccd_warp.hashes/*")]
+    assert len(kept) == 1 and json.loads(kept[0].read_text())["hashes"]
+    assert _outcome(_begin(copy, "edits")) == (True, first), "as it was executed"
+    for name, words, is_of_module in (("pair/rounding.py", "", False), ("atomics.py", "values[index] |= bits", True)):
+        path = copy / "ccd_warp" / "kernels" / name
+        text = path.read_text()
+        assert words in text
+        path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n")
+        is_recalled, module_hash = _outcome(_begin(copy))
+        assert not is_recalled and (module_hash != first) == is_of_module
+
+
+OF_FIRST_CALL = """
+import warp as wp
+from ccd_warp.kernels import later
+
+from runtime import test_packaged
+
+before = len(later._functions)
+test_packaged.ccd.mesh_ccd(*test_packaged._scene())
+print(0 < before < len(later._functions))
+"""
+
+
+def test_a_first_call_reads_no_function_where_all_is_compiled():
+    tests = str(Path(__file__).resolve().parents[1])
+    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
+    command = [sys.executable, "-P", "-c", OF_FIRST_CALL]
+    environment = {**os.environ, "PYTHONPATH": path}
+    outputs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
+    assert outputs[1].stdout.split()[-1:] == ["True"], outputs[1].stderr
