@@ -70,7 +70,7 @@ function advance(patch, problem, start, end, maxSteps, note, noteStep) {
     reached.iterations += 1;
     const t = reached.t;
     const corners = cornersAt(patch, t);
-    const facet = widestFacet(corners, problem);
+    const facet = widestFacet(corners, problem, 8.0);
     const s = advanceFacets(patch, problem, facet, t, end, slow > 0, note);
     if (facet.isAtFloor || s <= t || slow > 0) reached.weight = closestWeight(corners);
     if (s > end) {

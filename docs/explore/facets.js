@@ -14,7 +14,7 @@ function directionOf(name, corners) {
 }
 
 /** The direction that separates best at one time, if any, its slack, and whether all gaps are down to rounding. */
-function widestFacet(corners, problem) {
+function widestFacet(corners, problem, floor) {
   const facet = { name: null, slack: 0.0, isAtFloor: true };
   for (const name of ["x", "y", "normal"]) {
     const d = directionOf(name, corners);
@@ -23,7 +23,7 @@ function widestFacet(corners, problem) {
     const m = magnitudes(d);
     const size = m[0] + m[1];
     if (!(size > TINY_DIRECTION)) continue;
-    if (gap - 8.0 * dot(m, problem.error) > 0.0) facet.isAtFloor = false;
+    if (gap - floor * dot(m, problem.error) > 0.0) facet.isAtFloor = false;
     // of two with similar slack the first is kept: axes are constant, whereas the segment may vanish
     if (gap / size > facet.slack + 0.01 * facet.slack) {
       facet.slack = gap / size;

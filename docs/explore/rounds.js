@@ -11,7 +11,8 @@
 const FIRST_ROUNDS = 2;
 const LATER_ROUNDS = 8; // at most
 const ROUND_FACET_STEPS = 4; // clips in a row with the widest facet in a round
-const ROUND_PATIENCE = 3; // rounds with little progress until a contact is claimed at a larger gap
+const FLOOR = 8.0; // rounding bounds of a gap that may consist of rounding errors only
+const NEAR = 128.0; // and of one after which the clip of the round leads to the contact
 
 const isWithin = (v, size) => AXES.every((k) => Math.abs(v[k]) <= size[k]);
 
@@ -66,26 +67,28 @@ function clipsOfRound(problem, corners, near, facet, t) {
  * Invariant: the pair is free of contact on [0, t). The outcome is "free", "contact", or null if the pair stays open.
  */
 function advanceRounds(problem, reached, count, withFacets) {
-  const floor = map(problem.error, (e) => 8.0 * e); // a smaller gap may consist of rounding errors only
-  const stallFloor = map(problem.error, (e) => 128.0 * e);
+  const floor = map(problem.error, (e) => FLOOR * e);
   const contactSize = map(floor, (f, k) => f + (problem.tolerance[k] + problem.error[k] + problem.error[k]));
-  let slow = 0;
-  let gap = 1.0e30;
   let isOpen = true;
   for (let round = 0; round < count && isOpen; round++) {
     reached.iterations += 1;
     const { t } = reached;
     const corners = cornersAt(problem.patch, t);
     const near = closestOf(corners);
-    const facet = withFacets ? widestFacet(corners, problem) : null;
+    const facet = withFacets ? widestFacet(corners, problem, NEAR) : null;
     const clips = clipsOfRound(problem, corners, near, facet, t);
     const s = Math.max(...clips.map((clip) => clip.to));
-    const isAtFloor = facet === null ? isWithin(near.direction, floor) : facet.isAtFloor;
-    const newGap = facet === null ? dot(near.direction, near.direction) : facet.slack * facet.slack;
-    const hasStalled = slow >= ROUND_PATIENCE && isWithin(near.direction, stallFloor);
-    if (!(s > 1.0) && (isAtFloor || hasStalled) && isWithin(near.point, contactSize)) {
-      Object.assign(reached, { outcome: "contact", weight: near.weight, point: near.point });
-      break;
+    const nearby = map(problem.error, (e) => NEAR * e);
+    const isNear = facet === null ? isWithin(near.direction, nearby) : facet.isAtFloor;
+    if (!(s > 1.0) && isNear) {
+      // where the clips have led; what rounding hides at the start stays there
+      const stays = t <= 0.0 && isWithin(near.direction, floor);
+      const there = cornersAt(problem.patch, stays ? t : s);
+      const point = mix(there.a, there.b, near.weight);
+      if (isWithin(point, contactSize)) {
+        Object.assign(reached, { outcome: "contact", weight: near.weight, point });
+        if (stays) break;
+      }
     }
     for (const clip of clips) {
       if (clip.to > reached.t) {
@@ -93,12 +96,8 @@ function advanceRounds(problem, reached, count, withFacets) {
         reached.t = clip.to;
       }
     }
-    if (s > 1.0) {
-      reached.outcome = "free";
-      break;
-    }
-    if (s - t < 0.25 * (1.0 - t) && newGap > 0.25 * gap) slow += 1;
-    gap = newGap;
+    if (s > 1.0) reached.outcome = "free";
+    if (reached.outcome !== null) break;
     isOpen = s > t;
     reached.bounds.push(s);
   }

@@ -235,11 +235,12 @@ def _turn(mesh, start, end):
     return ccd.mesh_ccd(turning, turning.vertices, turning.vertices, motion=motion)
 
 
+SEPARATION = {"minimum_separation": 0.5}
 OF_WORDS = {
     "mesh_ccd": ccd.mesh_ccd,
     "pairs": lambda *_: ccd.point_point_ccd(np.zeros((600, 2, 3)), np.ones((600, 2, 3)), device="cpu"),
-    "collision_free_step": lambda mesh, start, end: ccd.collision_free_step(mesh, end, start, minimum_separation=0.5),
-    "line_search": lambda mesh, start, end: ccd.line_search(mesh, end, start, minimum_separation=0.5),
+    "collision_free_step,separation": lambda mesh, *ends: ccd.collision_free_step(mesh, *ends[::-1], **SEPARATION),
+    "line_search,separation": lambda mesh, *ends: ccd.line_search(mesh, *ends[::-1], **SEPARATION),
     "launch": _launch,
     "thickness": lambda *scene: ccd.mesh_ccd(*scene, minimum_distance=0.01),
     "float32": lambda *scene: ccd.mesh_ccd(*scene, precision="float32"),
