@@ -118,17 +118,14 @@ def make_solve(with_facets: bool):
                 n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
         volume = volume_of(n.t0, n.t1, n.separation, wp.static(by_pair))
         t = narrowed(t_start)
-        if wp.static(may_keep_start_distance):
+        if wp.static(with_facets and may_keep_start_distance):
             kept = lanes_at_start_distance(options) & open
             if kept != _NONE:
-                if wp.static(with_facets):
-                    end = spread(options.t_end)
-                    s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
-                    t = select(mask_of(kept), s, t)
-                    answer.free = bits_of(is_less(end, t)) & open
-                    open = open & ~answer.free
-                else:
-                    open = open & ~kept  # that begins the later rounds, at the start
+                end = spread(options.t_end)
+                s = clip_passing(n.t0, n.t1, n.error, n.separation, kind == VERTEX_FACE, kept, t, end)
+                t = select(mask_of(kept), s, t)
+                answer.free = bits_of(is_less(end, t)) & open
+                open = open & ~answer.free
         reached = start(t, open)
         rounds = int(0)
         while open != _NONE and rounds < num_rounds:
@@ -166,10 +163,7 @@ solve_full = make_solve(with_facets=True)
 def first_rounds(
     kind: int, points_t0: Points, points_t1: Points, options: Options, cap: int, bound: wp.float64
 ) -> LaneAnswer:
-    """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound.
-
-    What keeps its start distance stays at the start.
-    """
+    """Advance the pairs of all lanes from the start, by at most ``cap`` rounds, or until they are free to a bound."""
     t = simd64.spread(wp.float64(0.0))
     return solve_plain(kind, points_t0, points_t1, options, all_lanes, t, wp.min(cap, FIRST_ROUNDS), bound)
 

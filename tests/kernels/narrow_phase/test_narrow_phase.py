@@ -166,6 +166,15 @@ def test_parameters_name_the_point_of_contact(kind, options):
         assert (np.linalg.norm(vectors, axis=1) <= gaps * (1 + 1e-12)).all()
 
 
+def test_vertex_that_stops_over_a_needle_is_nearest_to_where_it_is():
+    needle = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1e-5, 0.0]]
+    ends = [np.array([[0.7, 0.35e-5, height], *needle]) for height in (1.0, -1.0)]
+    turns = np.linalg.qr(np.random.default_rng(30).standard_normal((100, 3, 3)))[0]
+    points = [np.einsum("nij,kj->nki", turns, end) for end in ends]
+    result = ccd.vertex_face_ccd(*points, minimum_distance=1e-6)
+    assert np.allclose(result.toi, 0.5) and np.allclose(result.parameters, 0.35, rtol=0, atol=1e-9)
+
+
 # --- scale and lanes ---
 
 
