@@ -267,7 +267,7 @@ _MORE = {
     "launched_line_searches": ["radii", "arcs 2"],
     "few_pairs": ["kinds"],
     "replays": ["worlds"],
-    "steps": ["arcs 0", "arcs 3"],
+    "steps": [2, "arcs 0", "arcs 3"],  # with half-spaces
 }
 ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes if (call, scene) not in ON_OTHER]
 # The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
