@@ -165,12 +165,12 @@ class _Warp(ModuleType):
         cuda_max_registers: int | None = None,
     ) -> Any:
         """`wp.kernel`."""
-        given = {
+        arguments = {
             "enable_backward": enable_backward,
             "grid_stride": grid_stride,
             "cuda_max_registers": cuda_max_registers,
         }
-        options = {name: value for name, value in given.items() if value is not None}
+        options = {name: value for name, value in arguments.items() if value is not None}
 
         def decorate(function: FunctionType) -> LaterKernel:
             of = module or wp.get_module(function.__module__)

@@ -98,12 +98,12 @@ class ProximityStore:
         size = 2 * count if device.is_cuda else count
         keys: wp.array = wp.empty(size, dtype=wp.int64, device=device)
         others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec2i, wp.bool, wp.int32))
-        found = SharedFeatures(keys, others, pair_keys, *of_rows)
+        shared = SharedFeatures(keys, others, pair_keys, *of_rows)
         sort = partial(sort_in_place, keys, count, self._execution)
         num_vertices = self._topology.mesh.num_vertices
-        found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
-        rows = np.flatnonzero(found.is_unique.numpy())
-        return rows, found.shared_by.numpy()[rows]
+        shared.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
+        rows = np.flatnonzero(shared.is_unique.numpy())
+        return rows, shared.shared_by.numpy()[rows]
 
 
 def _nothing(dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:

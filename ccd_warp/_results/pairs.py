@@ -164,8 +164,8 @@ class PairTable:
         # NumPy takes rows in a fifth of the time in which it indexes by them
         is_rows = not isinstance(index, slice) and index.ndim == 1 and index.dtype != bool
         of_rows = {name: v for name, v in self._fields().items() if v is not None and name not in _OF_MESH}
-        chosen = {name: v.take(index, axis=0) if is_rows else v[index] for name, v in of_rows.items()}
-        return type(self)(**(self._fields() | chosen))
+        taken = {name: v.take(index, axis=0) if is_rows else v[index] for name, v in of_rows.items()}
+        return type(self)(**(self._fields() | taken))
 
     def _fields(self) -> dict[str, Any]:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}

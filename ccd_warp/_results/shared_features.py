@@ -44,13 +44,13 @@ class SharedFeatures:
             num_pairs: How many there are at most.
             sort: Sorts so many keys.
         """
-        vertex_bits, row_bits, found = index_bits(num_vertices), index_bits(num_pairs), [self.is_unique, self.shared_by]
+        vertex_bits, row_bits, marks = index_bits(num_vertices), index_bits(num_pairs), [self.is_unique, self.shared_by]
         inputs, by_row = [pairs, vertex_bits, row_bits], [self.others, self.pair_keys]
-        execution.launch(kernels.fill_feature_keys, len(self.is_unique), inputs, [self.keys, *by_row, *found])
+        execution.launch(kernels.fill_feature_keys, len(self.is_unique), inputs, [self.keys, *by_row, *marks])
         if num_pairs:
             sort()
             inputs = [row_bits, self.keys[:num_pairs], *by_row]
-            execution.launch(kernels.mark_unique, num_pairs, inputs, found)
+            execution.launch(kernels.mark_unique, num_pairs, inputs, marks)
 
 
 def index_bits(count: int) -> int:
@@ -79,7 +79,7 @@ def unique_rows(
     keys, is_unique = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool)
     others, shared_by = np.empty((count, 2), dtype=np.int32), np.empty(count, dtype=np.int32)
     by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec2i), on_cpu(keys[:0], wp.int64)
-    found = SharedFeatures(*by_row, on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
-    found.find(Execution(cpu, default_num_threads()), pairs, num_vertices, count, keys.sort)
+    shared = SharedFeatures(*by_row, on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
+    shared.find(Execution(cpu, default_num_threads()), pairs, num_vertices, count, keys.sort)
     rows = np.flatnonzero(is_unique)
     return rows, shared_by[rows]

@@ -21,16 +21,16 @@ _Blocks = NDArray[np.bool_]
 
 
 def with_some_queries(
-    tree_pair: TreePair, is_chosen: NDArray[np.bool_], allocate: Callable[[str, int], wp.array]
+    tree_pair: TreePair, is_wanted: NDArray[np.bool_], allocate: Callable[[str, int], wp.array]
 ) -> TreePair | None:
-    """The pair with the queries that chosen vertices need, in an array of a name and a length; None if they are many.
+    """The pair with the queries that wanted vertices need, in an array of a name and a length; None if they are many.
 
-    A pair of primitives of which one has a chosen vertex is found as in a search of all; of others some are.
+    A pair of primitives of which one has a wanted vertex is found as in a search of all; of others some are.
     """
     query, target = tree_pair.query, tree_pair.target
     if not isinstance(query, Tree) or not isinstance(target, Tree):
         return None
-    blocks, of_target = (_blocks_with(tree, is_chosen) for tree in (query, target))
+    blocks, of_target = (_blocks_with(tree, is_wanted) for tree in (query, target))
     if blocks.sum() > _MOST_BLOCKS * len(blocks) or of_target.sum() > _MOST_BLOCKS * len(of_target):
         return None
     near = _blocks_near(query, target, np.flatnonzero(of_target))
@@ -40,11 +40,11 @@ def with_some_queries(
     return replace(tree_pair, query=_with_blocks(query, blocks | near, name, allocate))
 
 
-def _blocks_with(tree: Tree, is_chosen: NDArray[np.bool_]) -> _Blocks:
-    """Which blocks of a tree have a primitive with a chosen vertex."""
+def _blocks_with(tree: Tree, is_wanted: NDArray[np.bool_]) -> _Blocks:
+    """Which blocks of a tree have a primitive with a wanted vertex."""
     corners = tree.arrays.corners.numpy()[: tree.levels[0] * BLOCK_CORNERS].reshape(-1, BLOCK_CORNERS)
-    with_chosen: _Blocks = is_chosen[corners].any(axis=1)  # what stands in an empty place may be any
-    return with_chosen
+    with_wanted: _Blocks = is_wanted[corners].any(axis=1)  # what stands in an empty place may be any
+    return with_wanted
 
 
 def _blocks_near(tree: Tree, other: Tree, others: NDArray[np.intp]) -> _Blocks | None:

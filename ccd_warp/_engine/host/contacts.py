@@ -271,17 +271,18 @@ class ContactStore:
     def _order_few(self) -> None:
         """Order few contacts by a recording, made at its first use."""
         if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
-            few, found, self._recording = self._few, Slot("found"), Recording(self._execution, {"found": None})
+            few, of_step, recording = self._few, Slot("found"), Recording(self._execution, {"found": None})
             keys, order = few.keys.numpy(), few.order.numpy()
 
             def sort() -> None:
                 order[: self.total] = keys[: self.total].argsort()
 
-            self._recording.bind("found", self._list)
-            with self._recording.section("ordered"):
-                few.fill_keys(self._recording, found)
-                self._recording.call(sort)
-                few.fill(self._recording, found)
+            recording.bind("found", self._list)
+            with recording.section("ordered"):
+                few.fill_keys(recording, of_step)
+                recording.call(sort)
+                few.fill(recording, of_step)
+            self._recording = recording
         self._recording.bind("found", self._list)
         self._recording.play("ordered")
 

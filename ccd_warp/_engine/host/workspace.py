@@ -125,7 +125,7 @@ class Workspace:
         return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
 
     def packed_once(self, key: Any, pack: Callable[[], Any]) -> Any:
-        """A struct of the kernels, packed once for what it depends on, since packing takes as long as a launch."""
+        """What follows from a key alone, such as a struct of the kernels, since packing takes as long as a launch."""
         if key not in self._packed:
             packed = pack()
             if len(self._packed) >= _MOST_PACKED:
