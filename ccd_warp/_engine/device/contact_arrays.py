@@ -105,7 +105,7 @@ class ContactArrays:
         size = 2 * capacity  # the sort needs twice the size
         keys, order = (self._array(name, key, t, size) for key, t in (("keys", wp.int64), ("order", wp.int32)))
         of_rows = (("others", wp.vec2i), ("pair keys", wp.int64), ("is unique", wp.bool), ("shared by", wp.int32))
-        found = SharedFeatures(keys, *(self._array(name, key, dtype, capacity) for key, dtype in of_rows))
+        shared = SharedFeatures(keys, *(self._array(name, key, dtype, capacity) for key, dtype in of_rows))
         columns = {key: getattr(self._list, key) for key in ("count", "kind", "primitives")} | {"features": features}
         columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
         count = capacity
@@ -113,8 +113,8 @@ class ContactArrays:
             count = min(count, int(self._list.count.numpy()[0]))
         sort = partial(wp.utils.radix_sort_pairs, keys, order, count)
         num_vertices = self._topology.mesh.num_vertices
-        found.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
-        return found
+        shared.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
+        return shared
 
     def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
         """The array of this name, filled by a kernel that takes the contacts and these inputs."""
