@@ -88,11 +88,12 @@ def test_kernels_import_nothing_of_the_package_above_them():
             assert all(name.startswith("ccd_warp.kernels.") for name in ours), f"{module} imports {sorted(ours)}"
 
 
-def test_two_modules_use_private_names_of_warp_which_this_version_has():
+def test_three_modules_use_private_names_of_warp_which_this_version_has():
     using = {name for name, (source, _) in sources().items() if re.search(r"\b(?:wp|warp)\._src\b", source)}
-    assert using == {f"ccd_warp._runtime.{name}" for name in ("shared_header", "tape")}
+    assert using == {f"ccd_warp._runtime.{name}" for name in ("quiet", "shared_header", "tape")}
     wp.init()
     assert hasattr(context.runtime, "get_clang_pch_dir") and hasattr(context.runtime, "tape")
+    assert hasattr(context, "_get_cpu_toolchain_version")
 
 
 def test_no_property_that_stays_has_a_lock():

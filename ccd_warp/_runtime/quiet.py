@@ -61,6 +61,10 @@ def _init() -> None:
         wp.config.kernel_cache_dir = tempfile.mkdtemp(prefix="ccd_warp_")
         atexit.register(shutil.rmtree, wp.config.kernel_cache_dir, ignore_errors=True)
         wp.init()
+    # The version of its compiler is a part of each object's name, and Warp writes it into one buffer for all threads:
+    # the second of two that ask at once may find it empty. Warp keeps the first answer.
+    if ask := getattr(wp._src.context, "_get_cpu_toolchain_version", None):
+        ask()
 
 
 def _has_driver() -> bool:

@@ -25,6 +25,14 @@ a = wp.zeros(2, device="cpu")
 wp.launch(fill, dim=2, inputs=[a], device="cpu")
 print(a)
 """
+# The name of an object in a thread that reads the version while another writes it.
+FIRST_NAME = """
+import warp as wp
+import ccd_warp._runtime.quiet as quiet
+quiet.start_warp()
+wp._src.context.runtime.get_llvm_version = lambda: ""
+print(wp.get_module("own")._get_compile_output_name(wp.get_device("cpu")))
+"""
 
 
 @pytest.mark.parametrize(
@@ -42,6 +50,12 @@ def test_a_script_prints_what_it_prints_and_what_its_user_has_asked_for(tmp_path
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and re.fullmatch(shown, done.stdout, re.DOTALL), done
     assert done.stderr == "" or "warp.init()" in code or "LOG_DEBUG" in code
+
+
+def test_threads_that_compile_first_do_not_ask_warp_for_the_version_of_its_compiler_at_once():
+    """Warp 1.19 writes it into one buffer: a thread may read an empty text, and name its object without it."""
+    done = subprocess.run([sys.executable, "-c", FIRST_NAME], capture_output=True, text=True, check=True)
+    assert re.search(r"\.cpu[0-9a-f]{8}\.o$", done.stdout.strip()), done.stdout
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the driver's name is Linux's")
