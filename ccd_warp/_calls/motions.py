@@ -21,7 +21,7 @@ from ccd_warp._scene.mesh import CollisionMesh
 if TYPE_CHECKING:
     from ccd_warp._rigid.motion_worlds import MotionWorlds, Pipeline
 
-# Faces from which the parts of rigid bodies that may touch are looked for in one world.
+# Faces from which it takes longer to divide the bodies of one world than a step.
 _LARGE_SCENE = 1 << 15
 
 
@@ -97,7 +97,7 @@ def course_of(
 def worlds_of(
     pipeline: Pipeline, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: RigidMotion | None, *, check_start: bool
 ) -> MotionWorlds | None:
-    """The worlds of a motion for a mesh of one: of several, or one of whose bodies few parts may touch; or None."""
+    """The worlds of a motion for a mesh of one world; or None."""
     mesh = pipeline.mesh
     if not isinstance(motion, RigidMotion) or mesh.num_worlds > 1:
         return None
@@ -113,16 +113,15 @@ def worlds_of(
             f"mesh.replicate({motion.num_worlds}), or False"
         )
     start, end = mesh._both_placed(*mesh.frames(vertices_t0, vertices_t1))
-    worlds = MotionWorlds(pipeline, start, end, motion)
-    return worlds if not is_one or worlds.is_sparse else None
+    return MotionWorlds(pipeline, start, end, motion)
 
 
 def _looks_for_parts(mesh: CollisionMesh) -> bool:
-    """Whether it may pay to divide rigid bodies of one world: not in a first step, which takes less time itself.
+    """Whether it may pay to divide rigid bodies of one world: not large ones in a first step, which takes less time.
 
     Bodies that are copies are divided once.
     """
     kept = MeshCache.of(mesh).parts
     is_later = kept.get("is later", False)
     kept["is later"] = True
-    return mesh.num_faces >= _LARGE_SCENE and (is_later or mesh._is_of_instances)
+    return mesh.num_faces < _LARGE_SCENE or is_later or mesh._is_of_instances

@@ -1,5 +1,6 @@
 """How vertices move in a step: all that the stages know of a motion, and straight motion, which is one slice."""
 
+from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -15,18 +16,20 @@ class Slice(NamedTuple):
     """A part of a step.
 
     Attributes:
-        t_begin: Its begin, a time of the step.
+        t_begin: Its begin, a time of the step; of each body, shape [B], where they go through different parts at once.
         t_end: Its end.
+        active: Bodies that are searched in it, bool, shape [B]; None for all.
     """
 
-    t_begin: float
-    t_end: float
+    t_begin: float | NDArray[np.float64]
+    t_end: float | NDArray[np.float64]
+    active: NDArray[np.bool_] | None = None
 
     @staticmethod
     def all(count: int, t_max: float) -> "list[Slice]":
         """So many slices of equal length, of [0, t_max]."""
         ends = [t_max * k / count for k in range(count)] + [t_max]
-        return [Slice(*ends[k : k + 2]) for k in range(count)]
+        return [Slice(begin, end) for begin, end in pairwise(ends)]
 
 
 class Motion:
@@ -34,15 +37,13 @@ class Motion:
 
     Attributes:
         on_arcs: Whether bodies turn, for which the narrow phase has norms of their own.
-        slices: The parts of the step, which are searched one after another.
+        slices: The parts of the step, which are searched one after another; at least one.
         t_end: The end of a slice, as a fraction of the way between the positions at its ends.
         radius: By how much each vertex is enlarged in a slice.
         box_radius: The same for its boxes.
-        active: Bodies that are searched, bool, shape [B]; None for all.
     """
 
     on_arcs = False
-    active: NDArray[np.bool_] | None = None
 
     def __init__(self, topology: Topology, positions: Positions, t_max: float) -> None:
         self._positions, self.slices, self.t_end = positions, [Slice(0.0, t_max)], t_max

@@ -17,7 +17,7 @@ from ccd_warp._engine.stages import Stages
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_results import LaunchResult
-from ccd_warp._rigid.arcs import Arcs
+from ccd_warp._rigid.arcs import Arcs, Times
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.launch import Recording
@@ -46,6 +46,7 @@ class DeviceArcStep(DeviceLineSearch):
         radii = arcs.radius, arcs.box_radius
         searched = search_options(1.0, arrays["inflation"], separation, self.norm, self._flag, radii)
         mesh, device = self._mesh, topology.device
+        self._times: dict[Slice, Times] = {}
         self._least: wp.array = self._empty(mesh.num_bodies, wp.int64)
         self._whole = self._arcs.new_paths("omega", "velocity", "turning")
         self._rows_kept: wp.array = wp.array((mesh.kinematic | mesh.rigid).astype(np.int32), device=device)
@@ -113,18 +114,19 @@ class DeviceArcStep(DeviceLineSearch):
             else:
                 counts = self._no_count, self._flag.array
                 self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
-            self._arcs.place(part, recording, *slots)
+            self._arcs.place(self._times_of(part), recording, *slots)
             if begins and is_first and self.static_trees:
                 stages.fill_vertex_aabbs(recording, self.topology.static_vertices, self._active)
                 stages.fill_boxes(recording, self.static_trees)
             self._record_search(recording, stages, active)
-            gaps = gaps_moved * (part.t_end - part.t_begin)  # the motion of a pair is that in the slice
+            gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
             self._record_narrow_phase(recording, adapt(stages), active, gaps_moved=gaps, **solved)
         return of_slices[0]
 
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""
-        self._arcs.place(Slice.all(form.num_slices, self._options.t_max)[0], recording, *self._input.slots(form))
+        first = Slice.all(form.num_slices, self._options.t_max)[0]
+        self._arcs.place(self._times_of(first), recording, *self._input.slots(form))
 
     def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
         """Record the launches that shorten the motion of what touches."""
@@ -139,9 +141,15 @@ class DeviceArcStep(DeviceLineSearch):
         """Bodies whose rows a line search does not write, int32, shape [B]: they stand in the bodies' own frames."""
         return self._rows_kept
 
+    def _times_of(self, part: Slice) -> Times:
+        """The begin and the end of a slice for each body, which recorded launches read."""
+        if part not in self._times:
+            self._times[part] = self._arcs.new_times(part)
+        return self._times[part]
+
     def _stages_of(self, part: Slice) -> Stages:
         """The stages of a slice."""
-        turns = self._arcs.turns(part)
+        turns = self._arcs.turns(part, self._times_of(part))
         radius = self.topology.radius if self._radius is None else self._radius
         packed = self._options.for_kernel(self._length_scale, stop=self._flag.array, radius=radius, turns=turns)
         return replace(self._stages.between(self._arcs.start, self._arcs.end), options=packed, turns=turns)

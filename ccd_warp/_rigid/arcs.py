@@ -15,6 +15,7 @@ from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
 _COLUMNS = dtypes_of(kernels.BodyPaths)
+Times = tuple[wp.array, wp.array]
 
 
 class Arcs(Motion):
@@ -41,6 +42,7 @@ class Arcs(Motion):
         self.radius, self.box_radius, self._slack = (
             wp.zeros(mesh.num_vertices, dtype=wp.float64, device=device) for _ in range(3)
         )
+        self._times = self.new_times(Slice(0.0, 1.0))
         self._arrays = self._columns(*_COLUMNS)
         self.paths = struct_of(kernels.BodyPaths, self._arrays)
         self._ends: list[wp.array] = []
@@ -57,38 +59,62 @@ class Arcs(Motion):
     def begin(self, paths: BodyPaths) -> None:
         """Begin a step along these paths."""
         for name, array in self._arrays.items():
-            array.assign(getattr(paths, "pivot_t0" if name == "start" else name))
+            array.assign(_column(paths, name))
 
-    def place(self, part: Slice, launcher: Execution | Recording, start: Any, end: Any) -> None:
+    def new_times(self, part: Slice) -> Times:
+        """Arrays of the begin and the end of a slice, for each body."""
+        count, device = self._topology.mesh.num_bodies, self._topology.device
+        times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
+        return times[0], times[1]
+
+    def place(self, times: Times, launcher: Execution | Recording, start: Any, end: Any) -> None:
         """Place vertices at both ends of a slice, given their positions at both ends of the step."""
         topology = self._topology
-        inputs = [part.t_begin, part.t_end, topology.vertex_body, self.paths, start, end, *self._radii]
+        inputs = [*times, topology.vertex_body, self.paths, start, end, *self._radii]
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def begin_on_host(
-        self, paths: BodyPaths, slices: list[Slice], active: NDArray[np.bool_], positions: Positions
-    ) -> Motion:
+    def begin_on_host(self, paths: BodyPaths, slices: list[Slice], positions: Positions) -> Motion:
         """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
         self.begin(paths)
-        self.slices, self.active = slices, None if active.all() else active
+        self.slices = slices
         device = self._topology.device
         self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
         return self
 
     def placed(self, part: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
-        self.place(part, execution, *self._ends)
+        for array, t in zip(self._times, part[:2], strict=True):
+            array.assign(np.broadcast_to(t, len(array)))
+        self.place(self._times, execution, *self._ends)
         return self.start.numpy(), self.end.numpy()
 
     def release(self) -> None:
         """Do not keep the caller's arrays alive."""
         self._ends.clear()
 
-    def turns(self, part: Slice) -> Any:
-        """How the vertices turn in a slice, as the struct of the kernels."""
+    def turns(self, part: Slice, times: Times | None = None) -> Any:
+        """How the vertices turn in a slice, by default the one in which they have last been placed on the host.
+
+        Returns:
+            The struct of the kernels.
+        """
         turns = Turns()
         turns.velocity, turns.omega, turns.slack = self._velocity, self._arrays["omega"], self._slack
         turns.vertex_body = self._topology.vertex_body
-        turns.t_begin, turns.t_length = part.t_begin, part.t_end - part.t_begin
+        turns.t_begin, turns.t_end = times or self._times
         return turns
+
+
+def paths_on(device: Any, paths: BodyPaths) -> Any:
+    """The paths of bodies, all of which are rigid, on a device, as the struct of the kernels."""
+    columns = {name: _column(paths, name) for name in _COLUMNS if name != "is_rigid"}
+    arrays: dict[str, wp.array] = {
+        name: wp.array(x, dtype=_COLUMNS[name], device=device) for name, x in columns.items()
+    }
+    return struct_of(kernels.BodyPaths, arrays)
+
+
+def _column(paths: BodyPaths, name: str) -> NDArray[Any]:
+    column: NDArray[Any] = getattr(paths, "pivot_t0" if name == "start" else name)
+    return column

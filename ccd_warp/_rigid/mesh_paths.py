@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from dataclasses import dataclass, fields, replace
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,13 +28,11 @@ class MeshPaths(BodyPaths):
 
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
-        active: Bodies that are searched, bool, shape [B].
-        turn: Angle for whose slices the step is cut, no less than that of any body; None for the largest of them.
+        searched: The slices that are searched; None for all of the step, cut by the largest turn of a body.
     """
 
     is_rigid: NDArray[np.bool_]
-    active: NDArray[np.bool_]
-    turn: float | None = None
+    searched: list[Slice] | None = None
     is_of_worlds: ClassVar[bool] = False
 
     @classmethod
@@ -62,8 +60,7 @@ class MeshPaths(BodyPaths):
             rows[field.name] = np.zeros((mesh.num_bodies, *of_rigid.shape[1:]))
             rows[field.name][bodies] = of_rigid
         rows["turning"][bodies[(paths.excess > 0.0) & ~paths.moves], 0] = UNSEEN
-        rows |= {"is_rigid": mesh.rigid.copy(), "active": np.ones(mesh.num_bodies, dtype=bool)}
-        return cls(**rows | further)
+        return cls(**rows, is_rigid=mesh.rigid.copy(), **further)
 
     def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
         """Begin a step on the host along these paths."""
@@ -72,12 +69,15 @@ class MeshPaths(BodyPaths):
         if Arcs not in workspace.motions:
             workspace.motions[Arcs] = Arcs(workspace.topology)
         arcs: Arcs = workspace.motions[Arcs]
-        return arcs.begin_on_host(self, self.slices(t_max), self.active, positions)
+        return arcs.begin_on_host(self, self.slices(t_max), positions)
 
     def slices(self, t_max: float) -> list[Slice]:
-        """Slices of [0, t_max] in each of which no body turns by more than `TURN_OF_A_SLICE`."""
-        turn = self.largest_turn if self.turn is None else self.turn
-        return Slice.all(max(1, int(np.ceil(turn * t_max / TURN_OF_A_SLICE - _ROUNDING))), t_max)
+        """The slices of [0, t_max] that are searched."""
+        return self.searched or Slice.all(num_slices(self, t_max), t_max)
+
+    def shortened(self, fraction: NDArray[np.float64]) -> Self:
+        """The paths up to a fraction of the step for each body, shape [N], all of whose slices are searched."""
+        return replace(super().shortened(fraction), searched=None)
 
     def at(
         self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
@@ -128,13 +128,18 @@ class WorldPaths(MeshPaths):
     @classmethod
     def of_worlds(cls, mesh: CollisionMesh, paths: BodyPaths) -> WorldPaths:
         """Of a motion that has a row for each rigid body, of one world after another."""
-        return cls(**vars(paths), is_rigid=mesh.rigid, active=np.ones(1, dtype=bool))
+        return cls(**vars(paths), is_rigid=mesh.rigid)
 
     def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
         world, body_in_world = np.divmod(body, len(self.is_rigid))
         rigid = np.flatnonzero(self.is_rigid[body_in_world])
         number = np.cumsum(self.is_rigid)
         return rigid, world[rigid] * number[-1] + number[body_in_world[rigid]] - 1
+
+
+def num_slices(paths: BodyPaths, t_max: float) -> int:
+    """Into how many slices [0, t_max] is cut, in each of which no body turns by more than `TURN_OF_A_SLICE`."""
+    return max(1, int(np.ceil(paths.largest_turn * t_max / TURN_OF_A_SLICE - _ROUNDING)))
 
 
 def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

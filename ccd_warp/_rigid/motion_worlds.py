@@ -1,8 +1,9 @@
-"""A mesh of one world with a motion of many: its bodies stand in memory once.
+"""A mesh of one world with a motion of one or many: only what may touch is searched, in the slices in which it may.
 
-Of large bodies only the parts are searched that may touch in a world (`parts.worlds`). Other worlds go in batches: a
-batch is a mesh of some copies, which all batches share, so its topology, its trees and its buffers are made
-once. A further world costs its rows of the motion, and what is found in it.
+The bodies stand in memory once, in parts (`parts.overlap`), and what is near is found before a vertex is placed. Where
+that is little of a large mesh, a mesh of these parts is searched (`parts.worlds`). The slices of small worlds, of all
+of them, are searched at once: a **cell**, a slice of a world, is a copy of the mesh, which stays with its topology and
+its trees. All others are searched slice by slice.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,14 +23,23 @@ from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import ContactPlace, MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
-from ccd_warp._rigid.mesh_paths import MeshPaths, WorldPaths, check_motion, check_own_frames, check_worlds
+from ccd_warp._rigid.mesh_paths import (
+    MeshPaths,
+    WorldPaths,
+    check_motion,
+    check_own_frames,
+    check_worlds,
+    num_slices,
+)
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.mesh import PartMesh, rows_within, world_alone
-from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.mesh import PartMesh, parts_of, rows_within
+from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
+from ccd_warp._rigid.parts.trees import distinct
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
@@ -46,8 +56,10 @@ _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
 _PRIMITIVES = 1 << 19
-# Faces from which, and bodies up to which, it pays to look for parts that may touch.
+# Faces from which a mesh of parts may be searched, and bodies of many worlds up to which what is near is looked for.
 _LARGE, _MOST_BODIES = 2000, 64
+# Slices, and faces of all of them, between which it pays to search the slices of one world at once.
+_FEW_SLICES, _MANY_FACES = 2, 1 << 13
 # Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
 _MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
 
@@ -69,7 +81,7 @@ class Pipeline(Protocol):
 
     def _check_no_capture(self) -> None: ...
 
-    def _contacts(self, start: Array, end: Array, motion: MeshPaths, *, is_ordered: bool) -> MeshResult: ...
+    def _contacts(self, start: Array, end: Array, motion: MeshPaths, *, is_ordered: bool = True) -> MeshResult: ...
 
     def _least_toi(self, start: Array, end: Array, motion: MeshPaths, *, any_suffices: bool) -> float: ...
 
@@ -103,37 +115,61 @@ class MotionWorlds:
         check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
         most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)
-        self._num_copies = min(self.num_worlds, max(1, most // num_primitives))
+        self._most_copies = max(1, most // num_primitives)
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
-        self._ends, self._turn = (start, end), paths.largest_turn
+        self._ends = start, end
+        self._slices = Slice.all(num_slices(paths, pipeline._options.t_max), pipeline._options.t_max)
 
     def _in_batches(
         self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T]
     ) -> Iterator[tuple[NDArray[np.intp], _T]]:
-        """What a call of the pipeline finds in each batch, the first of whose copies are some worlds.
+        """What a call of the pipeline finds in each batch, the first of whose copies are cells of some worlds.
 
         It gets a pipeline of the copies, positions and paths.
         """
-        count, mesh = self._num_copies, self._mesh
-        copies = mesh._copies(count)
+        cells, bodies = self._cells()
+        if len(cells) == 0:
+            return
+        copies = self._mesh._copies(min(self._most_copies, len(cells)), self._most_copies)
+        count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
-        # bodies that all copies share, half-spaces, come last
-        num_copied = mesh.num_bodies - int((mesh.planes.vertices < 0).sum())
-        copy_of_body = np.arange(copies.num_bodies) // num_copied
-        copy_of_body[count * num_copied :] = 0
-        for first in range(0, self.num_worlds, count):
-            worlds = np.arange(first, min(first + count, self.num_worlds))
-            is_searched = np.arange(count) < len(worlds)
-            of_batch = self._motion._of_worlds(np.append(worlds, np.repeat(worlds[-1:], count - len(worlds))))
-            # as many slices for all worlds, so that batches change no bit
-            paths = MeshPaths.of_checked(copies, of_batch, active=is_searched[copy_of_body], turn=self._turn)
+        times = np.array([part[:2] for part in self._slices])
+        for first in range(0, len(cells), count):
+            of_batch = cells[first : first + count]
+            padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
+            number, world = np.divmod(padded, self.num_worlds)
+            active = np.zeros((count, self._num_copied), dtype=bool)
+            active[: len(of_batch)] = True if bodies is None else bodies[first : first + count, : self._num_copied]
+            # bodies that all copies share, half-spaces, come last
+            num_shared = self._mesh.num_bodies - self._num_copied
+            begin, t_end = (np.append(np.repeat(t[number], self._num_copied), np.zeros(num_shared)) for t in times.T)
+            part = Slice(begin, t_end, np.append(active, np.ones(num_shared, dtype=bool)))
+            paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
                 result = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
-            yield worlds, result
+            yield world[: len(of_batch)], result
+
+    def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
+        """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
+        near, parts = self._near, self._body_parts
+        if near is None or parts is None:
+            return np.arange(len(self._slices) * self.num_worlds), None
+        body = parts.body
+        keys = near.slice.astype(np.int64) * self.num_worlds + near.world
+        cells = distinct(keys.copy())
+        number = np.searchsorted(cells, keys)
+        bodies = np.zeros((len(cells), self._mesh.num_bodies), dtype=bool)
+        bodies[number, body[near.a]] = bodies[number, body[near.b]] = True
+        return cells, bodies
+
+    @property
+    def _num_copied(self) -> int:
+        """The number of bodies of which each world has its own: not half-spaces that stand."""
+        return self._mesh.num_bodies - int((self._mesh.planes.vertices < 0).sum())
 
     def _add(self, counts: Counts, timings: dict[str, float]) -> None:
         """Count what a step did."""
@@ -164,20 +200,23 @@ class MotionWorlds:
                     break
             return least
 
-        parts, pipeline = self._parts, self._pipeline
-        if parts is not None:
+        if self._is_whole:
+            return self._pipeline._least_toi(*self._ends, self._whole_paths(), any_suffices=any_suffices)
+        if self._are_parts:
             of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
-            least = least_of(toi for *_, toi in parts.search(self._on_parts(LeastToiStep, of_parts)))
-            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, pipeline._options):
+            least = least_of(toi for *_, toi in self._parts.search(self._on_parts(LeastToiStep, of_parts)))
+            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, self._pipeline._options):
                 return least
         batches = self._in_batches(lambda copies, *step: copies._least_toi(*step, any_suffices=any_suffices))
         return least_of(toi for _, toi in batches)
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
+        if self._is_whole:
+            return self._pipeline._contacts(*self._ends, self._whole_paths())
         world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
         for worlds, result, of_one in self._results():
-            world_toi[worlds] = result.world_toi[: len(worlds)]
+            np.minimum.at(world_toi, worlds, result.world_toi[: len(worlds)])
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
         mesh, options = self._mesh, self._pipeline._options
@@ -188,48 +227,76 @@ class MotionWorlds:
 
     def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
         """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
-        parts = self._parts
-        if parts is None:
+        if not self._are_parts:
             for worlds, result in self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False)):
-                yield worlds, result, self._in_one_world(result.contacts, worlds)
+                yield worlds, result, self._in_one_world(result.contacts, worlds, len(result.world_toi))
             return
         mesh = self._mesh
         of_step = partial(ContactStep.contacts, is_ordered=False, is_placed=False)
-        for worlds, of_parts, result in parts.search(self._on_parts(ContactStep, of_step)):
+        for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
-    @property
-    def is_sparse(self) -> bool:
-        """Whether parts are looked for, and few of the primitives are in those that may touch."""
-        num_primitives = self._mesh.num_faces + len(self._mesh.codimensional_edges)
-        return self._parts is not None and self._parts.num_primitives < _FEW * num_primitives
+    @lazy_property
+    def _are_parts(self) -> bool:
+        """Whether meshes of parts are searched: of large bodies, of which little is near in one world."""
+        mesh, parts = self._mesh, self._body_parts
+        if parts is None or not parts.may_be_cut or mesh.num_faces < _LARGE or self._near is None:
+            return False
+        if self.num_worlds > 1:
+            return mesh.num_bodies <= _MOST_BODIES
+        return self._parts.num_primitives < _FEW * (mesh.num_faces + len(mesh.codimensional_edges))
 
     @lazy_property
-    def _parts(self) -> WorldsOfParts | None:
-        """The parts that may touch, where all that moves is rigid and large; None where whole bodies are searched."""
-        mesh, pipeline = self._mesh, self._pipeline
-        most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
-        if mesh.num_faces < _LARGE or mesh.num_bodies > most:
-            return None
-        parts, options, device = self._body_parts(), pipeline._options, pipeline._topology.device
+    def _is_whole(self) -> bool:
+        """Whether the one world that there is goes slice by slice: of a large mesh, or of one that is near in few."""
+        if self.num_worlds > 1 or self._are_parts:
+            return False
+        num_near = len(self._slices) if self._near is None else len(np.unique(self._near.slice))
+        return 0 < num_near < _FEW_SLICES or num_near * self._mesh.num_faces > _MANY_FACES
+
+    def _whole_paths(self) -> MeshPaths:
+        """The paths of the one world that there is, with the slices in which anything is near, and what."""
+        near, parts, mesh, searched = self._near, self._body_parts, self._mesh, None
+        if near is not None and parts is not None:
+            body, searched = parts.body, []
+            for number in np.unique(near.slice).tolist():
+                active, rows = np.zeros(mesh.num_bodies, dtype=bool), near.slice == number
+                active[body[near.a[rows]]] = active[body[near.b[rows]]] = True
+                searched.append(self._slices[number]._replace(active=active))
+        return MeshPaths.of_checked(mesh, self._motion._body_paths, searched=searched)
+
+    @lazy_property
+    def _parts(self) -> WorldsOfParts:
+        """The parts that may touch."""
+        parts, near = self._body_parts, self._near
+        assert parts is not None
+        assert near is not None
+        return WorldsOfParts(parts, near, self._motion, self._slices, self._pipeline._options.memory_limit)
+
+    @lazy_property
+    def _near(self) -> NearParts | None:
+        """The parts that may touch in each slice of each world; None where this is not looked for."""
+        parts, pipeline = self._body_parts, self._pipeline
         if parts is None:
             return None
+        options, device = pipeline._options, pipeline._topology.device
         # a Euclidean distance beyond which parts do not come within the separation of a pair
-        reach = 2.0 * options.separation(length_scale_of(mesh, options))
+        reach = 2.0 * options.separation(length_scale_of(self._mesh, options))
         execution = Execution(device, options.threads, StopFlag(device))
-        return WorldsOfParts(parts, self._motion, options.t_max, reach, execution, options.memory_limit)
+        return parts.near(self._motion._body_paths, len(self._slices), options.t_max, reach, execution)
 
+    @lazy_property
     def _body_parts(self) -> BodyParts | None:
-        """The parts of the bodies of a world, which stay for later calls; None where whole ones are to be searched."""
+        """The parts of the bodies of a world, which stay for later calls; None where they are not looked for."""
         mesh, kept, (start, end) = self._mesh, MeshCache.of(self._mesh).parts, self._ends
         # radii may be others on the device than those of the mesh
         is_plain = mesh.radius is None or np.array_equal(self._pipeline._topology.radius.numpy(), mesh.radius)
-        if not is_plain or not (start is end or np.array_equal(start, end)):
+        most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
+        if mesh.num_bodies > most or not is_plain or not (start is end or np.array_equal(start, end)):
             return None
         positions, parts = kept.get("parts", (None, None))
         if positions is not start and (positions is None or not np.array_equal(positions, start)):
-            world = world_alone(mesh, start)
-            parts = None if world is None else BodyParts(world, world.vertices)
+            parts = parts_of(mesh, start)
             kept["parts"] = start if start is mesh.vertices else start.copy(), parts
         return parts
 
@@ -250,11 +317,11 @@ class MotionWorlds:
 
         return on_parts
 
-    def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp]) -> Contacts:
+    def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp], num_copies: int) -> Contacts:
         """The contacts of a batch as those of the mesh of one world."""
         mesh = self._mesh
         is_shared = mesh.planes.vertices < 0
-        planes = np.append(np.tile(np.flatnonzero(~is_shared), self._num_copies), np.flatnonzero(is_shared))
+        planes = np.append(np.tile(np.flatnonzero(~is_shared), num_copies), np.flatnonzero(is_shared))
         sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
         primitives, copy = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.int32)
         for kind in PairKind:

@@ -69,7 +69,7 @@ def result_of(
     has_axis = mesh.num_worlds < num_worlds
     contact_lists = [contact_list for contact_list in contact_lists if len(contact_list)]
     contacts = joined(contact_lists) if contact_lists else located(Contacts(*_NO_CONTACTS), mesh)
-    contacts = contacts[_in_order(contacts, has_axis=has_axis)]
+    contacts = contacts[_earliest_in_order(contacts, has_axis=has_axis)]
     if frames is not None and len(contacts):
         place = contacts._known_place()
         place.frames, place.touch, place.radii = frames.copied(contacts), touch, radii_of(mesh)
@@ -94,17 +94,22 @@ def result_of(
     )
 
 
-def _in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp]:
-    """The order of contacts by world, where there is an axis of worlds, kind and primitives."""
+def _earliest_in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp]:
+    """The earliest of the contacts of each pair, by world, where there is an axis of worlds, kind and primitives."""
     columns = [*([contacts.world] if has_axis else []), contacts.kind, *contacts.primitives.T]
     keys, most = np.zeros(len(contacts), dtype=np.int64), 1
     for column in columns:
         size = int(column.max(initial=0)) + 1
         most *= size
-        if most > _MOST_KEYS:
-            return np.lexsort(columns[::-1])
         keys = keys * size + column
-    return np.argsort(keys, kind="stable")
+    if most > _MOST_KEYS:
+        keys = np.unique(np.stack(columns, axis=1), axis=0, return_inverse=True)[1].ravel()
+    order = np.argsort(keys, kind="stable")
+    is_new = np.append(True, keys[order[1:]] != keys[order[:-1]])[: len(order)]
+    if is_new.all():
+        return order
+    order = np.lexsort((contacts.toi, keys))
+    return order[is_new]
 
 
 def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:

@@ -71,7 +71,10 @@ def meeting_on_arc(
     turns: Turns,
 ) -> Meeting:
     """`meeting_of` for a vertex that turns with its body in a slice, at a time of the step."""
-    spin = turns.t_length * turns.omega[turns.vertex_body[v]]
+    body = turns.vertex_body[v]
+    t_begin = turns.t_begin[body]
+    t_length = turns.t_end[body] - t_begin
+    spin = t_length * turns.omega[body]
     velocity = turns.velocity[v]
     size = largest_coordinate(x0, x1, p0, p1)
     motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
@@ -111,7 +114,7 @@ def meeting_on_arc(
         t = reached(window, end, is_free, wp.where(is_free, _ONE, meeting.toi))
         is_open = wp.where(is_free, end < _ONE, bulge > error) and windows < _MOST_WINDOWS
         if not is_open and (not is_free or end < _ONE):
-            meeting.toi = wp.where(is_inside, turns.t_begin, in_step(t, turns))
+            meeting.toi = wp.where(is_inside, t_begin, in_step(t, t_begin, t_length))
             meeting.gap += _TWO * (bulge + error)
         window = next_window(window, t, is_free)
     return meeting

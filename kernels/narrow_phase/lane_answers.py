@@ -30,8 +30,7 @@ def first_answer(
     lane_options = options_of_rows(options, pairs, rows)
     if wp.static(on_arcs):
         lane_options.arcs = arcs_of_pairs(pairs, rows, options.turns)
-        t = simd64.spread(options.turns.t_begin)
-        return first_window(pairs.kind, a, b, lane_options, options, t, cap, least)
+        return first_window(pairs.kind, a, b, lane_options, options, lane_options.arcs.t_begin, cap, least)
     else:
         return first_rounds(pairs.kind, a, b, lane_options, cap, least)
 

@@ -240,8 +240,11 @@ if has_arcs(norm):
         r.v1 = gathered_point(turns.velocity, i.i1)
         r.v2 = gathered_point(turns.velocity, i.i2)
         r.v3 = gathered_point(turns.velocity, i.i3)
-        r.spin_a = turns.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i0))
-        r.spin_b = turns.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
+        body = of_vertex(turns.vertex_body, i.i0)
+        r.t_begin = gathered_number(turns.t_begin, body)
+        r.t_length = gathered_number(turns.t_end, body) - r.t_begin
+        r.spin_a = r.t_length * gathered_point(turns.omega, body)
+        r.spin_b = r.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
         of_a = gathered_number(turns.slack, i.i0)
         of_b = simd.greatest(gathered_number(turns.slack, i.i2), gathered_number(turns.slack, i.i3))
         of_second = gathered_number(turns.slack, i.i1)

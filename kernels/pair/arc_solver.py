@@ -44,8 +44,11 @@ def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> 
         r.v1 = turns.velocity[second[0]]
         r.v2 = turns.velocity[second[1]]
         r.v3 = turns.velocity[second[2]]
-    r.spin_a = turns.t_length * turns.omega[turns.vertex_body[first[0]]]
-    r.spin_b = turns.t_length * turns.omega[turns.vertex_body[second[0]]]
+    body = turns.vertex_body[first[0]]
+    r.t_begin = turns.t_begin[body]
+    r.t_length = turns.t_end[body] - r.t_begin
+    r.spin_a = r.t_length * turns.omega[body]
+    r.spin_b = r.t_length * turns.omega[turns.vertex_body[second[0]]]
     r.slack = radius_of(turns.slack, first) + radius_of(turns.slack, second)
     return r
 
@@ -64,7 +67,7 @@ def tangents_of_arcs(
 ) -> Tangents:
     """Where a pair is and how it moves at a time of the step: in the middle of two straight ends."""
     turning = arcs_of_pair(kind, first, second, options.turns)
-    at = in_slice(t, options.turns)
+    at = in_slice(t, turning.t_begin, turning.t_length)
     x = points_at(kind, a, b, turning, at)
     v = arcs.velocities_at(kind, a, b, turning, at)
     r = Tangents()
@@ -107,7 +110,7 @@ def solve_on_arcs(
         )
     is_shared = corotating.are_alike(turning) and corotating.may_turn(of_window.minimum_separation)
     window = Window()
-    window.begin = in_slice(t, options.turns)
+    window.begin = in_slice(t, turning.t_begin, turning.t_length)
     window.h = one - window.begin
     if used > 0:
         window.h = eighth * window.h
@@ -143,7 +146,7 @@ def solve_on_arcs(
         t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:
-            outcome.toi = in_step(t_reached, options.turns)
+            outcome.toi = in_step(t_reached, turning.t_begin, turning.t_length)
             if outcome.status == STATUS_INVALID:
                 outcome.toi = zero
             if outcome.status == STATUS_INITIAL_CONTACT and outcome.toi > zero:

@@ -65,6 +65,8 @@ class Arcs:
     spin_a: simd.Vec3  # rotation vectors of the bodies of the first primitive and of the second
     spin_b: simd.Vec3
     slack: simd.Lanes  # by how much rounding may bring the two closer
+    t_begin: simd.Lanes  # the slice as part of the step
+    t_length: simd.Lanes
 
 
 @wp.struct

@@ -77,8 +77,10 @@ def advance_windows(
         )
     none = simd.mask_of(_NONE)
     shared = simd.bits_of(are_alike(lane_options.arcs) & may_turn(lane_options.minimum_separation))
+    t_begin = lane_options.arcs.t_begin
+    t_length = lane_options.arcs.t_length
     window = Window()
-    window.begin = in_slice(t_start, options.turns)
+    window.begin = in_slice(t_start, t_begin, t_length)
     window.h = one - window.begin
     window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
     window.last = nothing
@@ -141,9 +143,9 @@ def advance_windows(
         window.last = simd.select(is_open, following.last, window.last)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
         settled = answer.free | answer.contact | (~of_chords.free & sharp)
-        open = open & ~settled & simd.bits_of(simd.is_less(in_step(window.begin, options.turns), bound))
+        open = open & ~settled & simd.bits_of(simd.is_less(in_step(window.begin, t_begin, t_length), bound))
         windows += 1
-    answer.t = in_step(simd.least(window.begin, one), options.turns)
+    answer.t = in_step(simd.least(window.begin, one), t_begin, t_length)
     return answer
 
 

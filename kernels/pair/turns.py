@@ -11,8 +11,8 @@ class Turns:
     omega: wp.array[wp.vec3d]  # rotation vector of each body in the whole step; 0 where it does not turn
     slack: wp.array[wp.float64]  # of each vertex: by how much rounding may move it
     vertex_body: wp.array[wp.int32]
-    t_begin: wp.float64  # the slice as part of the step
-    t_length: wp.float64
+    t_begin: wp.array[wp.float64]  # of each body: the slice as part of the step
+    t_end: wp.array[wp.float64]
 
 
 @wp.func

@@ -16,7 +16,6 @@ import warp as wp
 from ..parameters import width
 from ..template import specialised
 from .rounding import UNIT_ROUNDOFF
-from .turns import Turns
 
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
@@ -30,16 +29,16 @@ step_down = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
 
 
 @simd.func
-def in_slice(t: Lanes, turns: Turns) -> Lanes:
-    """A time of the step as one of the slice, rounded down."""
-    since = (t - simd.spread(turns.t_begin)) / simd.spread(turns.t_length)
+def in_slice(t: Lanes, begin: Lanes, length: Lanes) -> Lanes:
+    """A time of the step as one of the slice, rounded down, which begins then and is so long."""
+    since = (t - begin) / length
     return simd.greatest(since * slice_down, zero)
 
 
 @simd.func
-def in_step(t: Lanes, turns: Turns) -> Lanes:
+def in_step(t: Lanes, begin: Lanes, length: Lanes) -> Lanes:
     """A time of the slice as one of the step, rounded down."""
-    return (simd.spread(turns.t_begin) + turns.t_length * t) * step_down
+    return (begin + length * t) * step_down
 
 
 @wp.struct

@@ -1,35 +1,53 @@
-"""Which parts of bodies that turn may touch in a slice of the step: trees of boxes, tested from the top.
+"""Which parts of bodies that turn may touch, and in which slices of the step: trees of boxes and of times.
 
 The parts of a body are the leaves of a tree without pointers: node n of the 2^(d + 1) - 1 nodes of a body with 2^d
-parts has the children 2n + 1 and 2n + 2. A node has a sphere and an oriented box around the same centre, in the frame
-of its body.
+parts has the children 2n + 1 and 2n + 2; its root is the whole body. A node has a sphere and an oriented box around the
+same centre, in the frame of its body.
 
-**Any direction is a proof.** Two nodes cannot touch in a slice if in its middle they are farther apart along some
-direction d than their points come nearer along it in half of the slice: no more than |d·v| h + A h²/2 + ω r h, with v
-the velocity of their centres against each other in the middle, A a bound of what the paths of the centres bend, and r
-the radii of the nodes, which turn by ω h; and no more than their points move at all. Directions are those of the
-centres and of the sides of both boxes. Otherwise the larger of both nodes is divided into its children.
+**Any direction is a proof.** Two nodes cannot touch between two times, h before and after their middle, if they are
+farther apart along a direction d in the middle than their points come nearer along it. With V the velocity of the
+centres against each other in the middle and v its part that stays the same, ω the turn of a body, k the sine of the
+angle between d and ω, ρ the distance of a centre from its pivot, u the part of the velocity of the pivot that turns
+with the body and r the radius of a node, that is no more than
+
+    |d·V| h + Σ k ω(|u| + ωρ) h²/2    or    |d·v| h + Σ k (min(ωh, 2) ρ + min(h, 2/ω) |u|)
+
+for the centres, and k min(ωh, 2) r for the points of each box; a sphere turns into itself. Along the axis of a body
+nothing turns. For an observer who turns with one of both, that body stands, and the other turns by w, the difference
+of both: its centre is at D, which changes by D' in the middle, and D'' is no longer than
+
+    (|w × ω| + w²) ρ + w |u| + ω U + 2|ω × v| + ω² (|D across ω| + h (|v| + U)),   U = |difference of u| + min(wh, 2)|u|
+
+with ω, D of the pivots and ρ, u of the other. So two bodies that share a spin are at rest. Directions are those of the
+centres, of the sides of both boxes and of both axes. What they do not separate is divided, the times where motion takes
+more than the nodes do, and otherwise the larger node, down to parts in slices.
 """
 
 import warp as wp
 
 from ..atomics import claim
 from ..interrupts import is_stopped
-from ..pair.rounding import UNIT_ROUNDOFF
+from ..pair.rounding import PLACE, PLACE_POSITION, UNIT_ROUNDOFF
+from .place_bodies import BodyPaths, Place, place_at, rotated
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# A traversal keeps the second children of nodes of both trees, no deeper than 28 as primitives are numbered in 31 bits.
-_STACK = 64
-_TWO = wp.constant(wp.float64(2.0))
+# A traversal keeps the second halves of what it divides: nodes of both trees, no deeper than 28 as primitives are
+# numbered in 31 bits, and times, no deeper than 23 as no body turns by more than a million radians.
+_STACK = 80
 _ZERO = wp.constant(wp.float64(0.0))
+_HALF = wp.constant(wp.float64(0.5))
+_ONE = wp.constant(wp.float64(1.0))
+_TWO = wp.constant(wp.float64(2.0))
 # Of places, lengths and distances, relative to the coordinates of both.
-_ERROR = wp.constant(wp.float64(128.0 * UNIT_ROUNDOFF[wp.float64]))
-# Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154.
+_ERROR = wp.constant(wp.float64(256.0 * UNIT_ROUNDOFF[wp.float64]))
+# Of a centre: four times what rounding moves a vertex by (rounding, step 18).
+_PLACE_POSITION = wp.constant(wp.float64(4.0 * PLACE_POSITION * UNIT_ROUNDOFF[wp.float64]))
+_PLACE = wp.constant(wp.float64(4.0 * PLACE * UNIT_ROUNDOFF[wp.float64]))
+# Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154; a smaller turn has no axis.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
 
 Stack = wp.types.vector(length=_STACK, dtype=wp.int32)
-vec6d = wp.types.vector(length=6, dtype=wp.float64)
 
 
 @wp.struct
@@ -39,92 +57,125 @@ class PartTrees:
     first: wp.array[wp.int32]  # node of each body
     num_parts: wp.array[wp.int32]  # of each body, a power of two
     first_part: wp.array[wp.int32]
-    link: wp.array[wp.int32]  # the row of a motion that a body is; -1 of one that stands
+    link: wp.array[wp.int32]  # the row of a motion, of its rows of a world, that a body is; -1 of one that stands
     centre: wp.array[wp.vec3d]  # of each node
-    arm: wp.array[wp.float64]  # its length
     radius: wp.array[wp.float64]  # of a sphere around the node
     axes: wp.array2d[wp.vec3d]  # directions of the sides of a box around it
     half: wp.array[wp.vec3d]  # half of each side
     thickness: wp.array[wp.float64]  # the largest radius of its vertices, around both
-
-
-@wp.struct
-class PartMotion:
-    """Where bodies are in slices of the step, and how far they go."""
-
-    # of each link in the middle of each slice: [slice, link]
-    position: wp.array2d[wp.vec3d]
-    rotation: wp.array2d[wp.vec4d]  # unit quaternions
-    velocity: wp.array2d[wp.vec3d]  # of the origin, times half the slice
-    omega: wp.array2d[wp.vec3d]  # rotation in half the slice
-    # How far the origin of a link goes from the middle of a slice at most, what rounding adds, and both of its turn in
-    # radians: points go as far as the first and the turn times their arm. Then how far the path of the origin bends
-    # from its velocity in the middle at most, and what an arm adds to that, times its length.
-    reach: wp.array2d[vec6d]
+    plane_point: wp.array[wp.vec3d]
+    plane_normal: wp.array[wp.vec3d]  # of length 1
 
 
 @wp.struct
 class PartPairs:
-    """Pairs of parts that may touch, in no order; more than the capacity are counted, but not kept."""
+    """Pairs of parts that may touch in a slice of a world, in no order; more than the capacity are only counted.
+
+    A part that may touch a half-space is in a pair with itself.
+    """
 
     count: wp.array2d[wp.int64]  # [1, 1]
-    row: wp.array[wp.int32]  # the slice
+    world: wp.array[wp.int32]
+    slice: wp.array[wp.int32]
     a: wp.array[wp.int32]
     b: wp.array[wp.int32]
 
 
 @wp.struct
-class Sides:
-    """The directions of the sides of a box."""
+class MovedBody:
+    """A body in the middle between two times."""
 
-    x: wp.vec3d
-    y: wp.vec3d
-    z: wp.vec3d
+    place: Place
+    pivot: wp.vec3d
+    line: wp.vec3d  # the part of its velocity that stays
+    omega: wp.vec3d
+    turn: wp.float64
+    turning: wp.float64  # the length of what turns of the velocity of its pivot
+    excess: wp.float64  # how far its points may be from where they are computed, and of that what is relative to arms
+    wrong: wp.float64
 
 
 @wp.struct
-class PlacedNode:
-    """A node in the world, in the middle of a slice."""
+class MovedNode:
+    """A node of such a body."""
 
     centre: wp.vec3d
     velocity: wp.vec3d  # of the centre
-    sides: Sides
-    bend: wp.float64  # how far points may be from where the velocity of the centre takes it
+    arm: wp.float64  # distance of the centre from the pivot
+    x: wp.vec3d  # directions of the sides of its box
+    y: wp.vec3d
+    z: wp.vec3d
+    half: wp.vec3d
+    radius: wp.float64
+    bend: wp.float64  # how far the centre may be from where its velocity takes it
+    turned: wp.float64  # how far the turn alone takes it at most
+    swing: wp.float64  # how far the turn takes the points of the node from where they are to the centre
+    error: wp.float64
+
+
+@wp.struct
+class Observed:
+    """How a node moves for an observer who turns with the other body."""
+
+    velocity: wp.vec3d
+    bend: wp.float64
+    swing: wp.float64
+
+
+@wp.struct
+class Separation:
+    """How far two nodes stay apart along the best direction, and what their motion takes of that."""
+
+    least: wp.float64
+    moved: wp.float64
 
 
 @wp.func
-def turned(q: wp.vec4d, x: wp.vec3d) -> wp.vec3d:
-    """A vector turned by a unit quaternion."""
-    axis = wp.vec3d(q[0], q[1], q[2])
-    twice = _TWO * wp.cross(axis, x)
-    return x + q[3] * twice + wp.cross(axis, twice)
+def moved_body(paths: BodyPaths, row: int, t: wp.float64, h: wp.float64) -> MovedBody:
+    """The body of a row of a motion; one that stands has none."""
+    r = MovedBody()
+    r.place.rotation = wp.vec4d(_ZERO, _ZERO, _ZERO, _ONE)
+    r.turn = _UNDERFLOW
+    if row >= 0:
+        r.place = place_at(paths, row, t)
+        r.pivot = paths.pivot[row]
+        r.line = paths.velocity[row]
+        r.omega = paths.omega[row]
+        r.turn = wp.max(wp.length(r.omega), _UNDERFLOW)
+        r.turning = wp.length(r.place.turning)
+        start = paths.start[row]
+        far = wp.max(wp.max(wp.abs(start)), wp.max(wp.abs(start + r.line)))
+        r.wrong = _PLACE * (_ONE + _HALF * r.turn) * (_ONE + h * r.turn)
+        r.excess = paths.excess[row] + _PLACE_POSITION * far
+        r.excess += r.wrong * (wp.length(r.pivot) + r.turning + wp.length(r.line))
+    return r
 
 
 @wp.func
-def along_sides(sides: Sides, x: wp.vec3d) -> wp.vec3d:
-    """A vector along each side."""
-    return wp.vec3d(wp.dot(sides.x, x), wp.dot(sides.y, x), wp.dot(sides.z, x))
-
-
-@wp.func
-def placed(trees: PartTrees, motion: PartMotion, row: int, link: int, n: int) -> PlacedNode:
-    """Node n of a link, or of a body that stands."""
-    r = PlacedNode()
+def moved_node(trees: PartTrees, n: int, body: MovedBody, is_standing: bool, h: wp.float64) -> MovedNode:
+    """Node n of a body."""
+    r = MovedNode()
     r.centre = trees.centre[n]
-    r.sides.x = trees.axes[n, 0]
-    r.sides.y = trees.axes[n, 1]
-    r.sides.z = trees.axes[n, 2]
-    if link >= 0:
-        q = motion.rotation[row, link]
-        reach = motion.reach[row, link]
-        arm = turned(q, r.centre)
-        r.centre = motion.position[row, link] + arm
-        r.velocity = motion.velocity[row, link] + wp.cross(motion.omega[row, link], arm)
-        r.sides.x = turned(q, r.sides.x)
-        r.sides.y = turned(q, r.sides.y)
-        r.sides.z = turned(q, r.sides.z)
-        bent = reach[4] + reach[5] * trees.arm[n] + (reach[2] + reach[3]) * trees.radius[n]
-        r.bend = bent + reach[1] + reach[3] * trees.arm[n]
+    r.x = trees.axes[n, 0]
+    r.y = trees.axes[n, 1]
+    r.z = trees.axes[n, 2]
+    r.half = trees.half[n]
+    r.radius = trees.radius[n]
+    if not is_standing:
+        q = body.place.rotation
+        size = largest(r.centre)
+        arm = rotated(q, r.centre - body.pivot)
+        r.centre = body.place.position + arm
+        r.velocity = body.line + body.place.turning + wp.cross(body.omega, arm)
+        r.arm = wp.length(arm)
+        r.x = rotated(q, r.x)
+        r.y = rotated(q, r.y)
+        r.z = rotated(q, r.z)
+        angle = wp.min(h * body.turn, _TWO)
+        r.bend = _HALF * h * h * body.turn * (body.turning + body.turn * r.arm)
+        r.turned = angle * r.arm + wp.min(h, _TWO / body.turn) * body.turning
+        r.swing = angle * r.radius
+        r.error = body.excess + body.wrong * (r.arm + size + r.radius)
     return r
 
 
@@ -135,145 +186,327 @@ def largest(x: wp.vec3d) -> wp.float64:
 
 
 @wp.func
-def along(size: wp.vec3d, d: wp.vec3d) -> wp.float64:
-    """How far a box reaches along a direction in its own axes."""
-    return size[0] * wp.abs(d[0]) + size[1] * wp.abs(d[1]) + size[2] * wp.abs(d[2])
-
-
-@wp.struct
-class Separation:
-    """How far two nodes stay apart in a slice along the best direction, and what motion and both nodes take of that."""
-
-    least: wp.float64
-    lost: wp.float64
+def observed(a: MovedBody, b: MovedBody, node_a: MovedNode, node_b: MovedNode, h: wp.float64) -> Observed:
+    """How the second node moves for an observer who turns with the first body."""
+    apart = node_b.centre - node_a.centre
+    between = b.place.position - a.place.position
+    line = b.line - a.line
+    difference = b.omega - a.omega
+    w = wp.length(difference)
+    turning = wp.length(b.place.turning - a.place.turning) + wp.min(h * w, _TWO) * b.turning
+    bends = (wp.length(wp.cross(difference, a.omega)) + w * w) * node_b.arm + w * b.turning + a.turn * turning
+    bends += _TWO * wp.length(wp.cross(a.omega, line))
+    bends += a.turn * (wp.length(wp.cross(a.omega, between)) + a.turn * h * (wp.length(line) + turning))
+    r = Observed()
+    r.velocity = node_b.velocity - node_a.velocity - wp.cross(a.omega, apart)
+    r.bend = _HALF * h * h * bends
+    r.swing = wp.min(h * w, _TWO) * node_b.radius
+    return r
 
 
 @wp.func
-def better(best: Separation, apart: wp.float64, moves: wp.float64, of_a: wp.float64, of_b: wp.float64) -> Separation:
-    """The better one of a separation and that along another direction."""
+def share_across(d: wp.vec3d, body: MovedBody) -> wp.float64:
+    """The sine of the angle between a direction and the axis of a body; 1 of one that hardly turns."""
+    if body.turn > _UNDERFLOW:
+        return wp.min(wp.length(wp.cross(d, body.omega)) / body.turn, _ONE)
+    return _ONE
+
+
+@wp.func
+def along_box(node: MovedNode, d: wp.vec3d) -> wp.float64:
+    """How far a box reaches along a direction."""
+    of_x = node.half[0] * wp.abs(wp.dot(node.x, d))
+    return of_x + node.half[1] * wp.abs(wp.dot(node.y, d)) + node.half[2] * wp.abs(wp.dot(node.z, d))
+
+
+@wp.func
+def better(
+    best: Separation,
+    apart: wp.float64,
+    moved: wp.float64,
+    a: MovedNode,
+    b: MovedNode,
+    of_a: wp.float64,
+    of_b: wp.float64,
+) -> Separation:
+    """The better of a separation and that of nodes which are so far apart, move so much and reach so far."""
     r = best
-    least = apart - moves - of_a - of_b
+    least = apart - moved - wp.min(a.radius, of_a) - wp.min(b.radius, of_b)
     if least > best.least:
         r.least = least
-        r.lost = moves + of_a + of_b
+        r.moved = moved
     return r
+
+
+@wp.func
+def along_direction(
+    best: Separation,
+    d: wp.vec3d,
+    apart: wp.float64,
+    a: MovedBody,
+    b: MovedBody,
+    node_a: MovedNode,
+    node_b: MovedNode,
+    h: wp.float64,
+) -> Separation:
+    """The better of a separation and that along a direction, along which two nodes are so far apart."""
+    across_a = share_across(d, a)
+    across_b = share_across(d, b)
+    bent = wp.abs(wp.dot(d, node_b.velocity - node_a.velocity)) * h + across_a * node_a.bend + across_b * node_b.bend
+    turned = wp.abs(wp.dot(d, b.line - a.line)) * h + across_a * node_a.turned + across_b * node_b.turned
+    of_a = along_box(node_a, d) + across_a * node_a.swing
+    of_b = along_box(node_b, d) + across_b * node_b.swing
+    return better(best, apart, wp.min(bent, turned), node_a, node_b, of_a, of_b)
+
+
+@wp.func
+def along_observed(
+    best: Separation,
+    d: wp.vec3d,
+    apart: wp.float64,
+    node_a: MovedNode,
+    node_b: MovedNode,
+    of_a: Observed,
+    of_b: Observed,
+    h: wp.float64,
+) -> Separation:
+    """The same along a direction that turns with the body of either node, given how each is seen from the other."""
+    reach_a = along_box(node_a, d)
+    reach_b = along_box(node_b, d)
+    moved = wp.abs(wp.dot(d, of_b.velocity)) * h + of_b.bend
+    r = better(best, apart, moved, node_a, node_b, reach_a, reach_b + of_b.swing)
+    moved = wp.abs(wp.dot(d, of_a.velocity)) * h + of_a.bend
+    return better(r, apart, moved, node_a, node_b, reach_a + of_a.swing, reach_b)
+
+
+@wp.func
+def direction(k: int, a: MovedNode, b: MovedNode, body_a: MovedBody, body_b: MovedBody, between: wp.vec3d) -> wp.vec3d:
+    """One of the directions along which two nodes are looked at."""
+    if k == 0:
+        return between
+    if k == 1:
+        return a.x
+    if k == 2:
+        return a.y
+    if k == 3:
+        return a.z
+    if k == 4:
+        return b.x
+    if k == 5:
+        return b.y
+    if k == 6:
+        return b.z
+    if k == 7:
+        return body_a.omega / body_a.turn
+    return body_b.omega / body_b.turn
 
 
 @wp.func
 def separation(
-    trees: PartTrees,
-    a: PlacedNode,
-    b: PlacedNode,
-    m: int,
-    n: int,
-    most: wp.float64,
-    turns: wp.float64,
+    a: MovedBody, b: MovedBody, node_a: MovedNode, node_b: MovedNode, h: wp.float64, enough: wp.float64
 ) -> Separation:
-    """How far two nodes, m and n, stay apart: their centres come by ``most`` nearer to each other, or points by more.
-
-    Spheres turn into themselves; the points of a box do not, and have longer arms than the centre.
-    """
-    apart = b.centre - a.centre
-    speed = b.velocity - a.velocity
-    bend = a.bend + b.bend
-    radius_a = trees.radius[m]
-    radius_b = trees.radius[n]
-    half_a = trees.half[m]
-    half_b = trees.half[n]
+    """How far two nodes stay apart, or that it is enough."""
+    apart = node_b.centre - node_a.centre
     distance = wp.length(apart)
+    bent = wp.length(node_b.velocity - node_a.velocity) * h + node_a.bend + node_b.bend
+    turned = wp.length(b.line - a.line) * h + node_a.turned + node_b.turned
     r = Separation()
-    r.least = distance - most - radius_a - radius_b
-    r.lost = most + radius_a + radius_b
-    most += turns
-    apart_a = along_sides(a.sides, apart)
-    apart_b = along_sides(b.sides, apart)
-    speed_a = along_sides(a.sides, speed)
-    speed_b = along_sides(b.sides, speed)
+    r.moved = wp.min(bent, turned)
+    r.least = distance - r.moved - node_a.radius - node_b.radius
+    if r.least > enough:
+        return r
+    between = apart
     if distance > _ZERO:
-        moves = wp.min(most, wp.abs(wp.dot(apart, speed)) / distance + bend)
-        towards_a = wp.min(radius_a, along(half_a, apart_a) / distance)
-        towards_b = wp.min(radius_b, along(half_b, apart_b) / distance)
-        r = better(r, distance, moves, towards_a, towards_b)
-    # the sides of a along those of b, and the other way round
-    x = along_sides(b.sides, a.sides.x)
-    y = along_sides(b.sides, a.sides.y)
-    z = along_sides(b.sides, a.sides.z)
-    of_b = wp.vec3d(along(half_b, x), along(half_b, y), along(half_b, z))
-    x = wp.abs(x)
-    y = wp.abs(y)
-    z = wp.abs(z)
-    of_a = half_a[0] * x + half_a[1] * y + half_a[2] * z
-    for k in range(3):
-        r = better(r, wp.abs(apart_a[k]), wp.min(most, wp.abs(speed_a[k]) + bend), half_a[k], wp.min(radius_b, of_b[k]))
-        r = better(r, wp.abs(apart_b[k]), wp.min(most, wp.abs(speed_b[k]) + bend), wp.min(radius_a, of_a[k]), half_b[k])
+        between = apart / distance
+    both_turn = a.turn > _UNDERFLOW and b.turn > _UNDERFLOW
+    of_a = Observed()
+    of_b = Observed()
+    if both_turn:
+        of_a = observed(b, a, node_b, node_a, h)
+        of_b = observed(a, b, node_a, node_b, h)
+    for k in range(9):
+        d = direction(k, node_a, node_b, a, b, between)
+        along = wp.abs(wp.dot(apart, d))
+        # a direction along which both reach farther than they are apart separates nothing
+        if along > r.least:
+            r = along_direction(r, d, along, a, b, node_a, node_b, h)
+            if both_turn:
+                r = along_observed(r, d, along, node_a, node_b, of_a, of_b, h)
     return r
+
+
+@wp.func
+def separation_from_plane(
+    a: MovedBody, node: MovedNode, point: wp.vec3d, normal: wp.vec3d, h: wp.float64
+) -> Separation:
+    """How far a node stays away from the solid of a half-space."""
+    across = share_across(normal, a)
+    bent = wp.abs(wp.dot(normal, node.velocity)) * h + across * node.bend
+    turned = wp.abs(wp.dot(normal, a.line)) * h + across * node.turned
+    r = Separation()
+    r.moved = wp.min(bent, turned)
+    reach = wp.min(node.radius, along_box(node, normal) + across * node.swing)
+    r.least = wp.dot(node.centre - point, normal) - r.moved - reach
+    return r
+
+
+@wp.kernel
+def sweep_bodies(
+    begin: int,
+    # in
+    trees: PartTrees,
+    paths: BodyPaths,
+    num_links: int,
+    t_max: wp.float64,
+    reach: wp.float64,
+    # out
+    lower: wp.array2d[wp.vec3d],
+    upper: wp.array2d[wp.vec3d],
+):
+    """Boxes around bodies in the whole step, of each world and body, grown so that those that meet may be in reach."""
+    item = begin + wp.tid()
+    num_bodies = lower.shape[1]
+    world = item / num_bodies
+    i = item % num_bodies
+    if trees.num_parts[i] == 0:
+        return
+    link = trees.link[i]
+    row = wp.where(link < 0, link, world * num_links + link)
+    h = _HALF * t_max
+    body = moved_body(paths, row, h, h)
+    n = trees.first[i]
+    node = moved_node(trees, n, body, link < 0, h)
+    r = node.turned + node.radius + trees.thickness[n] + reach + node.error
+    r += _ERROR * (largest(node.centre) + largest(body.line) + r) + _UNDERFLOW
+    size = h * wp.abs(body.line) + wp.vec3d(r, r, r)
+    lower[world, i] = node.centre - size
+    upper[world, i] = node.centre + size
+
+
+@wp.func
+def are_apart(lower: wp.vec3d, upper: wp.vec3d) -> bool:
+    """Whether a box ends below the begin of another; one that is no number does not."""
+    return upper[0] < lower[0] or upper[1] < lower[1] or upper[2] < lower[2]
 
 
 @wp.kernel
 def find_overlapping_parts(
     begin: int,
     # in
-    body_pairs: wp.array[wp.vec2i],  # the first is a link
+    body_pairs: wp.array[wp.vec2i],  # the first is a link; the second is -1 - k of half-space k
     trees: PartTrees,
-    motion: PartMotion,
+    paths: BodyPaths,
+    num_links: int,
+    lower: wp.array2d[wp.vec3d],
+    upper: wp.array2d[wp.vec3d],
+    num_slices: int,
+    num_begins: int,
+    t_max: wp.float64,
     reach: wp.float64,
     stop: wp.array[wp.int32],
     # out
     pairs: PartPairs,
 ):
-    """List the pairs of parts of a pair of bodies that may come within ``reach`` in a slice."""
+    """List the pairs of parts of a pair of bodies of a world that may come within ``reach``, of all slices.
+
+    The slices of a pair are divided among as many items as there are begins.
+    """
     item = begin + wp.tid()
+    number = item % num_begins
     num_pairs = body_pairs.shape[0]
-    row = item / num_pairs
-    bodies = body_pairs[item % num_pairs]
-    link_a = trees.link[bodies[0]]
-    link_b = trees.link[bodies[1]]
-    first_a = trees.first[bodies[0]]
-    first_b = trees.first[bodies[1]]
-    inner_a = trees.num_parts[bodies[0]] - 1  # so many nodes of the body have children
-    inner_b = trees.num_parts[bodies[1]] - 1
-    goes_a = motion.reach[row, link_a]
-    goes_b = vec6d()
-    if link_b >= 0:
-        goes_b = motion.reach[row, link_b]
-    turn_a = goes_a[2] + goes_a[3]
-    turn_b = goes_b[2] + goes_b[3]
+    of_world = item / num_begins
+    world = of_world / num_pairs
+    bodies = body_pairs[of_world % num_pairs]
+    i = bodies[0]
+    is_plane = bodies[1] < 0
+    j = wp.where(is_plane, i, bodies[1])
+    if not is_plane and (are_apart(lower[world, i], upper[world, j]) or are_apart(lower[world, j], upper[world, i])):
+        return
+    link_a = trees.link[i]
+    link_b = trees.link[j]
+    row_a = wp.where(link_a < 0, link_a, world * num_links + link_a)
+    row_b = wp.where(link_b < 0, link_b, world * num_links + link_b)
+    inner_a = trees.num_parts[i] - 1  # so many nodes of the body have children
+    inner_b = wp.where(is_plane, 0, trees.num_parts[j] - 1)
+    begins = Stack()
+    ends = Stack()
     nodes_a = Stack()
     nodes_b = Stack()
+    begins[0] = wp.int32(wp.int64(number) * wp.int64(num_slices) / wp.int64(num_begins))
+    ends[0] = wp.int32(wp.int64(number + 1) * wp.int64(num_slices) / wp.int64(num_begins))
     size = wp.int32(1)
+    first_slice = wp.int32(-1)
+    last_slice = wp.int32(-1)
+    h = _ZERO
+    a = MovedBody()
+    b = MovedBody()
     while size > 0:
         if is_stopped(stop):
             return
         size -= 1
-        a = nodes_a[size]
-        b = nodes_b[size]
-        m = first_a + a
-        n = first_b + b
-        node_a = placed(trees, motion, row, link_a, m)
-        node_b = placed(trees, motion, row, link_b, n)
-        most = goes_a[0] + goes_b[0] + (goes_a[1] + goes_b[1]) + turn_a * trees.arm[m] + turn_b * trees.arm[n]
-        turns = turn_a * trees.radius[m] + turn_b * trees.radius[n]
-        best = separation(trees, node_a, node_b, m, n, most, turns)
-        lengths = reach + trees.thickness[m] + trees.thickness[n] + best.lost
-        size_of_both = largest(node_a.centre) + largest(node_b.centre) + trees.radius[m] + trees.radius[n] + lengths
-        if best.least > reach + trees.thickness[m] + trees.thickness[n] + _ERROR * size_of_both + _UNDERFLOW:
+        if begins[size] != first_slice or ends[size] != last_slice:
+            first_slice = begins[size]
+            last_slice = ends[size]
+            t_begin = t_max * wp.float64(first_slice) / wp.float64(num_slices)
+            t_end = t_max * wp.float64(last_slice) / wp.float64(num_slices)
+            h = _HALF * (t_end - t_begin)
+            a = moved_body(paths, row_a, t_begin + h, h)
+            b = moved_body(paths, row_b, t_begin + h, h)
+        u = nodes_a[size]
+        v = nodes_b[size]
+        m = trees.first[i] + u
+        n = trees.first[j] + v
+        node_a = moved_node(trees, m, a, link_a < 0, h)
+        lengths = reach + trees.thickness[m] + node_a.error
+        sizes = largest(node_a.centre) + node_a.radius + node_a.turned + h * largest(a.line)
+        r = Separation()
+        radius_b = _ZERO
+        if is_plane:
+            k = -1 - bodies[1]
+            point = trees.plane_point[k]
+            r = separation_from_plane(a, node_a, point, trees.plane_normal[k], h)
+            sizes += largest(point)
+        else:
+            node_b = moved_node(trees, n, b, link_b < 0, h)
+            radius_b = node_b.radius
+            lengths += trees.thickness[n] + node_b.error
+            sizes += largest(node_b.centre) + radius_b + node_b.turned + h * largest(b.line)
+            sizes *= _ONE + h * (a.turn + b.turn)
+            lengths += _ERROR * (sizes + lengths)
+            r = separation(a, b, node_a, node_b, h, lengths)
+        lengths += _ERROR * (sizes + lengths + r.moved) + _UNDERFLOW
+        if r.least > lengths:
             continue  # not where a number is none, which is near
-        splits_a = a < inner_a
-        splits_b = b < inner_b
-        if splits_a and (not splits_b or trees.radius[m] >= trees.radius[n]):
+        splits_a = u < inner_a
+        splits_b = v < inner_b
+        splits_time = last_slice - first_slice > 1
+        if splits_time and (not (splits_a or splits_b) or r.moved >= wp.max(node_a.radius, radius_b)):
+            middle = first_slice + (last_slice - first_slice) / 2
             for k in range(2):
-                nodes_a[size] = 2 * a + 2 - k
-                nodes_b[size] = b
+                begins[size] = wp.where(k == 0, middle, first_slice)
+                ends[size] = wp.where(k == 0, last_slice, middle)
+                nodes_a[size] = u
+                nodes_b[size] = v
+                size += 1
+        elif splits_a and (not splits_b or node_a.radius >= radius_b):
+            for k in range(2):
+                begins[size] = first_slice
+                ends[size] = last_slice
+                nodes_a[size] = 2 * u + 2 - k
+                nodes_b[size] = v
                 size += 1
         elif splits_b:
             for k in range(2):
-                nodes_a[size] = a
-                nodes_b[size] = 2 * b + 2 - k
+                begins[size] = first_slice
+                ends[size] = last_slice
+                nodes_a[size] = u
+                nodes_b[size] = 2 * v + 2 - k
                 size += 1
         else:
             place = claim(pairs.count, 0, 0, 1)
             if place < wp.int64(pairs.a.shape[0]):
                 k = wp.int32(place)
-                pairs.row[k] = row
-                pairs.a[k] = trees.first_part[bodies[0]] + a - inner_a
-                pairs.b[k] = trees.first_part[bodies[1]] + b - inner_b
+                pairs.world[k] = world
+                pairs.slice[k] = first_slice
+                pairs.a[k] = trees.first_part[i] + u - inner_a
+                pairs.b[k] = wp.where(is_plane, pairs.a[k], trees.first_part[j] + v - inner_b)

@@ -156,8 +156,8 @@ def slack_of(paths: BodyPaths, body: int, arm: vec3d, x: vec3d) -> wp.float64:
 def place_vertices(
     begin: int,
     # in
-    t_begin: wp.float64,
-    t_end: wp.float64,
+    t_begin: wp.array[wp.float64],  # of each body
+    t_end: wp.array[wp.float64],
     vertex_body: wp.array[wp.int32],
     paths: BodyPaths,
     vertices_t0: wp.array[vec3d],  # of a body on a path in its own frame
@@ -175,6 +175,8 @@ def place_vertices(
     """Place the vertices at both ends of a slice, with the velocity that turns and radii that hold their arcs."""
     i = begin + wp.tid()
     body = vertex_body[i]
+    begins = t_begin[body]
+    ends = t_end[body]
     x = vertices_t0[i]
     a = x
     b = vertices_t1[i]
@@ -182,13 +184,13 @@ def place_vertices(
     bulge = _ZERO
     error = _ZERO
     if paths.is_rigid[body] != 0:
-        first = place_at(paths, body, t_begin)
-        last = place_at(paths, body, t_end)
+        first = place_at(paths, body, begins)
+        last = place_at(paths, body, ends)
         arm = x - paths.pivot[body]
         from_pivot = rotated(first.rotation, arm)
         a = first.position + from_pivot
         b = last.position + rotated(last.rotation, arm)
-        length = t_end - t_begin
+        length = ends - begins
         omega = length * paths.omega[body]
         v = wp.cross(omega, from_pivot) + length * first.turning
         bulge = _EIGHTH_UP * wp.length(omega) * wp.sqrt(wp.dot(v, v) + _SQUARE_UNDERFLOW)
@@ -196,10 +198,10 @@ def place_vertices(
     else:
         error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
         if not (x == b):  # what stays is not moved by rounding
-            if t_begin > _ZERO:
-                a = (_ONE - t_begin) * x + t_begin * vertices_t1[i]
-            if t_end < _ONE:
-                b = (_ONE - t_end) * x + t_end * vertices_t1[i]
+            if begins > _ZERO:
+                a = (_ONE - begins) * x + begins * vertices_t1[i]
+            if ends < _ONE:
+                b = (_ONE - ends) * x + ends * vertices_t1[i]
     error += _UNDERFLOW
     bulge += error
     slack[i] = error

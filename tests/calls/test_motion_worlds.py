@@ -97,8 +97,13 @@ def throw(spacing):
 
 @pytest.fixture
 def parts_alone(monkeypatch):
-    """Whether parts are looked for in small scenes, too; which is to be compared with what whole bodies find."""
-    return lambda wanted: monkeypatch.setattr(motions, "_LARGE_SCENE", 1 if wanted else 1 << 60)
+    """Whether parts are looked for, in small scenes, too; which is to be compared with what whole bodies find."""
+
+    def look(wanted):
+        monkeypatch.setattr(motion_worlds, "_MOST_BODIES_OF_ONE", 1 << 11 if wanted else -1)
+        monkeypatch.setattr(motions, "_LARGE_SCENE", 1)
+
+    return look
 
 
 @pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])

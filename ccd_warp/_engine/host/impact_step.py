@@ -146,7 +146,7 @@ class ImpactStep(Step):
         packed = self.workspace.packed_once(key, self._packed) if turns is None else self._packed(turns)
         self.plan.bind(options=packed, turns=turns)
         if self.planes is not None:
-            self.planes.bind(self.options, self.length_scale, self.motion.active, lets_part=self.lets_part)
+            self.planes.bind(self.options, self.length_scale, part.active, lets_part=self.lets_part)
 
     def _packed(self, turns: Any = None) -> Any:
         """The options as a struct of the kernels, and how bodies turn."""

@@ -44,9 +44,9 @@ class LeastToiStep(ImpactStep):
             self.parting(start_distances)
         batch, best = self.found_at_once(), np.inf
         for part in self.motion.slices if batch is None else ():
-            best = self._least_of(part, best)
-            if best <= part.t_end:
+            if best <= np.min(part.t_begin):
                 break
+            best = self._least_of(part, best)
         if batch is not None and batch.num_pairs:
             best = self._least_of_all(batch)
         self.oddities.is_stuck = best <= 0.0

@@ -47,6 +47,7 @@ class Step:
     goal: Goal
     bytes_beside = 0
     counts_survivors = _has_boxes = False
+    _active: NDArray[np.bool_] | None = None
     counts = Counts()
 
     def __init__(
@@ -109,6 +110,7 @@ class Step:
                 plan.begin_counts()
             if part is not None:
                 self.positions = self.motion.placed(part, self.execution)
+        self._active = None if part is None else part.active
         self.ranks.share_positions(self.positions)
         with self.timed("input"):
             self.vertices_t0 = plan.set_positions(self.positions)[0]
@@ -126,7 +128,7 @@ class Step:
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""
-        active = None if self.paths is None else self.motion.active
+        active = self._active
         if not self.topology.may_have_inactive_bodies:
             return active
         radius = self.motion.radius.numpy() if self.motion.on_arcs else None

@@ -27,24 +27,26 @@ def rows_within(memory_limit: int | None, most: int) -> int:
     return most if memory_limit is None else min(most, memory_limit // _BYTES_OF_A_ROW)
 
 
-def world_alone(mesh: CollisionMesh, positions: NDArray[np.float64]) -> CollisionMesh | None:
-    """A mesh of one world with vertices at these positions, whose pairs ``body_pairs`` alone excludes.
+def parts_of(mesh: CollisionMesh, positions: NDArray[np.float64]) -> BodyParts | None:
+    """The parts of the bodies of a mesh of one world with vertices at these positions.
 
-    None where a mesh has more than rigid bodies that move and bodies that stand, whose pairs are excluded by body. A
-    particle that is no codimensional point meets faces and half-spaces as others do, and is in no part.
+    None where a mesh has more than rigid bodies that move and bodies that stand. A particle that is no codimensional
+    point meets faces and half-spaces as others do, and is in no part.
     """
-    if (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh):
+    is_other = (~mesh.static & ~mesh.rigid).any() or (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh)
+    if is_other or not mesh.rigid.any():
         return None
-    if (~mesh.static & ~mesh.rigid).any() or mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
-        return None
-    if positions is mesh.vertices and not mesh.exclude_pairs:
-        return mesh
-    has_points = np.zeros(mesh.num_bodies, dtype=bool)
-    has_points[mesh.vertex_body[mesh.codimensional_points]] = True
-    return _mesh(
-        positions, mesh.faces, mesh.edges[mesh.codimensional_edges], np.diff(mesh.body_vertex_range), mesh.static,
-        mesh.rigid, has_points, _allowed(mesh), mesh.vertex_world, mesh.names, mesh.radius, mesh.planes,
-    )  # fmt: skip
+    # a mesh of parts knows the pairs of bodies that are excluded, and no others
+    if mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:
+        return BodyParts(mesh, positions, may_be_cut=False)
+    if positions is not mesh.vertices or mesh.exclude_pairs:
+        has_points = np.zeros(mesh.num_bodies, dtype=bool)
+        has_points[mesh.vertex_body[mesh.codimensional_points]] = True
+        mesh = _mesh(
+            positions, mesh.faces, mesh.edges[mesh.codimensional_edges], np.diff(mesh.body_vertex_range), mesh.static,
+            mesh.rigid, has_points, _allowed(mesh), mesh.vertex_world, mesh.names, mesh.radius, mesh.planes,
+        )  # fmt: skip
+    return BodyParts(mesh, mesh.vertices)
 
 
 def _has_lone_vertices(mesh: CollisionMesh) -> bool:
@@ -103,6 +105,7 @@ class PartMesh:
         face: The face of the one world that each face is.
         is_used: Which rigid bodies of each world are bodies of the mesh, bool, shape [W, B].
         rank: The first row in which each vertex is: primitives in this order are near each other, shape [V].
+        body: The numbers of the bodies with primitives, those of one world after those of another, ascending.
     """
 
     mesh: CollisionMesh
@@ -110,6 +113,7 @@ class PartMesh:
     face: NDArray[np.intp]
     is_used: NDArray[np.bool_]
     rank: NDArray[np.intp]
+    body: NDArray[np.intp]
 
     @classmethod
     def of(cls, parts: BodyParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
@@ -138,7 +142,7 @@ class PartMesh:
             np.ones(len(body), dtype=bool), None if one.body_pairs is None else one.body_pairs[np.ix_(body, body)],
             world, [one.names[b] for b in body.tolist()], None if one.radius is None else one.radius[vertex], planes,
         )  # fmt: skip
-        return cls(mesh, vertex, number[faces], is_used, first // 3)
+        return cls(mesh, vertex, number[faces], is_used, first // 3, body_keys)
 
     def in_one_world(self, contacts: Contacts, mesh: CollisionMesh, worlds: NDArray[np.intp]) -> Contacts:
         """Contacts as those of the mesh of one world, given what each world of this mesh is."""

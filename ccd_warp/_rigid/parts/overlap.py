@@ -1,39 +1,45 @@
 """Which parts of bodies may touch in slices of a motion, by spheres and boxes, before a vertex is placed.
 
-A part has a sphere and a box in the frame of its body, which go with it (`trees`). Two parts cannot touch in a
-slice if in the middle of it they are farther apart than their points can come nearer in half of it (`bounds`).
-Trees of the parts of two bodies are tested from the top (`kernels.rigid.part_overlap`).
+A part has a sphere and a box in the frame of its body, which go with it (`trees`). Trees of the parts of two bodies are
+tested from the top, in all of the step first (`kernels.rigid.part_overlap`).
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.bounds import SweptBounds
-from ccd_warp._rigid.parts.trees import PartTrees, distinct, ranges
-from ccd_warp._rigid.rotations import EPS, rotated
+from ccd_warp._rigid.arcs import paths_on
+from ccd_warp._rigid.body_paths import BodyPaths
+from ccd_warp._rigid.mesh_paths import in_space
+from ccd_warp._rigid.parts.trees import PartTrees, distinct
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
 
-# Tests of pairs of bodies in a launch, bodies in slices, and the capacity for pairs of parts at first.
-_MOST_ITEMS, _MOST_POSES, _CAPACITY = 1 << 22, 1 << 17, 1 << 16
-_LONG = 1 << 14  # items from which an interrupt would have to wait
-_MANY = 1 << 12  # pairs of bodies from which boxes say first which meet at all
-_ERROR = 1024.0 * EPS  # of these boxes, relative to their coordinates
+# Items of a launch, of which each walks through the slices of a pair of bodies, and the capacity for pairs at first.
+_MOST_ITEMS, _CAPACITY = 1 << 24, 1 << 12
+_LONG = 1 << 12  # items from which an interrupt would have to wait
+_FEW = 64  # pairs below which the slices of one are divided among threads
 
 
-def spans(count: NDArray[np.intp], t_max: float) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
-    """So many slices of [0, t_max] for each world: the world, the begin and the end of each slice."""
-    world = np.repeat(np.arange(len(count)), count)
-    number = np.arange(len(world)) - np.repeat(np.cumsum(count) - count, count)
-    begin, end = (t_max * (number + k) / count[world] for k in (0, 1))
-    return world, begin, np.where(number + 1 == count[world], t_max, end)
+class NearParts(NamedTuple):
+    """Pairs of parts that may come near each other, in no order, each column int32, shape [n].
+
+    Attributes:
+        world: World of each.
+        slice: Slice of the step.
+        a: One part.
+        b: The other; the same where it is near a half-space.
+    """
+
+    world: NDArray[np.int32]
+    slice: NDArray[np.int32]
+    a: NDArray[np.int32]
+    b: NDArray[np.int32]
 
 
 class BodyParts:
@@ -43,15 +49,17 @@ class BodyParts:
         mesh: The mesh.
         body: The body of each part, shape [P].
         begins: The first primitive of each part, shape [P + 1], in the order of the parts.
+        may_be_cut: Whether a mesh of its parts excludes the same pairs.
         row_of: The row of a motion that a rigid body is, shape [B].
-        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is rigid.
+        pairs: Pairs of bodies that may collide, of which one moves, shape [m, 2]; the first is rigid, and the second
+            -1 - k of half-space k.
     """
 
-    def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64]) -> None:
+    def __init__(self, mesh: CollisionMesh, vertices: NDArray[np.float64], *, may_be_cut: bool = True) -> None:
         """Divide the bodies of a mesh whose vertices, of rigid ones in their own frames, are at these places."""
-        self.mesh = mesh
+        self.mesh, self.may_be_cut = mesh, may_be_cut
         with np.errstate(all="ignore"):  # what is no number, or too large for its square, is near
-            trees = self._trees = PartTrees(mesh, vertices)
+            trees = self._trees = PartTrees(mesh, in_space(vertices))
         counts = trees.num_parts[trees.of_body]
         self._first_part = np.append(0, np.cumsum(counts))
         self.body = np.repeat(np.arange(mesh.num_bodies), counts)
@@ -60,9 +68,13 @@ class BodyParts:
         self.begins = np.append(0, np.cumsum(np.diff(trees.begins)[of_tree]))
         self._first_row = self.begins[self._first_part]  # of each body
         self.row_of = np.cumsum(mesh.rigid) - 1
+        self._rigid = np.flatnonzero(mesh.rigid)
         pairs = _pairs(mesh)
-        self.pairs = pairs[(counts[pairs] > 0).all(axis=1)]
+        planes = np.stack(np.meshgrid(self._rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
+        self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
+        self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
         self._on_device: dict[str, Any] = {}
+        self._capacity = _CAPACITY
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Some primitives in the order of the parts.
@@ -79,176 +91,106 @@ class BodyParts:
         keys = distinct(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
-    def overlapping(
-        self,
-        motion: RigidMotion,
-        world: NDArray[np.intp],
-        begin: NDArray[np.float64],
-        end: NDArray[np.float64],
-        reach: float,
-        execution: Execution,
-    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.int32]]:
+    def near(self, paths: BodyPaths, num_slices: int, t_max: float, reach: float, execution: Execution) -> NearParts:
         """Pairs of parts that may come within a distance in slices of the step.
 
         Args:
-            motion: The motion, whose rows are the rigid bodies.
-            world: World of each slice, shape [n].
-            begin: Its begin.
-            end: Its end.
+            paths: Those of the rigid bodies, of one world after another.
+            num_slices: So many equal slices of [0, t_max].
+            t_max: The end of the last one.
             reach: The distance, Euclidean, besides the radii of the vertices.
             execution: Where to test.
-
-        Returns:
-            The slice and both parts of each pair, in no order.
 
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
         time of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers,
         are in such a pair; and a primitive that comes so near to a half-space is in a pair of its part with itself.
-        That holds for slices whose ends are off by a few units in the last place of 1.
         """
-        near_pairs: list[tuple[Any, ...]] = [(np.zeros(0, np.int64), np.zeros(0, np.int32), np.zeros(0, np.int32))]
-        if len(self.pairs):
-            slices_at_once = max(1, min(_MOST_ITEMS // len(self.pairs), _MOST_POSES // motion.num_bodies))
-            capacity = _CAPACITY
-            for first in range(0, len(world), slices_at_once):
-                some = slice(first, first + slices_at_once)
-                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
-                near, capacity = self._near(swept, reach, execution, capacity)
-                near_pairs.append((near[0] + first, *near[1:]))
-        if len(self.mesh.planes):
-            rigid = np.flatnonzero(self.mesh.rigid)
-            slices_at_once = max(1, _MOST_POSES // motion.num_bodies)
-            for first in range(0, len(world), slices_at_once):
-                some = slice(first, first + slices_at_once)
-                swept = SweptBounds.of(motion._of_worlds(world[some]), begin[some], end[some])
-                row, part = self._near_planes(swept, rigid, reach)
-                near_pairs.append((first + row, *2 * [part.astype(np.int32)]))
-        of_slice, a, b = (np.concatenate(x) for x in zip(*near_pairs, strict=True))
-        return of_slice, a, b
-
-    def _near_planes(
-        self, swept: SweptBounds, rigid: NDArray[np.intp], reach: float
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Slices, and parts of rigid bodies that may meet a half-space in them: bodies first, then their parts."""
-        trees = self._trees
-        root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
-        row, number = (x.ravel() for x in np.indices(swept.position.shape[:2]))
-        near = self._meets_plane(swept, row, number, root[rigid[number]], reach)
-        row, number = row[near], number[near]
-        body = rigid[number]
-        counts = trees.num_parts[trees.of_body[body]]
-        part = ranges(self._first_part[body], counts)
-        row, number = np.repeat(row, counts), np.repeat(number, counts)
-        leaf = part - np.repeat(self._first_part[body], counts) + np.repeat(root[body] + counts - 1, counts)
-        near = self._meets_plane(swept, row, number, leaf, reach)
-        return row[near], part[near]
-
-    def _meets_plane(
-        self, swept: SweptBounds, row: NDArray[np.intp], number: NDArray[np.intp], node: NDArray[np.intp], reach: float
-    ) -> NDArray[np.bool_]:
-        """Whether nodes of rigid bodies may come within a distance of the solid of a half-space in slices."""
-        nodes, is_near = self._trees.nodes, np.zeros(len(row), dtype=bool)
-        with np.errstate(all="ignore"):
-            rotation, origin = swept.rotation[row, number], swept.position[row, number]
-            centre = origin + rotated(rotation, nodes.centre[node])
-            goes, arm, radius = swept.reach[row, number], nodes.arm[node], nodes.radius[node]
-            moved = goes[:, 0] + goes[:, 1] + (goes[:, 2] + goes[:, 3]) * arm
-            turned = (goes[:, 2] + goes[:, 3]) * radius
-            back = rotation * [-1.0, -1.0, -1.0, 1.0]
-            for point, normal in zip(self.mesh.planes.points, unit_normals(self.mesh.planes.normals), strict=True):
-                height = ((centre - point) * normal).sum(axis=1)
-                sides = rotated(back, np.broadcast_to(normal, centre.shape))
-                box = (np.abs(np.einsum("nij,nj->ni", nodes.axes[node], sides)) * nodes.half[node]).sum(axis=1)
-                least = height - moved - np.minimum(radius, box + turned) - nodes.thickness[node] - reach
-                size = np.abs(centre).max(axis=1) + np.abs(point).max() + np.abs(height) + moved + radius
-                is_near |= ~(least > _ERROR * size)  # also where a number is none
-        return is_near
+        num_links = len(self._rigid)
+        num_worlds = len(paths) // num_links
+        count = num_worlds * len(self.pairs)
+        if count == 0:
+            return NearParts(*4 * [np.zeros(0, dtype=np.int32)])
+        begins = max(1, min(num_slices, _FEW // count))
+        worlds_at_once = max(1, _MOST_ITEMS // (len(self.pairs) * begins))
+        found = []
+        for first in range(0, num_worlds, worlds_at_once):
+            last = min(first + worlds_at_once, num_worlds)
+            of_worlds = (
+                paths.rows(np.arange(first * num_links, last * num_links)) if last - first < num_worlds else paths
+            )
+            near = self._near(of_worlds, last - first, num_slices, begins, t_max, reach, execution)
+            found.append(near._replace(world=near.world + first))
+        return found[0] if len(found) == 1 else NearParts(*map(np.concatenate, zip(*found, strict=True)))
 
     def _near(
-        self, swept: SweptBounds, reach: float, execution: Execution, capacity: int
-    ) -> tuple[list[NDArray[Any]], int]:
-        """The pairs in some slices, and the capacity for them from now on."""
+        self,
+        paths: BodyPaths,
+        num_worlds: int,
+        num_slices: int,
+        num_begins: int,
+        t_max: float,
+        reach: float,
+        execution: Execution,
+    ) -> NearParts:
+        """The pairs in some worlds."""
         from ccd_warp.kernels.rigid import part_overlap as kernels  # few programs need it
 
-        def on_device(values: NDArray[np.float64], dtype: Any) -> wp.array:
-            return wp.array(values, dtype=dtype, device=execution.device, copy=execution.is_cuda)
-
-        num_slices = len(swept.position)
-        motion = kernels.PartMotion()
-        motion.position, motion.velocity, motion.omega = (
-            on_device(values, wp.vec3d) for values in (swept.position, swept.velocity, swept.omega)
-        )
-        motion.rotation = on_device(swept.rotation, wp.vec4d)
-        motion.reach = on_device(swept.reach, kernels.vec6d)
-        of_bodies = self.pairs
-        if len(of_bodies) > _MANY:
-            of_bodies = of_bodies[self._meet(swept, reach)]
-        body_pairs: wp.array = wp.array(of_bodies, dtype=wp.vec2i, device=execution.device)
-        num_items, trees, stop = num_slices * len(of_bodies), self._trees_on(execution.device), execution.flag
+        device, num_links = execution.device, len(self._rigid)
+        trees, stop = self._trees_on(device), execution.flag
         assert stop is not None
+        of_bodies = paths_on(device, paths)
+        lower, upper = (wp.empty((num_worlds, self.mesh.num_bodies), dtype=wp.vec3d, device=device) for _ in range(2))
+        shared = [trees, of_bodies, num_links]
+        inputs = [*shared, t_max, reach]
+        execution.launch(kernels.sweep_bodies, lower.size, inputs=inputs, outputs=[lower, upper], grain=256)
+        num_items = num_worlds * len(self.pairs) * num_begins
+        inputs = [self._on_device[f"pairs {device}"], *shared, lower, upper, num_slices, num_begins, t_max, reach]
         while True:
+            capacity = self._capacity
             pairs = kernels.PartPairs()
-            pairs.count = wp.zeros((1, 1), dtype=wp.int64, device=execution.device)
-            pairs.row, pairs.a, pairs.b = (
-                wp.empty(capacity, dtype=wp.int32, device=execution.device) for _ in range(3)
+            pairs.count = wp.zeros((1, 1), dtype=wp.int64, device=device)
+            pairs.world, pairs.slice, pairs.a, pairs.b = (
+                wp.empty(capacity, dtype=wp.int32, device=device) for _ in range(4)
             )
             execution.launch(
                 kernels.find_overlapping_parts,
                 num_items,
-                inputs=[body_pairs, trees, motion, reach, stop.array],
+                inputs=[*inputs, stop.array],
                 outputs=[pairs],
-                grain=256,
+                grain=32,
                 parts_per_thread=8,
-                is_long=lambda: num_items > _LONG,
+                is_long=lambda: num_items > _LONG or num_slices > _LONG,
             )
             count = int(pairs.count.numpy()[0, 0])
             if count <= capacity:
-                return [x.numpy()[:count].copy() for x in (pairs.row, pairs.a, pairs.b)], capacity
-            capacity = count + count // 8
-
-    def _meet(self, swept: SweptBounds, reach: float) -> NDArray[np.bool_]:
-        """Which pairs of bodies meet by the boxes around them in all slices."""
-        trees, count = self._trees, self.mesh.num_bodies
-        root = np.where(trees.num_parts > 0, trees.first_node, 0)[trees.of_body]
-        centre, arm, size = trees.nodes.centre[root], trees.nodes.arm[root], trees.nodes.radius[root]
-        size = size + trees.nodes.thickness[root] + 0.5 * reach
-        lower, upper = np.empty((count, 3)), np.empty((count, 3))
-        rigid = np.flatnonzero(self.mesh.rigid)
-        with np.errstate(all="ignore"):
-            lower[:], upper[:] = centre - size[:, None], centre + size[:, None]
-            rotation, position, goes = swept.rotation, swept.position, swept.reach
-            num_slices = len(position)
-            places = rotated(rotation.reshape(-1, 4), np.tile(centre[rigid], (num_slices, 1))).reshape(position.shape)
-            places = places + position
-            moved = goes[..., 0] + goes[..., 1] + (goes[..., 2] + goes[..., 3]) * arm[rigid] + size[rigid]
-            lower[rigid] = (places - moved[..., None]).min(axis=0)
-            upper[rigid] = (places + moved[..., None]).max(axis=0)
-            wide = _ERROR * (np.abs(lower) + np.abs(upper) + arm[:, None] + size[:, None])
-            lower, upper = lower - wide, upper + wide
-            a, b = self.pairs.T
-            meets = np.ones(len(a), dtype=bool)
-            for k in range(3):  # what is no number meets all
-                meets &= ~((lower[a, k] > upper[b, k]) | (lower[b, k] > upper[a, k]))
-        return meets
+                columns = (pairs.world, pairs.slice, pairs.a, pairs.b)
+                return NearParts(*(x.numpy()[:count].copy() for x in columns))
+            self._capacity = count + count // 8
 
     def _trees_on(self, device: Any) -> Any:
         """The trees on a device."""
         if str(device) not in self._on_device:
             from ccd_warp.kernels.rigid import part_overlap as kernels
 
-            trees = self._trees
+            trees, mesh = self._trees, self.mesh
             arrays = {
                 "first": trees.first_node[trees.of_body],
                 "num_parts": trees.num_parts[trees.of_body],
                 "first_part": self._first_part,
-                "link": np.where(self.mesh.rigid, self.row_of, -1),
+                "link": np.where(mesh.rigid, self.row_of, -1),
                 **trees.nodes._asdict(),
+                "plane_point": in_space(mesh.planes.points),
+                "plane_normal": in_space(unit_normals(mesh.planes.normals)),
             }
             part_trees = kernels.PartTrees()
             for name, values in arrays.items():
                 dtype = wp.int32 if values.dtype == np.intp else wp.float64 if values.ndim == 1 else wp.vec3d
                 setattr(part_trees, name, wp.array(values, dtype=dtype, device=device))
-            self._on_device[str(device)] = part_trees
+            pairs = np.array(self.pairs, dtype=np.int32)
+            self._on_device |= {
+                str(device): part_trees,
+                f"pairs {device}": wp.array(pairs, dtype=wp.vec2i, device=device),
+            }
         return self._on_device[str(device)]
 
 

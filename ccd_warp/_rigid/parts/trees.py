@@ -31,7 +31,6 @@ class PartNodes(NamedTuple):
 
     Attributes:
         centre: Centre of a sphere around each node, in the frame of its body, shape [N, 3].
-        arm: Length of that, shape [N].
         radius: Radius of the sphere, shape [N].
         axes: Directions of the sides of a box around the same centre, shape [N, 3, 3].
         half: Half of each side, shape [N, 3].
@@ -39,7 +38,6 @@ class PartNodes(NamedTuple):
     """
 
     centre: NDArray[np.float64]
-    arm: NDArray[np.float64]
     radius: NDArray[np.float64]
     axes: NDArray[np.float64]
     half: NDArray[np.float64]
@@ -111,7 +109,7 @@ class PartTrees:
 
     def _nodes(self, vertices: NDArray[np.float64], radius: NDArray[np.float64] | None, num_nodes: int) -> PartNodes:
         """The nodes of all trees, level by level."""
-        arrays = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (), (3, 3), (3,), ())]
+        arrays = [np.zeros((num_nodes, *shape)) for shape in ((3,), (), (3, 3), (3,), ())]
         part = np.repeat(np.arange(len(self.begins) - 1), np.diff(self.begins))
         of_part, vertex = np.divmod(distinct((part[:, None] * len(vertices) + self._corners).ravel()), len(vertices))
         first_vertex = np.searchsorted(of_part, np.arange(len(self.begins)))
@@ -179,7 +177,7 @@ def _bounds(
 def _box(
     columns: NDArray[np.float64], starts: NDArray[np.intp], node: NDArray[np.intp], axes: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ...]:
-    """Centre, arm, radius, axes and half sides of boxes along axes, shape [N, 3, 3], around the corners of nodes."""
+    """Centre, radius, axes and half sides of boxes along axes, shape [N, 3, 3], around the corners of nodes."""
     along_axes = _along(columns, node, axes)
     lower, upper = (f.reduceat(along_axes, starts, axis=1) for f in (np.minimum, np.maximum))
     centre = np.einsum("nji,nj->ni", axes, (0.5 * lower + 0.5 * upper).T)
@@ -187,7 +185,7 @@ def _box(
     half = np.maximum.reduceat(np.abs(_along(from_centre, node, axes)), starts, axis=1).T * _UP
     x, y, z = from_centre
     radius = np.maximum.reduceat(np.sqrt(x * x + y * y + z * z), starts) * _UP
-    return centre, np.linalg.norm(centre, axis=1) * _UP, radius, axes, half
+    return centre, radius, axes, half
 
 
 def _along(columns: NDArray[np.float64], node: NDArray[np.intp], axes: NDArray[np.float64]) -> NDArray[np.float64]:

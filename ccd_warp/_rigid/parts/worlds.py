@@ -1,8 +1,7 @@
 """Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
 
-Slices of all worlds are tested by boxes (`overlap`), and the parts that may touch in some slice of a world are the
-bodies of this world in a mesh of parts (`mesh`), along the paths of the whole bodies: so the answers are those of
-whole bodies, in every bit.
+The parts that may touch in some slice of a world (`overlap`) are the bodies of this world in a mesh of parts (`mesh`),
+along the paths of the whole bodies: so the answers are those of whole bodies, in every bit.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,12 +10,12 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.mesh_paths import TURN_OF_A_SLICE, MeshPaths
+from ccd_warp._engine.motion import Slice
+from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import MOST_BODIES, PartMesh, rows_within
-from ccd_warp._rigid.parts.overlap import BodyParts, spans
+from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct, ranges
-from ccd_warp._runtime.launch import Execution
 
 _T = TypeVar("_T")
 _MOST_ROWS = 1 << 19  # primitives of a mesh of parts
@@ -33,23 +32,17 @@ class WorldsOfParts:
     def __init__(
         self,
         parts: BodyParts,
+        near: NearParts,
         motion: RigidMotion,
-        t_max: float,
-        reach: float,
-        execution: Execution,
+        slices: list[Slice],
         memory_limit: int | None = None,
     ) -> None:
-        """Find those of the parts that may come within a distance in a step up to a time."""
-        self._motion, self._turn = motion, motion._body_paths.largest_turn
-        self.parts = parts
+        """Those that are near in slices of the step."""
+        self._motion, self._slices, self.parts = motion, slices, parts
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
-        turns = motion.turns.reshape(motion.num_worlds, -1).max(axis=1, initial=0.0) * t_max
-        num_slices = np.maximum(1.0, np.ceil(turns / TURN_OF_A_SLICE)).astype(np.intp)
-        of_slice, begin, end = spans(num_slices, t_max)
-        slices, a, b = self.parts.overlapping(motion, of_slice, begin, end, reach, execution)
-        count = len(self.parts.body)
-        of_pair = of_slice[slices] * count
-        self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + a, of_pair + b])), count)
+        self._near = near._replace(world=near.world.astype(np.intp))
+        of_pair, count = self._near.world * len(parts.body), len(parts.body)
+        self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + near.a, of_pair + near.b])), count)
         self._sizes = np.diff(self.parts.begins)[self._part]
         self.num_primitives = int(self._sizes.sum())
 
@@ -73,5 +66,21 @@ class WorldsOfParts:
             part, counts = self._part[rows], sizes[rows]
             parts = PartMesh.of(self.parts, len(batch), np.repeat(of_part, counts), ranges(first[part], counts))
             paths = self._motion._of_worlds(batch).rows(np.flatnonzero(parts.is_used.ravel()))
-            yield batch, parts, work(parts, MeshPaths.of_checked(parts.mesh, paths, turn=self._turn))
+            searched = self._searched(batch, parts)
+            yield batch, parts, work(parts, MeshPaths.of_checked(parts.mesh, paths, searched=searched))
             k = last
+
+    def _searched(self, batch: NDArray[np.intp], parts: PartMesh) -> list[Slice]:
+        """The slices in which anything is near in some worlds, with the bodies of their mesh that are."""
+        near, body, count = self._near, self.parts.body, self.parts.mesh.num_bodies
+        number = np.minimum(np.searchsorted(batch, near.world), len(batch) - 1)
+        rows = np.flatnonzero(batch[number] == near.world)
+        rows = rows[np.argsort(near.slice[rows], kind="stable")]
+        numbers, first = np.unique(near.slice[rows], return_index=True)
+        searched = []
+        for k, of_slice in zip(numbers.tolist(), np.split(rows, first[1:]), strict=True):
+            active = np.zeros(parts.mesh.num_bodies, dtype=bool)
+            for part in (near.a[of_slice], near.b[of_slice]):
+                active[np.searchsorted(parts.body, number[of_slice] * count + body[part])] = True
+            searched.append(self._slices[k]._replace(active=active))
+        return searched
