@@ -149,7 +149,7 @@ class DeviceArcStep(DeviceLineSearch):
 
     def _stages_of(self, part: Slice) -> Stages:
         """The stages of a slice."""
-        turns = self._arcs.turns(part, self._times_of(part))
+        turns = self._arcs.turns_at(self._times_of(part))
         radius = self.topology.radius if self._radius is None else self._radius
         packed = self._options.for_kernel(self._length_scale, stop=self._flag.array, radius=radius, turns=turns)
         return replace(self._stages.between(self._arcs.start, self._arcs.end), options=packed, turns=turns)

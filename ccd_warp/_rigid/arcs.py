@@ -1,5 +1,6 @@
 """Slices of a step in which bodies turn: where they are at both ends of each, and what kernels know of their arcs."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,51 @@ from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.repeated import RepeatedLaunches
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
 _COLUMNS = dtypes_of(kernels.BodyPaths)
 Times = tuple[wp.array, wp.array]
+
+
+class PathTable:
+    """The paths of some bodies on a device.
+
+    Attributes:
+        table: The struct of the kernels.
+        columns: Its arrays by name.
+    """
+
+    def __init__(self, count: int, device: Any, names: Iterable[str] = _COLUMNS) -> None:
+        """Allocate these columns, all by default, for so many bodies."""
+        self.columns: dict[str, wp.array] = {
+            name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names
+        }
+        self.table = struct_of(kernels.BodyPaths, self.columns)
+        self._views = {name: Written(array) for name, array in self.columns.items()}
+
+    def assign(self, paths: BodyPaths) -> None:
+        """Write the paths of as many bodies, of which some may be on none (`MeshPaths`)."""
+        for name, view in self._views.items():
+            if name != "is_rigid" or hasattr(paths, name):
+                view.write(getattr(paths, "pivot_t0" if name == "start" else name))
+
+
+class Written:
+    """An array of a device that is written from the host."""
+
+    def __init__(self, array: wp.array) -> None:
+        self._array = array
+        self._view = array.numpy() if array.device.is_cpu else None  # type: ignore[union-attr]
+
+    def write(self, values: NDArray[Any]) -> None:
+        """Write values of its shape, or one for all."""
+        if self._view is None:
+            self._array.assign(np.broadcast_to(values, self._array.shape + np.shape(values)[1:]))
+        else:
+            self._view[...] = values
 
 
 class Arcs(Motion):
@@ -43,23 +83,21 @@ class Arcs(Motion):
             wp.zeros(mesh.num_vertices, dtype=wp.float64, device=device) for _ in range(3)
         )
         self._times = self.new_times(Slice(0.0, 1.0))
-        self._arrays = self._columns(*_COLUMNS)
-        self.paths = struct_of(kernels.BodyPaths, self._arrays)
+        self._written = [Written(array) for array in self._times]
+        self._paths = PathTable(mesh.num_bodies, device)
+        self.paths = self._paths.table
         self._ends: list[wp.array] = []
-
-    def _columns(self, *names: str) -> dict[str, wp.array]:
-        """Arrays with a row a body, by the names of columns of a table of paths."""
-        count, device = self._topology.mesh.num_bodies, self._topology.device
-        return {name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names}
+        self._placing: RepeatedLaunches | None = None
+        self._places = (self.start.numpy(), self.end.numpy()) if device.is_cpu else None
+        self._turns = self.turns_at(self._times)
 
     def new_paths(self, *names: str) -> Any:
         """Another table of paths, of these columns alone."""
-        return struct_of(kernels.BodyPaths, self._columns(*names))
+        return PathTable(self._topology.mesh.num_bodies, self._topology.device, names).table
 
     def begin(self, paths: BodyPaths) -> None:
         """Begin a step along these paths."""
-        for name, array in self._arrays.items():
-            array.assign(_column(paths, name))
+        self._paths.assign(paths)
 
     def new_times(self, part: Slice) -> Times:
         """Arrays of the begin and the end of a slice, for each body."""
@@ -67,7 +105,7 @@ class Arcs(Motion):
         times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
         return times[0], times[1]
 
-    def place(self, times: Times, launcher: Execution | Recording, start: Any, end: Any) -> None:
+    def place(self, times: Times, launcher: RepeatedLaunches | Recording, start: Any, end: Any) -> None:
         """Place vertices at both ends of a slice, given their positions at both ends of the step."""
         topology = self._topology
         inputs = [*times, topology.vertex_body, self.paths, start, end, *self._radii]
@@ -84,37 +122,25 @@ class Arcs(Motion):
 
     def placed(self, part: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
-        for array, t in zip(self._times, part[:2], strict=True):
-            array.assign(np.broadcast_to(t, len(array)))
-        self.place(self._times, execution, *self._ends)
-        return self.start.numpy(), self.end.numpy()
+        for written, t in zip(self._written, part[:2], strict=True):
+            written.write(np.asarray(t))
+        if self._placing is None or self._placing.execution is not execution:
+            self._placing = RepeatedLaunches(execution)
+        self.place(self._times, self._placing, *self._ends)
+        return self._places or (self.start.numpy(), self.end.numpy())
 
     def release(self) -> None:
         """Do not keep the caller's arrays alive."""
         self._ends.clear()
 
-    def turns(self, part: Slice, times: Times | None = None) -> Any:
-        """How the vertices turn in a slice, by default the one in which they have last been placed on the host.
+    def turns(self, part: Slice) -> Any:
+        """How the vertices turn in the slice in which they have last been placed on the host."""
+        return self._turns
 
-        Returns:
-            The struct of the kernels.
-        """
+    def turns_at(self, times: Times) -> Any:
+        """How the vertices turn in a slice, as the struct of the kernels."""
         turns = Turns()
-        turns.velocity, turns.omega, turns.slack = self._velocity, self._arrays["omega"], self._slack
+        turns.velocity, turns.omega, turns.slack = self._velocity, self._paths.columns["omega"], self._slack
         turns.vertex_body = self._topology.vertex_body
-        turns.t_begin, turns.t_end = times or self._times
+        turns.t_begin, turns.t_end = times
         return turns
-
-
-def paths_on(device: Any, paths: BodyPaths) -> Any:
-    """The paths of bodies, all of which are rigid, on a device, as the struct of the kernels."""
-    columns = {name: _column(paths, name) for name in _COLUMNS if name != "is_rigid"}
-    arrays: dict[str, wp.array] = {
-        name: wp.array(x, dtype=_COLUMNS[name], device=device) for name, x in columns.items()
-    }
-    return struct_of(kernels.BodyPaths, arrays)
-
-
-def _column(paths: BodyPaths, name: str) -> NDArray[Any]:
-    column: NDArray[Any] = getattr(paths, "pivot_t0" if name == "start" else name)
-    return column

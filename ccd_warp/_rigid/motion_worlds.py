@@ -58,8 +58,9 @@ _StepT = TypeVar("_StepT", bound=Step)
 _PRIMITIVES = 1 << 19
 # Faces from which a mesh of parts may be searched, and bodies of many worlds up to which what is near is looked for.
 _LARGE, _MOST_BODIES = 2000, 64
-# Slices, and faces of all of them, between which it pays to search the slices of one world at once.
-_FEW_SLICES, _MANY_FACES = 2, 1 << 13
+# Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
+# earliest contact ends with the slice in which it is.
+_FEW_SLICES, _FEW_SLICES_OF_A_STEP, _MANY_FACES = 1, 3, 1 << 13
 # Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
 _MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
 
@@ -200,7 +201,7 @@ class MotionWorlds:
                     break
             return least
 
-        if self._is_whole:
+        if self._is_whole(_FEW_SLICES_OF_A_STEP):
             return self._pipeline._least_toi(*self._ends, self._whole_paths(), any_suffices=any_suffices)
         if self._are_parts:
             of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
@@ -212,7 +213,7 @@ class MotionWorlds:
 
     def result(self) -> MeshResult:
         """The contacts in all worlds."""
-        if self._is_whole:
+        if self._is_whole(_FEW_SLICES):
             return self._pipeline._contacts(*self._ends, self._whole_paths())
         world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
         for worlds, result, of_one in self._results():
@@ -246,13 +247,12 @@ class MotionWorlds:
             return mesh.num_bodies <= _MOST_BODIES
         return self._parts.num_primitives < _FEW * (mesh.num_faces + len(mesh.codimensional_edges))
 
-    @lazy_property
-    def _is_whole(self) -> bool:
-        """Whether the one world that there is goes slice by slice: of a large mesh, or of one that is near in few."""
+    def _is_whole(self, few: int) -> bool:
+        """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
         num_near = len(self._slices) if self._near is None else len(np.unique(self._near.slice))
-        return 0 < num_near < _FEW_SLICES or num_near * self._mesh.num_faces > _MANY_FACES
+        return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:
         """The paths of the one world that there is, with the slices in which anything is near, and what."""

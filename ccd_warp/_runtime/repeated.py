@@ -16,12 +16,12 @@ class RepeatedLaunches:
     """
 
     def __init__(self, execution: Execution) -> None:
-        self._execution = execution
+        self.execution = execution
         self._commands: dict[Any, Any] = {}
 
     def launch(self, kernel: Any, count: int, inputs: list, outputs: list) -> None:
         """Run ``kernel`` for items 0 … count-1; the arguments are those of :meth:`Execution.launch`."""
-        execution = self._execution
+        execution = self.execution
         if count == 0:
             return
         is_shared = count >= 2 * _GRAIN and execution.num_threads > 1 and not execution.is_cuda

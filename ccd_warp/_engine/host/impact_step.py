@@ -141,9 +141,9 @@ class ImpactStep(Step):
     def bind_options(self, part: Slice) -> None:
         """Let the kernels have the options, how bodies turn in a slice, and what half-spaces are asked for."""
         turns = self.motion.turns(part)
-        key = self.options, self.length_scale, self.start_distances is not None
-        # those of a slice in which bodies turn are packed for it alone
-        packed = self.workspace.packed_once(key, self._packed) if turns is None else self._packed(turns)
+        key = self.options, self.length_scale, self.start_distances is not None, turns is not None
+        # the arrays of how bodies turn are the same for all slices and steps
+        packed = self.workspace.packed_once(key, lambda: self._packed(turns))
         self.plan.bind(options=packed, turns=turns)
         if self.planes is not None:
             self.planes.bind(self.options, self.length_scale, part.active, lets_part=self.lets_part)

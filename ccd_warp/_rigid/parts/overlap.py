@@ -6,13 +6,12 @@ tested from the top, in all of the step first (`kernels.rigid.part_overlap`).
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.arcs import paths_on
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._rigid.mesh_paths import in_space
 from ccd_warp._rigid.parts.trees import PartTrees, distinct
@@ -20,10 +19,11 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
 
-# Items of a launch, of which each walks through the slices of a pair of bodies, and the capacity for pairs at first.
-_MOST_ITEMS, _CAPACITY = 1 << 24, 1 << 12
-_LONG = 1 << 12  # items from which an interrupt would have to wait
-_FEW = 64  # pairs below which the slices of one are divided among threads
+if TYPE_CHECKING:
+    from ccd_warp._rigid.parts.near_search import NearSearch
+
+# Pairs of bodies in a launch, and numbers of worlds for which a search stays.
+_MOST_ITEMS, _MOST_IDLE = 1 << 24, 4
 
 
 class NearParts(NamedTuple):
@@ -74,7 +74,7 @@ class BodyParts:
         self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
         self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
         self._on_device: dict[str, Any] = {}
-        self._capacity = _CAPACITY
+        self._idle: dict[tuple[str, int, int], list[NearSearch]] = {}
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Some primitives in the order of the parts.
@@ -110,62 +110,36 @@ class BodyParts:
         count = num_worlds * len(self.pairs)
         if count == 0:
             return NearParts(*4 * [np.zeros(0, dtype=np.int32)])
-        begins = max(1, min(num_slices, _FEW // count))
-        worlds_at_once = max(1, _MOST_ITEMS // (len(self.pairs) * begins))
+        worlds_at_once = max(1, _MOST_ITEMS // len(self.pairs))
         found = []
         for first in range(0, num_worlds, worlds_at_once):
             last = min(first + worlds_at_once, num_worlds)
-            of_worlds = (
-                paths.rows(np.arange(first * num_links, last * num_links)) if last - first < num_worlds else paths
-            )
-            near = self._near(of_worlds, last - first, num_slices, begins, t_max, reach, execution)
+            some = paths
+            if last - first < num_worlds:
+                some = paths.rows(np.arange(first * num_links, last * num_links))
+            near = NearParts(*self._near(last - first, some, num_slices, t_max, reach, execution))
             found.append(near._replace(world=near.world + first))
         return found[0] if len(found) == 1 else NearParts(*map(np.concatenate, zip(*found, strict=True)))
 
-    def _near(
-        self,
-        paths: BodyPaths,
-        num_worlds: int,
-        num_slices: int,
-        num_begins: int,
-        t_max: float,
-        reach: float,
-        execution: Execution,
-    ) -> NearParts:
-        """The pairs in some worlds."""
-        from ccd_warp.kernels.rigid import part_overlap as kernels  # few programs need it
+    def _near(self, num_worlds: int, paths: BodyPaths, *step: Any) -> list[NDArray[np.int32]]:
+        """The columns of the pairs in some worlds, by a search that no other thread uses meanwhile."""
+        from ccd_warp._rigid.parts.near_search import NearSearch  # few programs need it
 
-        device, num_links = execution.device, len(self._rigid)
-        trees, stop = self._trees_on(device), execution.flag
-        assert stop is not None
-        of_bodies = paths_on(device, paths)
-        lower, upper = (wp.empty((num_worlds, self.mesh.num_bodies), dtype=wp.vec3d, device=device) for _ in range(2))
-        shared = [trees, of_bodies, num_links]
-        inputs = [*shared, t_max, reach]
-        execution.launch(kernels.sweep_bodies, lower.size, inputs=inputs, outputs=[lower, upper], grain=256)
-        num_items = num_worlds * len(self.pairs) * num_begins
-        inputs = [self._on_device[f"pairs {device}"], *shared, lower, upper, num_slices, num_begins, t_max, reach]
-        while True:
-            capacity = self._capacity
-            pairs = kernels.PartPairs()
-            pairs.count = wp.zeros((1, 1), dtype=wp.int64, device=device)
-            pairs.world, pairs.slice, pairs.a, pairs.b = (
-                wp.empty(capacity, dtype=wp.int32, device=device) for _ in range(4)
-            )
-            execution.launch(
-                kernels.find_overlapping_parts,
-                num_items,
-                inputs=[*inputs, stop.array],
-                outputs=[pairs],
-                grain=32,
-                parts_per_thread=8,
-                is_long=lambda: num_items > _LONG or num_slices > _LONG,
-            )
-            count = int(pairs.count.numpy()[0, 0])
-            if count <= capacity:
-                columns = (pairs.world, pairs.slice, pairs.a, pairs.b)
-                return NearParts(*(x.numpy()[:count].copy() for x in columns))
-            self._capacity = count + count // 8
+        *arguments, execution = step
+        device, threads = execution.device, execution.num_threads
+        key = str(device), threads, num_worlds
+        idle = self._idle.pop(key, None) or []
+        if not idle:
+            trees = self._trees_on(device)
+            idle = [
+                NearSearch(trees, self._on_device[f"pairs {device}"], len(self._rigid), num_worlds, device, threads)
+            ]
+        search = idle.pop()
+        found = search.find(paths, *arguments)
+        while len(self._idle) >= _MOST_IDLE:
+            self._idle.popitem()
+        self._idle.setdefault(key, []).append(search)
+        return found
 
     def _trees_on(self, device: Any) -> Any:
         """The trees on a device."""

@@ -1,0 +1,73 @@
+"""The search for parts that are near, for so many worlds: its arrays and its launches, which are made once."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._rigid.arcs import PathTable
+from ccd_warp._rigid.body_paths import BodyPaths
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.threads import StopFlag
+from ccd_warp.kernels.rigid import part_overlap as kernels
+
+_LONG = 1 << 12  # items, or slices, from which an interrupt would have to wait
+_FEW = 64  # pairs of bodies below which the slices of one are divided among threads
+_CAPACITY = 1 << 12  # pairs of parts at first
+# Columns of what is found.
+_COLUMNS = ("world", "slice", "a", "b")
+
+
+class NearSearch:
+    """A search among the bodies of a number of worlds, by one thread at a time."""
+
+    def __init__(self, trees: Any, pairs: wp.array, num_links: int, num_worlds: int, device: Any, threads: int) -> None:
+        """Record the launches for the pairs of bodies of each world, with so many rows of the motion."""
+        self._flag = StopFlag(device)
+        self._execution = Execution(device, threads, self._flag)
+        self._paths = PathTable(num_worlds * num_links, device)
+        num_bodies = len(trees.first)
+        lower, upper = (wp.empty((num_worlds, num_bodies), dtype=wp.vec3d, device=device) for _ in range(2))
+        self._count = wp.zeros((1, 1), dtype=wp.int64, device=device)
+        num_pairs = num_worlds * len(pairs)
+        num_begins = max(1, _FEW // num_pairs)
+        values = {"slices": 1, "t_max": 1.0, "reach": 0.0, "found": self._new_list(_CAPACITY)}
+        self._recording = recording = Recording(self._execution, values)
+        shared = [trees, self._paths.table, num_links]
+        with recording.section("near"):
+            inputs = [*shared, Slot("t_max"), Slot("reach")]
+            recording.launch(kernels.sweep_bodies, num_worlds * num_bodies, inputs=inputs, outputs=[lower, upper])
+            inputs = [pairs, *shared, lower, upper, Slot("slices"), num_begins, Slot("t_max"), Slot("reach")]
+            num_items = num_pairs * num_begins
+            recording.launch(
+                kernels.find_overlapping_parts,
+                num_items,
+                inputs=[*inputs, self._flag.array],
+                outputs=[Slot("found")],
+                grain=_FEW,
+                parts_per_thread=8,
+                is_long=lambda: max(num_items, recording.values["slices"]) > _LONG,
+            )
+
+    def _new_list(self, capacity: int) -> Any:
+        """A list for so many pairs of parts."""
+        pairs, device = kernels.PartPairs(), self._execution.device
+        pairs.count = self._count
+        self._lists = [wp.empty(capacity, dtype=wp.int32, device=device) for _ in _COLUMNS]
+        for name, array in zip(_COLUMNS, self._lists, strict=True):
+            setattr(pairs, name, array)
+        return pairs
+
+    def find(self, paths: BodyPaths, num_slices: int, t_max: float, reach: float) -> list[Any]:
+        """The columns of the pairs of parts that are near, each int32."""
+        recording = self._recording
+        self._paths.assign(paths)
+        for name, value in (("slices", num_slices), ("t_max", t_max), ("reach", reach)):
+            recording.bind(name, value)
+        while True:
+            self._count.zero_()
+            recording.play("near")
+            count = int(self._count.numpy()[0, 0])
+            if count <= len(self._lists[0]):
+                return [np.array(x.numpy()[:count]) for x in self._lists]
+            recording.bind("found", self._new_list(count + count // 8))
