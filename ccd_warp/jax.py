@@ -7,13 +7,19 @@ makes the forward one again. The functions may be called within ``jax.jit`` and 
 world, shape [V / W, 3], in a batch of W. Nothing else may be mapped. Tois are float64, so JAX has to be run with
 ``jax_enable_x64``.
 
+:func:`rigid_toi`, of poses, is a call on the host, whose gradients are computed with its tois; ``jax.vmap`` of it is over
+anything, in one call.
+
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
 
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+from ccd_warp._calls.rigid_tois import RigidTois, checked_end
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients import jax_calls as calls
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
@@ -23,7 +29,7 @@ try:
 except ImportError as error:
     raise ImportError("ccd_warp.jax needs JAX; install with: pip install 'ccd-warp[interop]'") from error
 
-__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "rigid_toi", "toi", "toi_is_regular"]
 
 
 def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
@@ -155,11 +161,54 @@ def line_search_is_regular(
     return call(start, end, output_dims=len(end))[0]
 
 
+def rigid_toi(
+    pipeline: CollisionPipeline, poses_t0: Any, poses_t1: Any = None, *, twist: Any = None, pivot: Any = None
+) -> Any:
+    """Earliest time of impact of rigid bodies that turn, in each world: what ``mesh_ccd`` finds with a ``motion``.
+
+    The vertices of the mesh stand in the frames of its rigid bodies, and all others rest. Bodies move on the linear
+    paths of :class:`ccd_warp.RigidMotion`; screws have no gradients, nor has a motion with ``within``. Of each world
+    little more than its first contact is searched, and the gradient is that of this contact, on the host.
+
+    Args:
+        pipeline: The pipeline of a mesh with ``rigid`` bodies: of one world, or of as many as there are poses of.
+        poses_t0: Poses of the rigid bodies at t = 0, position and quaternion **x y z w** of any length but 0, float32
+            or float64, shape [B, 7], or with one or more axes of worlds in front [W, B, 7].
+        poses_t1: Poses at t = 1, of the same shape; between them is the shortest turn.
+        twist: In place of ``poses_t1``, motion in the whole step, **linear part first, then angular** in radians,
+            [B, 6] or [W, B, 6].
+        pivot: Points about which the bodies turn, in their own frames, [3], [B, 3] or [W, B, 3], numbers that JAX does
+            not trace. Within ``jax.vmap`` the last of these is not possible.
+
+    Returns:
+        An array of float64, of shape [W], or [] where poses have no axis of worlds; inf where there is certainly no
+        collision. Its gradients by ``poses_t0`` and ``poses_t1`` or ``twist`` are 0 of worlds in which nothing touches
+        or whose contact is not regular, as where toi is 0; of several contacts with one toi it is that of the first in
+        the order of :class:`ccd_warp.Contacts`. Along a quaternion they are 0. ``jax.vmap`` adds axes of worlds.
+
+    Raises:
+        ValueError: If an array is not as described, or both or neither of ``poses_t1`` and ``twist`` are given. What is
+            found in a call, as :class:`ccd_warp.RigidMotion` and :func:`ccd_warp.mesh_ccd` say it, is raised as an
+            error of JAX.
+
+    Guarantee: that of :func:`ccd_warp.mesh_ccd` with a motion; gradients have no part in it.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    _check_precision()
+    end = checked_end(poses_t0, poses_t1, twist)
+    pivot = None if pivot is None else np.asarray(pivot)
+    return _rigid_toi(pipeline, pivot, twist is not None, poses_t0, end)
+
+
+def _check_precision() -> None:
+    if jax.numpy.zeros(0).dtype != "float64":
+        raise ValueError("tois are float64; expected jax.config.update('jax_enable_x64', True)")
+
+
 def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
     """Positions with one axis of rows, as they can be handed over."""
     check_instance("pipeline", pipeline, CollisionPipeline)
-    if jax.numpy.zeros(0).dtype != "float64":
-        raise ValueError("tois are float64; expected jax.config.update('jax_enable_x64', True)")
+    _check_precision()
     dimension = pipeline.mesh.dimension
     for k, array in enumerate(vertices):
         dtype, shape = getattr(array, "dtype", None), tuple(getattr(array, "shape", ()))
@@ -220,3 +269,33 @@ def _line_search_backward(pipeline: CollisionPipeline, options: tuple[Any, ...],
 
 
 _line_search.defvjp(_line_search_forward, _line_search_backward)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+def _rigid_toi(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, start: Any, end: Any) -> Any:
+    def on_host(*ends: Any) -> Any:
+        return RigidTois(pipeline, pivot, is_twist, *map(np.asarray, ends)).toi
+
+    return jax.pure_callback(on_host, _tois_of_worlds(start), start, end, vmap_method="broadcast_all")
+
+
+def _tois_of_worlds(start: Any) -> Any:
+    return jax.ShapeDtypeStruct(start.shape[:-2], "float64")
+
+
+def _rigid_toi_forward(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, start: Any, end: Any) -> Any:
+    def on_host(*ends: Any) -> Any:
+        tois = RigidTois(pipeline, pivot, is_twist, *map(np.asarray, ends))
+        return tois.toi, *(x.astype(end.dtype) for x, end in zip(tois.gradients, ends, strict=True))
+
+    shapes = _tois_of_worlds(start), *(jax.ShapeDtypeStruct(x.shape, x.dtype) for x in (start, end))
+    toi, *gradients = jax.pure_callback(on_host, shapes, start, end, vmap_method="broadcast_all")
+    return toi, gradients
+
+
+def _rigid_toi_backward(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, gradients: Any, of_toi: Any) -> Any:
+    of_worlds = of_toi[..., None, None]
+    return tuple(jax.numpy.where(x == 0.0, x, (of_worlds * x).astype(x.dtype)) for x in gradients)
+
+
+_rigid_toi.defvjp(_rigid_toi_forward, _rigid_toi_backward)

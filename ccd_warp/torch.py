@@ -4,7 +4,8 @@ Tensors are float32 or float64, contiguous, on the device of the pipeline. They 
 and on the CPU gradients are handed over in that in which they were computed; the shortened positions of a line search
 begin as a copy. On CUDA what is handed over is memory of PyTorch, and a call comes after all that its current stream
 has been given, and before what it is given next, also in ``torch.cuda.graph``. ``torch.compile`` does not look into
-these functions, but calls them between two parts of its graph.
+these functions, but calls them between two parts of its graph. :func:`rigid_toi`, of poses, reads its tensors to the
+host, wherever they are.
 
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
@@ -17,6 +18,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
+from ccd_warp._calls.rigid_tois import RigidTois, checked_end
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
@@ -29,7 +31,7 @@ try:
 except ImportError as error:
     raise ImportError("ccd_warp.torch needs PyTorch; install with: pip install 'ccd-warp[interop]'") from error
 
-__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "toi", "toi_is_regular"]
+__all__ = ["collision_free_step", "line_search", "line_search_is_regular", "rigid_toi", "toi", "toi_is_regular"]
 
 
 @torch.compiler.disable
@@ -167,6 +169,49 @@ def line_search_is_regular(
 
 
 @torch.compiler.disable
+def rigid_toi(
+    pipeline: CollisionPipeline, poses_t0: Any, poses_t1: Any = None, *, twist: Any = None, pivot: Any = None
+) -> Any:
+    """Earliest time of impact of rigid bodies that turn, in each world: what ``mesh_ccd`` finds with a ``motion``.
+
+    The vertices of the mesh stand in the frames of its rigid bodies, and all others rest. Bodies move on the linear
+    paths of :class:`ccd_warp.RigidMotion`; screws have no gradients, nor has a motion with ``within``. Of each world
+    little more than its first contact is searched, and the gradient is that of this contact, on the host.
+
+    Args:
+        pipeline: The pipeline of a mesh with ``rigid`` bodies: of one world, or of as many as there are poses of.
+        poses_t0: Poses of the rigid bodies at t = 0, position and quaternion **x y z w** of any length but 0, a tensor
+            of float32 or float64, shape [B, 7], or with one or more axes of worlds in front [W, B, 7].
+        poses_t1: Poses at t = 1, of the same shape; between them is the shortest turn.
+        twist: In place of ``poses_t1``, motion in the whole step, **linear part first, then angular** in radians,
+            [B, 6] or [W, B, 6].
+        pivot: Points about which the bodies turn, in their own frames, [3], [B, 3] or [W, B, 3], numbers without a
+            gradient.
+
+    Returns:
+        A tensor of float64, of shape [W], or [] where poses have no axis of worlds; inf where there is certainly no
+        collision. Its gradients by ``poses_t0`` and ``poses_t1`` or ``twist`` are 0 of worlds in which nothing touches
+        or whose contact is not regular, as where toi is 0; of several contacts with one toi it is that of the first in
+        the order of :class:`ccd_warp.Contacts`. Along a quaternion they are 0.
+
+    Raises:
+        ValueError: If a tensor is not as described, both or neither of ``poses_t1`` and ``twist`` are given, ``pivot``
+            requires a gradient, or as :class:`ccd_warp.RigidMotion` and :func:`ccd_warp.mesh_ccd` do.
+
+    Guarantee: that of :func:`ccd_warp.mesh_ccd` with a motion; gradients have no part in it.
+    """
+    check_instance("pipeline", pipeline, CollisionPipeline)
+    for name, tensor in {"poses_t0": poses_t0, "poses_t1": poses_t1, "twist": twist}.items():
+        if not isinstance(tensor, torch.Tensor | None):
+            raise ValueError(f"{name} is a {type(tensor).__name__}; expected a tensor")
+    if isinstance(pivot, torch.Tensor):
+        if pivot.requires_grad:
+            raise ValueError("pivot requires a gradient; expected numbers, as there is none by pivots")
+        pivot = pivot.cpu().numpy()
+    return _RigidToi.apply(pipeline, pivot, twist is not None, poses_t0, checked_end(poses_t0, poses_t1, twist))
+
+
+@torch.compiler.disable
 def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: Any) -> Any:
     """The flags of a launch on a tape."""
     with _in_order(pipeline._topology.device):
@@ -221,6 +266,30 @@ class _LineSearch(torch.autograd.Function):
         """Play the tape backwards, which turns the gradient of the shortened positions into that of the wished ones."""
         own_gradient = of_shortened.clone(memory_format=torch.contiguous_format)
         return None, None, *_played_back(ctx, ctx.arrays[1], own_gradient)
+
+
+class _RigidToi(torch.autograd.Function):
+    """Tois of worlds of rigid bodies."""
+
+    @staticmethod
+    def forward(ctx: Any, pipeline: CollisionPipeline, pivot: Any, is_twist: bool, *ends: Any) -> Any:
+        """Search, and keep the contacts."""
+        ctx.like = [(end.dtype, end.device) for end in ends]
+        ctx.tois = RigidTois(pipeline, pivot, is_twist, *(end.detach().cpu().numpy() for end in ends))
+        return torch.tensor(ctx.tois.toi, device=ends[0].device)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, of_toi: Any) -> Any:
+        """The gradients of the contacts, once; 0 of worlds without one, whatever the gradient by their tois."""
+        found: list[Any] = [None, None]
+        for k in range(2):
+            if ctx.needs_input_grad[3 + k]:
+                dtype, device = ctx.like[k]
+                of_end = torch.tensor(ctx.tois.gradients[k], device=of_toi.device)
+                of_end = torch.where(of_end == 0.0, of_end, of_toi[..., None, None] * of_end)
+                found[k] = of_end.to(device=device, dtype=dtype)
+        return None, None, None, *found
 
 
 def _in_order(device: Any) -> AbstractContextManager[Any]:

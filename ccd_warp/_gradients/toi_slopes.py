@@ -1,5 +1,6 @@
 """Gradients of times of impact of contacts and of pairs on the host, computed when they are asked for."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -39,20 +40,29 @@ def of_contacts(
     moves = of_plane >= 0
     vertices[planes[moves], 3] = of_plane[moves]
     rests = planes[~moves]
-    resting = mesh.planes.points[contacts.primitives[rests, 1]]
-    normals = np.zeros((len(contacts), 3))
-    normals[:, : mesh.dimension] = contacts.normal
-    columns = contacts.toi, contacts.status, distances, normals if len(planes) else None
-    t, world = contacts.toi, frames.worlds_of(contacts)
-    for _ in range(1 if frames.paths is None else _MOST_TANGENTS):
-        ends: Any = [np.zeros((len(contacts), 4, 3)) for _ in range(2)]
-        for end, positions in zip(ends, _straight_ends(frames, vertices.ravel(), t, world), strict=True):
-            end[..., : mesh.dimension] = positions[:, : mesh.dimension].reshape(*vertices.shape, -1)
-            end[rests, 3, : mesh.dimension] = resting
-        slopes = _slopes(query, contacts.kind, ends, *columns)
-        before, t = t, np.where(slopes["is_regular"], slopes["time"], contacts.toi)
-        if np.array_equal(t, before):
-            break
+    is_resting = np.zeros(len(contacts), dtype=bool)
+    is_resting[rests] = True
+    normals = np.zeros((len(contacts), 3)) if len(planes) else None
+    if normals is not None:
+        normals[:, : mesh.dimension] = contacts.normal
+    columns = contacts.kind, contacts.toi, contacts.status, distances, normals
+    world = frames.worlds_of(contacts)
+
+    def slopes_of(rows: Any, t: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+        """The slopes of some contacts, at these times where bodies turn."""
+        of_rows, rest = vertices[rows], np.flatnonzero(is_resting[rows])
+        resting = mesh.planes.points[contacts.primitives[rows][rest, 1]]
+        ends: Any = [np.zeros((*of_rows.shape, 3)) for _ in range(2)]
+        straight = _straight_ends(frames, of_rows.ravel(), t, None if world is None else world[rows])
+        for end, positions in zip(ends, straight, strict=True):
+            end[..., : mesh.dimension] = positions[:, : mesh.dimension].reshape(*of_rows.shape, -1)
+            end[rest, 3, : mesh.dimension] = resting
+        kind, *further = (None if column is None else column[rows] for column in columns)
+        return _slopes(query, kind, ends, *further)
+
+    slopes = slopes_of(slice(None), contacts.toi)
+    if frames.paths is not None:
+        _go_to_roots(slopes, slopes_of, contacts.toi)
     gradient = _expanded(slopes, list(range(4)), mesh.dimension)
     gradient[0][rests, 3] = gradient[1][rests, 3] = 0.0
     turning = None
@@ -61,6 +71,29 @@ def of_contacts(
         is_rigid = mesh.rigid[mesh.vertex_body[vertices]]
         gradient[0][is_rigid] = gradient[1][is_rigid] = 0.0
     return ToiGradient(*gradient, slopes["distance"], slopes["is_regular"], vertices)._of(turning)
+
+
+def _go_to_roots(
+    slopes: dict[str, NDArray[Any]],
+    slopes_of: Callable[[NDArray[np.intp], NDArray[np.float64]], dict[str, NDArray[Any]]],
+    toi: NDArray[np.float64],
+) -> None:
+    """Replace slopes on the tangents at toi by those on the tangents at the roots to which these lead."""
+    rows, t = np.arange(len(toi)), toi
+    before, t = t, np.where(slopes["is_regular"], slopes["time"], toi)
+    moves = t != before
+    for left in reversed(range(_MOST_TANGENTS - 1)):
+        rows, before, t = rows[moves], before[moves], t[moves]
+        if len(rows) == 0:
+            break
+        of_rows = slopes_of(rows, t)
+        for name, column in of_rows.items():
+            slopes[name][rows] = column
+        following = np.where(of_rows["is_regular"], of_rows["time"], toi[rows])
+        moves = following != t
+        if left % 2 == 0:  # what goes to and fro between two times would end at this one
+            moves &= following != before
+        before, t = t, following
 
 
 def _straight_ends(

@@ -56,6 +56,8 @@ _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
 _PRIMITIVES = 1 << 19
+# Cells at least in a batch where the first contacts alone are asked for: a batch takes as long as so many.
+_LEAST_CELLS = 1 << 7
 # Faces from which a mesh of parts may be searched, and bodies of many worlds up to which what is near is looked for.
 _LARGE, _MOST_BODIES = 2000, 64
 # Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
@@ -123,26 +125,32 @@ class MotionWorlds:
         self._slices = Slice.all(num_slices(paths, pipeline._options.t_max), pipeline._options.t_max)
 
     def _in_batches(
-        self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T]
+        self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T], world_toi: Array | None = None
     ) -> Iterator[tuple[NDArray[np.intp], _T]]:
         """What a call of the pipeline finds in each batch, the first of whose copies are cells of some worlds.
 
-        It gets a pipeline of the copies, positions and paths.
+        It gets a pipeline of the copies, positions and paths. With the tois of worlds, which the caller lowers after
+        each batch, the first cells of all worlds are searched first, and those that begin later than a toi not at all.
         """
         cells, bodies = self._cells()
         if len(cells) == 0:
             return
-        copies = self._mesh._copies(min(self._most_copies, len(cells)), self._most_copies)
+        left, num_together = np.arange(len(cells)), len(cells)
+        if world_toi is not None:
+            left, num_open = _by_turns(cells % self.num_worlds)
+            num_together = min(max(num_open, _LEAST_CELLS), len(cells))
+        copies = self._mesh._copies(min(self._most_copies, num_together), self._most_copies)
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
         times = np.array([part[:2] for part in self._slices])
-        for first in range(0, len(cells), count):
-            of_batch = cells[first : first + count]
+        while len(left):
+            rows, left = left[:count], left[count:]
+            of_batch = cells[rows]
             padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
             number, world = np.divmod(padded, self.num_worlds)
             active = np.zeros((count, self._num_copied), dtype=bool)
-            active[: len(of_batch)] = True if bodies is None else bodies[first : first + count, : self._num_copied]
+            active[: len(of_batch)] = True if bodies is None else bodies[rows, : self._num_copied]
             # bodies that all copies share, half-spaces, come last
             num_shared = self._mesh.num_bodies - self._num_copied
             begin, t_end = (np.append(np.repeat(t[number], self._num_copied), np.zeros(num_shared)) for t in times.T)
@@ -153,6 +161,9 @@ class MotionWorlds:
                 result = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
             yield world[: len(of_batch)], result
+            if world_toi is not None:
+                number, world = np.divmod(cells[left], self.num_worlds)
+                left = left[times[number, 0] <= world_toi[world]]
 
     def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
@@ -211,12 +222,12 @@ class MotionWorlds:
         batches = self._in_batches(lambda copies, *step: copies._least_toi(*step, any_suffices=any_suffices))
         return least_of(toi for _, toi in batches)
 
-    def result(self) -> MeshResult:
-        """The contacts in all worlds."""
+    def result(self, *, is_of_first: bool = False) -> MeshResult:
+        """The contacts in all worlds; or those among which the first of each world are, if these alone are wanted."""
         if self._is_whole(_FEW_SLICES):
             return self._pipeline._contacts(*self._ends, self._whole_paths())
         world_toi, contacts, hidden = np.full(self.num_worlds, np.inf), [], ""
-        for worlds, result, of_one in self._results():
+        for worlds, result, of_one in self._results(world_toi if is_of_first else None):
             np.minimum.at(world_toi, worlds, result.world_toi[: len(worlds)])
             contacts.append(of_one)
             hidden = hidden or result.hidden_gaps
@@ -226,10 +237,14 @@ class MotionWorlds:
         touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
         return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 
-    def _results(self) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
-        """Worlds, their results in a mesh of their own, and their contacts in that of one world."""
+    def _results(self, world_toi: Array | None) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:
+        """Worlds, their results in a mesh of their own, and their contacts in that of one world.
+
+        With the tois of worlds as of :meth:`_in_batches`.
+        """
         if not self._are_parts:
-            for worlds, result in self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False)):
+            batches = self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False), world_toi)
+            for worlds, result in batches:
                 yield worlds, result, self._in_one_world(result.contacts, worlds, len(result.world_toi))
             return
         mesh = self._mesh
@@ -335,3 +350,13 @@ class MotionWorlds:
                     primitives[rows, column] -= copy[rows] * sizes[name]
         place = ContactPlace(mesh, world=worlds[copy].astype(np.int32))
         return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)
+
+
+def _by_turns(world: NDArray[np.int64]) -> tuple[NDArray[np.intp], int]:
+    """The order of rows in which each world has its first before any has its second, and the number of worlds."""
+    order = np.argsort(world, kind="stable")
+    of_order = world[order]
+    first = np.flatnonzero(np.append(True, of_order[1:] != of_order[:-1]))
+    sizes = np.diff(np.append(first, len(order)))
+    turn = np.arange(len(order)) - np.repeat(first, sizes)
+    return order[np.argsort(turn, kind="stable")], len(first)
