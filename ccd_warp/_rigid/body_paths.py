@@ -171,9 +171,9 @@ class BodyPaths(ReadOnly):
         """How far points have moved at a time, given their places about the pivot at t = 0, shape [n, 3]."""
         times = np.broadcast_to(np.asarray(t, dtype=np.float64), len(arms))
         omega, turning = self.omega[rows], self.turning[rows]
-        first, second = arc_factors(omega, times)
+        first, second = factors = arc_factors(omega, times)
         turned = first * turning + second * cross(omega, turning)
-        return self.velocity[rows] * times[:, None] + turned + arcs(omega, arms, times)
+        return self.velocity[rows] * times[:, None] + turned + arcs(omega, arms, times, factors)
 
 
 def _parts(vectors: NDArray[np.float64], omega: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

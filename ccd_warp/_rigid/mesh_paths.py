@@ -12,7 +12,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
-from ccd_warp._rigid.rotations import arcs, rotated
+from ccd_warp._rigid.rotations import arc_factors, arcs, cross, rotated
 from ccd_warp._runtime.display import counted
 from ccd_warp._scene.input.names import body_label
 from ccd_warp._scene.mesh import CollisionMesh
@@ -105,9 +105,10 @@ class MeshPaths(BodyPaths):
         rigid, rows = self._rows_of(body)
         times = _times(t, len(body))[rigid, 0]
         omega, turning = self.omega[rows], self.turning[rows]
+        factors = arc_factors(omega, times)
         arms = rotated(self.rotation[rows], in_space(start[rigid]) - self.pivot[rows])
-        arms = arms + arcs(omega, arms, times)
-        turned = self.velocity[rows] + np.cross(omega, arms) + turning + arcs(omega, turning, times)
+        arms = arms + arcs(omega, arms, times, factors)
+        turned = self.velocity[rows] + cross(omega, arms) + turning + arcs(omega, turning, times, factors)
         v[rigid] = turned[:, : v.shape[1]]
         return v
 

@@ -54,10 +54,9 @@ from ccd_warp.kernels.pair.norm import is_ball
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
-# Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
-_PRIMITIVES = 1 << 19
-# Cells at least in a batch where the first contacts alone are asked for: a batch takes as long as so many.
-_LEAST_CELLS = 1 << 7
+# Primitives at a time: of fewer the overhead of a step shows, and more leave the caches. What looks for first contacts
+# ends earlier with fewer, down to as many as take the time of that overhead.
+_PRIMITIVES, _FEW_PRIMITIVES = 1 << 19, 1 << 12
 # Faces from which a mesh of parts may be searched, and bodies of many worlds up to which what is near is looked for.
 _LARGE, _MOST_BODIES = 2000, 64
 # Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
@@ -118,7 +117,7 @@ class MotionWorlds:
         check_own_frames(mesh, start, end)
         num_primitives = max(mesh.num_faces + mesh.num_edges + mesh.num_vertices, 1)
         most = rows_within(pipeline._options.memory_limit, _PRIMITIVES)
-        self._most_copies = max(1, most // num_primitives)
+        self._most_copies, self._few_copies = (max(1, count // num_primitives) for count in (most, _FEW_PRIMITIVES))
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
         self._ends = start, end
@@ -137,8 +136,8 @@ class MotionWorlds:
             return
         left, num_together = np.arange(len(cells)), len(cells)
         if world_toi is not None:
-            left, num_open = _by_turns(cells % self.num_worlds)
-            num_together = min(max(num_open, _LEAST_CELLS), len(cells))
+            left, num_searched = _by_turns(cells % self.num_worlds)
+            num_together = min(max(num_searched, self._few_copies), len(cells))
         copies = self._mesh._copies(min(self._most_copies, num_together), self._most_copies)
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))

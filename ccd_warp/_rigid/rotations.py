@@ -1,5 +1,7 @@
 """Rotations as quaternions x y z w and as rotation vectors, in NumPy, one a row, to a few units in the last place."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,9 +65,14 @@ def arc_factors(
     return first[:, None], (2.0 * half * half)[:, None]
 
 
-def arcs(omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small."""
-    first, second = arc_factors(omega, t)
+def arcs(
+    omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64], factors: Any = None
+) -> NDArray[np.float64]:
+    """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small.
+
+    Where the factors of omega and t are known, they need not be computed.
+    """
+    first, second = factors or arc_factors(omega, t)
     across = cross(omega, arms)
     return first * across + second * cross(omega, across)
 
