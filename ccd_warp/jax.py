@@ -7,8 +7,8 @@ makes the forward one again. The functions may be called within ``jax.jit`` and 
 world, shape [V / W, 3], in a batch of W. Nothing else may be mapped. Tois are float64, so JAX has to be run with
 ``jax_enable_x64``.
 
-:func:`rigid_toi`, of poses, is a call on the host, whose gradients are computed with its tois; ``jax.vmap`` of it is over
-anything, in one call.
+:func:`rigid_toi`, of poses, is a call on the host, whose gradients are computed with its tois; ``jax.vmap`` of it is
+over anything, in one call.
 
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """

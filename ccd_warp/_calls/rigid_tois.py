@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ccd_warp._calls.motions import worlds_of
 from ccd_warp._calls.pipeline import CollisionPipeline
@@ -11,7 +11,6 @@ from ccd_warp._results.results import MeshResult
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp._scene.input.arguments import check_instance
 
 Array = NDArray[np.float64]
 
@@ -23,7 +22,7 @@ class RigidTois:
         toi: The tois, float64, of the shape of the worlds; inf where nothing touches.
     """
 
-    def __init__(self, pipeline: CollisionPipeline, pivot: ArrayLike | None, is_twist: bool, *ends: Array) -> None:
+    def __init__(self, pipeline: CollisionPipeline, pivot: Any, is_twist: bool, *ends: Array) -> None:
         """Search the step of poses at the start and poses, or twists, at the end, shape [..., B, 7] or [..., B, 6].
 
         Raises:
@@ -92,6 +91,6 @@ def checked_end(poses_t0: Any, poses_t1: Any, twist: Any) -> Any:
     for name, array, columns in (("poses_t0", poses_t0, 7), end):
         dtype, shape = getattr(array, "dtype", None), tuple(getattr(array, "shape", ()))
         if str(dtype).removeprefix("torch.") not in ("float32", "float64") or not bodies or shape != (*bodies, columns):
-            expected = f"shape (..., B, {columns})" if array is poses_t0 else f"shape {(*bodies, columns)} as of poses_t0"
+            expected = "shape (..., B, 7)" if array is poses_t0 else f"shape {(*bodies, columns)} as of poses_t0"
             raise ValueError(f"{name} has dtype {dtype} and shape {shape}; expected float32 or float64 and {expected}")
     return end[1]

@@ -45,7 +45,7 @@ def of_contacts(
     normals = np.zeros((len(contacts), 3)) if len(planes) else None
     if normals is not None:
         normals[:, : mesh.dimension] = contacts.normal
-    columns = contacts.kind, contacts.toi, contacts.status, distances, normals
+    columns: Any = contacts.kind, contacts.toi, contacts.status, distances, normals
     world = frames.worlds_of(contacts)
 
     def slopes_of(rows: Any, t: NDArray[np.float64]) -> dict[str, NDArray[Any]]:

@@ -162,7 +162,7 @@ def check_motion(mesh: CollisionMesh, paths: BodyPaths, num_worlds: int = 1) -> 
         ValueError: If not.
     """
     bodies = np.flatnonzero(mesh.rigid)
-    check_rows(mesh, bodies, len(paths) // num_worlds)
+    check_rows(mesh, bodies, len(paths) // max(num_worlds, 1))
     _check_static_bodies(mesh, bodies, paths)
     _check_plane(mesh, bodies, paths)
 

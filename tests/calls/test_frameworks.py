@@ -128,6 +128,131 @@ def test_bad_use_is_told(library):
             call()
 
 
+# ---- Poses of bodies that turn ---------------------------------------------------------------------------------------
+
+PIVOTS = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.1]])
+
+
+def turning():
+    """A pipeline of two tetrahedra; by world their poses at both ends, of quaternions of any length, and twists."""
+    rng = np.random.default_rng(0)
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) - 0.25
+    body = corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    mesh = ccd.CollisionMesh.from_arrays([body, body], rigid=[0, 1])
+    start, end, twist = (rng.normal(size=(5, 2, count)) for count in (7, 7, 6))
+    start[..., :3], end[..., :3] = [[0.0, 0, 0], [3, 0, 0]], [[0.0, 0, 0.1], [0.3, 0.2, 0.1]]
+    twist[..., :3] = [[0.1, 0, 0], [-3.0, 0.2, 0.1]]
+    start[4, 1, 0] = end[4, 1, 0] = 20.0  # far away, so that nothing touches
+    return ccd.CollisionPipeline(mesh, tolerance=1e-13, minimum_distance=0.05), start, end, twist
+
+
+def test_tois_by_poses_are_those_of_a_motion_and_pass_the_check_of_gradients(library):
+    ours, make, numbers, where, check = library
+    pipeline, start, end, twist = turning()
+    x = pipeline.mesh.vertices
+    for pivot in (None, PIVOTS):
+        for step in ({"poses_t1": end}, {"twist": twist}):
+            ((name, last),) = step.items()
+            motion = ccd.RigidMotion(start, pivot=pivot, **step)
+            expected = pipeline.mesh_ccd(x, x, motion=motion).world_toi
+            is_finite = make(np.isfinite(expected))
+            assert np.isfinite(expected).sum() == 4
+
+            def toi(a, b, worlds=is_finite, name=name, pivot=pivot):
+                return where(worlds, ours.rigid_toi(pipeline, a, **{name: b}, pivot=pivot), 0.0)
+
+            found = numbers(ours.rigid_toi(pipeline, make(start), **{name: make(last)}, pivot=pivot))
+            np.testing.assert_array_equal(found, expected)
+            check(toi, make(start), make(last))
+            one = ours.rigid_toi(pipeline, make(start[2]), **{name: make(last[2])}, pivot=pivot)
+            assert one.shape == () and numbers(one) == expected[2]
+            check(lambda a, b, toi=toi: toi(a, b, make(np.array(True))), make(start[2]), make(last[2]))
+    by_axes = numbers(ours.rigid_toi(pipeline, make(start[:4].reshape(2, 2, 2, 7)), make(end[:4].reshape(2, 2, 2, 7))))
+    assert np.array_equal(by_axes.ravel(), numbers(ours.rigid_toi(pipeline, make(start[:4]), make(end[:4]))))
+    copies = ccd.CollisionPipeline(pipeline.mesh.replicate(5), tolerance=1e-13, minimum_distance=0.05)
+    of_copies = numbers(ours.rigid_toi(copies, make(start), twist=make(twist)))
+    np.testing.assert_array_equal(of_copies, numbers(ours.rigid_toi(pipeline, make(start), twist=make(twist))))
+    of_scene = ours.rigid_toi(copies, *(make(x.reshape(-1, 7)) for x in (start, end)))
+    assert of_scene.shape == () and numbers(of_scene) == by_axes.min()
+
+
+def test_bad_poses_are_told(library):
+    ours, make, numbers, *_ = library
+    pipeline, start, end, twist = turning()
+    wrong, three = start.copy(), ccd.CollisionPipeline(pipeline.mesh.replicate(4))
+    wrong[1, 1, 3:] = 0.0
+    for call, message in (
+        (lambda: ours.rigid_toi(pipeline, make(start)), "neither of poses_t1 and twist"),
+        (lambda: ours.rigid_toi(pipeline, make(start), make(end), twist=make(twist)), "both of poses_t1 and twist"),
+        (lambda: ours.rigid_toi(pipeline, make(start.astype(int)), make(end)), "poses_t0 has dtype .*int"),
+        (lambda: ours.rigid_toi(pipeline, make(start), make(end[1:])), r"poses_t1 has .* expected .*\(5, 2, 7\)"),
+        (lambda: ours.rigid_toi(pipeline, make(start), twist=make(end)), r"twist has .* expected .*\(5, 2, 6\)"),
+        (lambda: ours.rigid_toi(pipeline, make(start[0, 0]), make(end[0, 0])), "poses_t0 has shape|poses_t0 has dtype"),
+        (lambda: ours.rigid_toi(pipeline.mesh, make(start), make(end)), "pipeline is"),
+        (lambda: numbers(ours.rigid_toi(pipeline, make(wrong), make(end))), "length 0 for body 1 of world 1"),
+        (lambda: numbers(ours.rigid_toi(pipeline, make(start[:, :1]), make(end[:, :1]))), "expected one a body"),
+        (
+            lambda: numbers(ours.rigid_toi(three, make(start[:2, [0, 1, 0, 1]]), make(end[:2, [0, 1, 0, 1]]))),
+            "2 worlds",
+        ),
+    ):
+        with pytest.raises((ValueError, RuntimeError), match=message):
+            call()
+
+
+def test_torch_gives_tensors_of_poses_their_own_gradients(torch):
+    ours, (pipeline, start, end, twist) = importlib.import_module("ccd_warp.torch"), turning()
+    start, end, twist = map(torch.tensor, (start, end, twist))
+    for dtype in (torch.float64, torch.float32):
+        first, last = start.to(dtype, copy=True).requires_grad_(), end.to(dtype)
+        toi = ours.rigid_toi(pipeline, first, last)
+        ((toi - 0.5) ** 2).sum().backward()  # whose gradient by the toi of the last world is inf
+        assert first.grad.dtype == dtype and last.grad is None and toi.dtype == torch.float64
+        assert not first.grad[4].any() and first.grad[:4].any(dim=(1, 2)).all() and first.grad.isfinite().all()
+        along = (first.grad[..., 3:] * first[..., 3:]).sum(dim=-1)
+        assert (along.abs() <= 8.0 * torch.finfo(dtype).eps * first.grad[..., 3:].norm(dim=-1)).all()
+    assert not ours.rigid_toi(pipeline, start, end).requires_grad
+    touching = start.clone()
+    touching[:, 1, :3] = 0.1
+    touching.requires_grad_()
+    toi = ours.rigid_toi(pipeline, touching, twist=twist)
+    toi.sum().backward()
+    assert not toi.any() and not touching.grad.any()
+    for call, message in (
+        (lambda: ours.rigid_toi(pipeline, start.numpy(), end), "poses_t0 is a ndarray; expected a tensor"),
+        (lambda: ours.rigid_toi(pipeline, start, end, pivot=torch.zeros(3, requires_grad=True)), "pivot requires"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
+    on_pivot = ours.rigid_toi(pipeline, start, end, pivot=torch.tensor(PIVOTS))
+    assert torch.equal(on_pivot, ours.rigid_toi(pipeline, start, end, pivot=PIVOTS))
+
+
+def test_jax_maps_poses_in_one_call(jax, monkeypatch):
+    ours, (pipeline, start, end, twist) = importlib.import_module("ccd_warp.jax"), turning()
+    rigid_tois, calls = importlib.import_module("ccd_warp._calls.rigid_tois"), []
+    of_host = rigid_tois._first_contacts
+    monkeypatch.setattr(rigid_tois, "_first_contacts", lambda *given: calls.append(given) or of_host(*given))
+
+    def of_world(a, b):
+        return jax.numpy.minimum(ours.rigid_toi(pipeline, a, twist=b), 1.0)
+
+    of_all = jax.grad(lambda a, b: of_world(a, b).sum(), (0, 1))(start, twist)
+    for function in (jax.vmap(jax.grad(of_world, (0, 1))), jax.jit(jax.vmap(jax.grad(of_world, (0, 1))))):
+        calls.clear()
+        for x, y in zip(function(start, twist), of_all, strict=True):
+            np.testing.assert_array_equal(x, y)
+        assert len(calls) == 1
+    of_one = jax.vmap(jax.grad(of_world), (None, 0))(start[0], twist)  # of which one is mapped
+    for world in range(5):
+        np.testing.assert_allclose(of_one[world], jax.grad(of_world)(start[0], twist[world]), rtol=1e-9, atol=1e-12)
+    single = jax.grad(lambda a: of_world(a, twist.astype("float32")).sum())(start.astype("float32"))
+    np.testing.assert_allclose(single, of_all[0], rtol=1e-4, atol=1e-4)
+    assert single.dtype == "float32" and not single[4].any()
+    with pytest.raises(jax.errors.TracerArrayConversionError):
+        jax.grad(lambda c: ours.rigid_toi(pipeline, start[0], end[0], pivot=c))(PIVOTS)
+
+
 @pytest.mark.parametrize("name", ["torch", "jax"])
 def test_without_a_library_the_extra_is_named(name, monkeypatch):
     monkeypatch.setitem(sys.modules, name, None)

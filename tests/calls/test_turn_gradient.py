@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from ccd_warp._gradients import toi_slopes
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.turn_gradient import _inverse_jacobian, _jacobian
 
@@ -67,6 +68,24 @@ def test_small_and_large_turns_have_a_jacobian_and_its_inverse_to_rounding(angle
     omega, vectors = np.random.default_rng(0).standard_normal((2, 100, 3))
     omega *= angle / np.linalg.norm(omega, axis=1, keepdims=True)
     np.testing.assert_allclose(_inverse_jacobian(omega, _jacobian(omega, vectors)), vectors, rtol=0, atol=1e-13)
+
+
+def test_tangents_end_where_all_eight_of_them_would_and_are_no_more_than_needed():
+    """Tois that stay, lead to one that stays, go to and fro, or round in threes; and one that is not regular."""
+    leads_to, toi, asked = np.array([0, 2, 3, 3, 5, 4, 7, 4, 9, 10, 8, 0]), np.arange(12.0), []
+
+    def slopes_of(rows, t):
+        asked.append(len(rows))
+        return {"time": leads_to[t.astype(int)].astype(float), "is_regular": rows < 11, "at": t.copy()}
+
+    slopes = slopes_of(np.arange(12), toi)
+    toi_slopes._go_to_roots(slopes, slopes_of, toi)
+    at = toi
+    for _ in range(7):
+        at = np.where(np.arange(12) < 11, leads_to[at.astype(int)], toi)
+    np.testing.assert_array_equal(slopes["at"], at)
+    np.testing.assert_array_equal(slopes["time"], leads_to[at.astype(int)])
+    assert len(asked) == 8 and asked[-1] == 3  # those that go round
 
 
 def test_a_motion_that_has_no_such_gradients_says_so():

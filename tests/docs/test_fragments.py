@@ -39,6 +39,11 @@ def of_torch():
     return names, lambda names: 0.0 < names["step"].item() < 1.0 and bool(dx.grad.abs().sum() > 0)
 
 
+def of_throws():
+    pytest.importorskip("torch", reason="the extra interop is not installed")
+    return {}, lambda names: (names["off"] < 1e-6).sum() > 900
+
+
 def of_fcl():
     """A box that falls a metre on another, by how python-fcl names things."""
     names = {}
@@ -62,6 +67,7 @@ def of_newton():
 
 # What comes before and after the fragment that begins so.
 AROUND = {"import ccd_warp.torch": of_torch, "mesh = ccd.": of_fcl, "solver.step(": of_newton, "stream = torch": None}
+AROUND |= {"import torch": of_throws}
 
 
 @pytest.mark.parametrize("code", FRAGMENTS)
