@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.mesh_paths import in_space
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp._rigid.turn_gradient import TurningPoints
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind

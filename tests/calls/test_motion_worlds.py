@@ -6,9 +6,9 @@ import trimesh
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp._calls import motions
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.parts import mesh as parts_mesh
+from ccd_warp._rigid.parts import near_slices
 from ccd_warp._rigid.parts import worlds as parts_worlds
 from ccd_warp._rigid.parts.trees import PartTrees
 
@@ -100,8 +100,7 @@ def parts_alone(monkeypatch):
     """Whether parts are looked for, in small scenes, too; which is to be compared with what whole bodies find."""
 
     def look(wanted):
-        monkeypatch.setattr(motion_worlds, "_MOST_BODIES_OF_ONE", 1 << 11 if wanted else -1)
-        monkeypatch.setattr(motions, "_LARGE_SCENE", 1)
+        monkeypatch.setattr(near_slices, "_MOST_BODIES", 1 << 11 if wanted else -1)
 
     return look
 

@@ -37,7 +37,7 @@ class ImpactStep(Step):
         far_distance: The distance of pairs, if it is many edges long.
     """
 
-    lets_part = False
+    is_for_impacts, lets_part = True, False
     start_distances: wp.array | None = None
     far_distance: DistanceInEdges | None = None
 
