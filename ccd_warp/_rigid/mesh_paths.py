@@ -86,7 +86,7 @@ class MeshPaths(BodyPaths):
         topology = workspace.topology
         mesh = topology.mesh
         start, end = (x[:, : mesh.dimension] for x in positions)
-        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end))
+        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end), len(slices))
         if parts is None:
             return slices
         reach = reach_of(options, length_scale_of(mesh, options))

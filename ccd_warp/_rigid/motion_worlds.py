@@ -281,7 +281,7 @@ class MotionWorlds:
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
         """The parts of the bodies of a world; None where they are not looked for."""
-        return body_parts(self._mesh, self._pipeline._topology, self._ends, self.num_worlds)
+        return body_parts(self._mesh, self._pipeline._topology, self._ends, len(self._slices), self.num_worlds)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

@@ -15,24 +15,27 @@ from ccd_warp._scene.mesh import CollisionMesh
 
 # Bodies of one world, whose pairs are listed, and of many, of which each has as many tests.
 _MOST_BODIES, _MOST_BODIES_OF_WORLDS = 1 << 11, 64
-# Faces from which it takes longer to divide the bodies of one world than a step.
-_LARGE_SCENE = 1 << 15
+# Faces for each slice above which it takes longer to divide the bodies than to search them.
+_LARGE_SCENE = 1 << 12
 
 
-def body_parts(mesh: CollisionMesh, topology: Topology, ends: Any, num_worlds: int = 1) -> BodyParts | None:
+def body_parts(
+    mesh: CollisionMesh, topology: Topology, ends: Any, num_slices: int, num_worlds: int = 1
+) -> BodyParts | None:
     """The parts of the bodies of a mesh with positions at both ends of a step, of rigid bodies in their own frames.
 
-    They stay for later calls of a motion of so many worlds, or of one that the mesh may have many of itself.
+    They stay for later calls. A motion of one world may be that of a mesh that has many itself.
 
     Returns:
         None where they are not looked for: of many bodies, or others than rigid ones and those that stand, and of
-        large ones in a first step of one world, which takes less time itself; copies of one body are divided once.
+        large ones in a first step of few slices, which takes less time itself; copies of one body are divided once.
     """
     start, end = ends
     kept = MeshCache.of(mesh).parts
     is_later = kept.get("is later", False)
     kept["is later"] = True
-    if num_worlds == 1 and mesh.num_faces >= _LARGE_SCENE and not (is_later or mesh._is_of_instances):
+    num_passes = num_slices * num_worlds
+    if mesh.num_faces > num_passes * _LARGE_SCENE and not (is_later or mesh._is_of_instances):
         return None
     most = _MOST_BODIES if num_worlds == 1 else _MOST_BODIES_OF_WORLDS
     # radii may be others on the device than those of the mesh
