@@ -131,7 +131,8 @@ class MotionWorlds:
         cells, bodies = self._cells()
         if len(cells) == 0:
             return
-        copies = self._mesh._copies(min(self._most_copies, len(cells)), self._most_copies)
+        least = min(self._most_copies, len(cells))
+        copies = self._mesh._copies(least, least if bodies is None else self._most_copies)
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))

@@ -557,10 +557,10 @@ class CollisionMesh(ReadOnly):
         return self._of_parts(**replicated(self, count))
 
     def _copies(self, least: int, most: int) -> CollisionMesh:
-        """This mesh in about as many worlds, or some more; the last one made stays, with what calls attach to it."""
+        """This mesh in so many worlds or some more; the last one made stays, with what calls attach to it."""
         copies: CollisionMesh | None = vars(self).get("_last_copies")
         if copies is None or not least <= copies.num_worlds <= min(4 * least, most):
-            copies = vars(self)["_last_copies"] = self.replicate(min(1 << (least - 1).bit_length(), most))
+            copies = vars(self)["_last_copies"] = self.replicate(min(least + least // 8, most))
         return copies
 
     @lazy_property
