@@ -21,7 +21,7 @@ from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._scene.input.arguments import check_count, shown
-from ccd_warp._scene.input.interop import without_worlds
+from ccd_warp._scene.input.interop import as_positions, without_worlds
 from ccd_warp._scene.input.options import Options, naming
 
 if TYPE_CHECKING:
@@ -55,6 +55,9 @@ class Launches:
         self._is_placing = False  # whether that launch may have moved some of the static bodies
         self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._is_distance_checked = False  # at the positions of a launch
+        self._is_given = False  # whether a capacity is the caller's
+        # for a motion of many worlds: their number, the launches of as many copies of the mesh, and their positions
+        self._of_worlds: tuple[int, Launches, dict[Any, wp.array]] | None = None
 
     @lazy_property
     def radius(self) -> wp.array | None:
@@ -68,6 +71,8 @@ class Launches:
 
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self.capacities
+        if max_pairs is not None or max_contacts is not None:
+            self._is_given, self._of_worlds = True, None
         if max_pairs is not None:
             capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
         if max_contacts is not None:
@@ -152,7 +157,9 @@ class Launches:
         vertices_t0 = without_worlds(vertices_t0, "vertices_t0", self._mesh.rows_by_world, self._mesh.dimension)
         vertices_t1 = without_worlds(vertices_t1, name_t1, self._mesh.rows_by_world, self._mesh.dimension)
         if motion is not None:
-            return self._launch_on_arcs(vertices_t0, vertices_t1, motion, warn, **arguments)
+            is_of_worlds = isinstance(motion, RigidMotion) and motion.num_worlds > 1 and self._mesh.num_worlds == 1
+            launch = self._launch_worlds if is_of_worlds else self._launch_on_arcs
+            return launch(vertices_t0, vertices_t1, motion, warn, **arguments)
         if self._step is None and self._topology.device.is_capturing:
             raise RuntimeError("nothing is reserved; call reserve() before the capture")
         step = self._step or self._make_step(self.capacities, None)
@@ -201,6 +208,43 @@ class Launches:
         self._arc_step = step
         return step.result
 
+    def _launch_worlds(
+        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, warn: Warn, **arguments: Any
+    ) -> LaunchResult:
+        """Launch on as many copies of a mesh of one world as a motion has worlds."""
+        count, mesh, device = motion.num_worlds, self._mesh, self._topology.device
+        if arguments.get("line_search") is not None:
+            raise ValueError(
+                f"motion has {count} worlds, and the mesh one; expected a pipeline of mesh.replicate({count}) for "
+                f"launch_line_search, which shortens the motion of each world"
+            )
+        if self._of_worlds is None or self._of_worlds[0] != count:
+            if device.is_capturing:
+                raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
+            launches = Launches(Topology.of(mesh._copies(count, count), device), self._options)
+            if self._is_given:
+                launches.capacities = self.capacities
+            self._of_worlds = count, launches, {}
+        _, launches, arrays = self._of_worlds
+        rows = {mesh.num_vertices: "one a vertex"}
+        if mesh.static.any():
+            rows[len(mesh.moving_vertices)] = "one a moving vertex"
+
+        def of_worlds(name: str, values: Any) -> Any:
+            """An array of one world for each of them."""
+            of_one = as_positions(values, name, device, rows, mesh.dimension)
+            key = name, of_one.dtype, len(of_one)
+            if key not in arrays:
+                arrays[key] = wp.empty(count * len(of_one), dtype=of_one.dtype, device=device)
+            _repeat(of_one, arrays[key])
+            return arrays[key]
+
+        if self.radius is not None and launches.radius is not None:
+            _repeat(self.radius, launches.radius)
+        start = of_worlds("vertices_t0", vertices_t0)
+        end = start if vertices_t1 is vertices_t0 else of_worlds(arguments.get("name_t1", "vertices_t1"), vertices_t1)
+        return launches.launch(start, end, motion, warn, **arguments)
+
     def _check_places(self, step: DeviceStep, prepared: PreparedLaunch) -> None:
         """Check that a step knows where static bodies stand; launches with and without a motion keep places apart."""
         if prepared.places_static:
@@ -241,6 +285,18 @@ class Launches:
         step.launch_within(prepared, step.values(length))
         self._at_one_time[kind] = step
         return step.arrays
+
+
+def _repeat(of_one: wp.array, of_all: wp.array) -> None:
+    """Fill an array with as many copies of another as it holds, twice as many with each launch."""
+    filled = len(of_one)
+    if filled == 0:
+        return
+    wp.copy(of_all, of_one, count=filled)
+    while filled < len(of_all):
+        count = min(filled, len(of_all) - filled)
+        wp.copy(of_all, of_all, dest_offset=filled, count=count)
+        filled += count
 
 
 def _made(kind: Callable[..., _DeviceStepT], *arguments: Any) -> _DeviceStepT:

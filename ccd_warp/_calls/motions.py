@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.course import Course
-from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames, check_rows
 from ccd_warp._rigid.motion import Motion, RigidMotion
@@ -20,9 +19,6 @@ from ccd_warp._scene.mesh import CollisionMesh
 
 if TYPE_CHECKING:
     from ccd_warp._rigid.motion_worlds import MotionWorlds, Pipeline
-
-# Faces from which it takes longer to divide the bodies of one world than a step.
-_LARGE_SCENE = 1 << 15
 
 
 def straightened(
@@ -101,27 +97,13 @@ def worlds_of(
     mesh = pipeline.mesh
     if not isinstance(motion, RigidMotion) or mesh.num_worlds > 1:
         return None
-    is_one = motion.num_worlds == 1
-    if is_one and not _looks_for_parts(mesh):
-        return None
     from ccd_warp._rigid.motion_worlds import MotionWorlds  # few programs need it
 
     check_options_on_arcs(pipeline._options)
-    if check_start and not is_one:
+    if check_start and motion.num_worlds > 1:
         raise ValueError(
             f"check_start is True with a motion of {motion.num_worlds} worlds for a mesh of one; expected "
             f"mesh.replicate({motion.num_worlds}), or False"
         )
     start, end = mesh._both_placed(*mesh.frames(vertices_t0, vertices_t1))
     return MotionWorlds(pipeline, start, end, motion)
-
-
-def _looks_for_parts(mesh: CollisionMesh) -> bool:
-    """Whether it may pay to divide rigid bodies of one world: not large ones in a first step, which takes less time.
-
-    Bodies that are copies are divided once.
-    """
-    kept = MeshCache.of(mesh).parts
-    is_later = kept.get("is later", False)
-    kept["is later"] = True
-    return mesh.num_faces < _LARGE_SCENE or is_later or mesh._is_of_instances

@@ -305,8 +305,9 @@ class CollisionPipeline:
             motion: How the rigid bodies turn, as in :func:`ccd_warp.mesh_ccd`; their rows are read from
                 ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
                 arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
-                for each 0.2 radians; ``to_host()`` keeps the first. An :class:`ccd_warp.AffineMotion` is for rows that
-                it has moved.
+                for each 0.2 radians; ``to_host()`` keeps the first. One of W worlds for a mesh of one launches what
+                :meth:`ccd_warp.CollisionMesh.replicate` of W would, whose capacities are for all worlds. An
+                :class:`ccd_warp.AffineMotion` is for rows that it has moved.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.

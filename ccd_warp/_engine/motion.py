@@ -10,6 +10,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._results.contact_place import Paths
 from ccd_warp._runtime.launch import Execution
+from ccd_warp._scene.input.options import Options
 
 
 class Slice(NamedTuple):
@@ -64,8 +65,11 @@ class Motion:
 class StepPaths(Paths, Protocol):
     """Paths of bodies along which a step can be made."""
 
-    def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
-        """Begin a step between positions, of these bodies in their own frames; a workspace keeps its arrays."""
+    def begin(self, workspace: Workspace, positions: Positions, options: Options, *, for_impacts: bool) -> Motion:
+        """Begin a step between positions, of these bodies in their own frames; a workspace keeps its arrays.
+
+        Where it is for impacts alone, slices in which none can be need not be searched.
+        """
 
 
 def moved(start: NDArray[np.float64], end: NDArray[np.float64], fraction: NDArray[np.float64]) -> NDArray[np.float64]:

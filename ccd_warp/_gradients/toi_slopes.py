@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.mesh_paths import in_space
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp._rigid.turn_gradient import TurningPoints
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
@@ -45,7 +45,7 @@ def of_contacts(
     normals = np.zeros((len(contacts), 3)) if len(planes) else None
     if normals is not None:
         normals[:, : mesh.dimension] = contacts.normal
-    columns: Any = contacts.kind, contacts.toi, contacts.status, distances, normals
+    columns = contacts.kind, contacts.toi, contacts.status, distances, normals
     world = frames.worlds_of(contacts)
 
     def slopes_of(rows: Any, t: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
@@ -57,8 +57,8 @@ def of_contacts(
         for end, positions in zip(ends, straight, strict=True):
             end[..., : mesh.dimension] = positions[:, : mesh.dimension].reshape(*of_rows.shape, -1)
             end[rest, 3, : mesh.dimension] = resting
-        kind, *further = (None if column is None else column[rows] for column in columns)
-        return _slopes(query, kind, ends, *further)
+        of_contacts: Any = [None if column is None else column[rows] for column in columns]
+        return _slopes(query, of_contacts[0], ends, *of_contacts[1:])
 
     slopes = slopes_of(slice(None), contacts.toi)
     if frames.paths is not None:

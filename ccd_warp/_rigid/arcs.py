@@ -16,7 +16,7 @@ from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
-_COLUMNS = dtypes_of(kernels.BodyPaths)
+_COLUMNS, _OF_ENDS = dtypes_of(kernels.BodyPaths), dtypes_of(kernels.BodyEnds)
 Times = tuple[wp.array, wp.array]
 
 
@@ -86,6 +86,8 @@ class Arcs(Motion):
         self._written = [Written(array) for array in self._times]
         self._paths = PathTable(mesh.num_bodies, device)
         self.paths = self._paths.table
+        ends = {name: wp.zeros(mesh.num_bodies, dtype=x, device=device) for name, x in _OF_ENDS.items()}
+        self._body_ends = struct_of(kernels.BodyEnds, ends)
         self._ends: list[wp.array] = []
         self._placing: RepeatedLaunches | None = None
         self._places = (self.start.numpy(), self.end.numpy()) if device.is_cpu else None
@@ -106,9 +108,11 @@ class Arcs(Motion):
         return times[0], times[1]
 
     def place(self, times: Times, launcher: RepeatedLaunches | Recording, start: Any, end: Any) -> None:
-        """Place vertices at both ends of a slice, given their positions at both ends of the step."""
+        """Place bodies and vertices at both ends of a slice, given positions at both ends of the step."""
         topology = self._topology
-        inputs = [*times, topology.vertex_body, self.paths, start, end, *self._radii]
+        inputs = [*times, self.paths]
+        launcher.launch(kernels.place_bodies, topology.mesh.num_bodies, inputs=inputs, outputs=[self._body_ends])
+        inputs = [*times, topology.vertex_body, self.paths, self._body_ends, start, end, *self._radii]
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 

@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.workspace import Workspace
+from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
-from ccd_warp._rigid.rotations import arc_factors, arcs, cross, rotated
+from ccd_warp._rigid.rotations import arc_factors, arcs, cross, in_space, rotated
 from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.input.names import body_label
+from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
 # Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
@@ -62,14 +65,34 @@ class MeshPaths(BodyPaths):
         rows["turning"][bodies[(paths.excess > 0.0) & ~paths.moves], 0] = UNSEEN
         return cls(**rows, is_rigid=mesh.rigid.copy(), **further)
 
-    def begin(self, workspace: Workspace, positions: Positions, t_max: float) -> Motion:
-        """Begin a step on the host along these paths."""
+    def begin(self, workspace: Workspace, positions: Positions, options: Options, *, for_impacts: bool) -> Motion:
+        """Begin a step on the host along these paths; for impacts alone without slices in which nothing is near."""
         from ccd_warp._rigid.arcs import Arcs  # not before a scene needs it
 
         if Arcs not in workspace.motions:
             workspace.motions[Arcs] = Arcs(workspace.topology)
         arcs: Arcs = workspace.motions[Arcs]
-        return arcs.begin_on_host(self, self.slices(t_max), positions)
+        slices = self.slices(options.t_max)
+        if for_impacts and self.searched is None:
+            slices = self._near_slices(workspace, positions, options, slices)
+        return arcs.begin_on_host(self, slices, positions)
+
+    def _near_slices(
+        self, workspace: Workspace, positions: Positions, options: Options, slices: list[Slice]
+    ) -> list[Slice]:
+        """Those of the slices in which anything is near; all of them where that is not looked for."""
+        from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
+
+        topology = workspace.topology
+        mesh = topology.mesh
+        start, end = (x[:, : mesh.dimension] for x in positions)
+        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end), len(slices))
+        if parts is None:
+            return slices
+        reach = reach_of(options, length_scale_of(mesh, options))
+        execution = Execution(topology.device, options.threads)
+        near = parts.near(self.rows(np.flatnonzero(self.is_rigid)), len(slices), options.t_max, reach, execution)
+        return searched_slices(parts, near, slices)
 
     def slices(self, t_max: float) -> list[Slice]:
         """The slices of [0, t_max] that are searched."""
@@ -141,13 +164,6 @@ class WorldPaths(MeshPaths):
 def num_slices(paths: BodyPaths, t_max: float) -> int:
     """Into how many slices [0, t_max] is cut, in each of which no body turns by more than `TURN_OF_A_SLICE`."""
     return max(1, int(np.ceil(paths.largest_turn * t_max / TURN_OF_A_SLICE - _ROUNDING)))
-
-
-def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Vectors in the plane, shape [..., 2], with z = 0; others as they are."""
-    if vectors.shape[-1] == 3:
-        return vectors
-    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)
 
 
 def _times(t: Any, count: int) -> NDArray[np.float64]:

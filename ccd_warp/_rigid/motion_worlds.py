@@ -19,7 +19,6 @@ from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._engine.mesh.topology import Topology
@@ -37,7 +36,8 @@ from ccd_warp._rigid.mesh_paths import (
     num_slices,
 )
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.mesh import PartMesh, parts_of, rows_within
+from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
+from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
@@ -46,7 +46,6 @@ from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.status import PairKind, primitives_of
-from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
@@ -57,13 +56,13 @@ _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches. What looks for first contacts
 # ends earlier with fewer, down to as many as take the time of that overhead.
 _PRIMITIVES, _FEW_PRIMITIVES = 1 << 19, 1 << 12
-# Faces from which a mesh of parts may be searched, and bodies of many worlds up to which what is near is looked for.
-_LARGE, _MOST_BODIES = 2000, 64
+# Faces from which a mesh of parts may be searched.
+_LARGE = 2000
 # Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
 # earliest contact ends with the slice in which it is.
 _FEW_SLICES, _FEW_SLICES_OF_A_STEP, _MANY_FACES = 1, 3, 1 << 13
-# Bodies of one world alone, whose pairs are listed; the share of primitives up to which a mesh of parts is smaller.
-_MOST_BODIES_OF_ONE, _FEW = 1 << 11, 0.25
+# The share of primitives up to which a mesh of parts is smaller than that of one world.
+_FEW = 0.25
 
 
 class Pipeline(Protocol):
@@ -138,7 +137,8 @@ class MotionWorlds:
         if world_toi is not None:
             left, num_searched = _by_turns(cells % self.num_worlds)
             num_together = min(max(num_searched, self._few_copies), len(cells))
-        copies = self._mesh._copies(min(self._most_copies, num_together), self._most_copies)
+        least = min(self._most_copies, num_together)
+        copies = self._mesh._copies(least, least if bodies is None else self._most_copies)
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
@@ -258,7 +258,7 @@ class MotionWorlds:
         if parts is None or not parts.may_be_cut or mesh.num_faces < _LARGE or self._near is None:
             return False
         if self.num_worlds > 1:
-            return mesh.num_bodies <= _MOST_BODIES
+            return True
         return self._parts.num_primitives < _FEW * (mesh.num_faces + len(mesh.codimensional_edges))
 
     def _is_whole(self, few: int) -> bool:
@@ -270,14 +270,9 @@ class MotionWorlds:
 
     def _whole_paths(self) -> MeshPaths:
         """The paths of the one world that there is, with the slices in which anything is near, and what."""
-        near, parts, mesh, searched = self._near, self._body_parts, self._mesh, None
-        if near is not None and parts is not None:
-            body, searched = parts.body, []
-            for number in np.unique(near.slice).tolist():
-                active, rows = np.zeros(mesh.num_bodies, dtype=bool), near.slice == number
-                active[body[near.a[rows]]] = active[body[near.b[rows]]] = True
-                searched.append(self._slices[number]._replace(active=active))
-        return MeshPaths.of_checked(mesh, self._motion._body_paths, searched=searched)
+        near, parts = self._near, self._body_parts
+        searched = None if near is None or parts is None else searched_slices(parts, near, self._slices)
+        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched)
 
     @lazy_property
     def _parts(self) -> WorldsOfParts:
@@ -294,25 +289,14 @@ class MotionWorlds:
         if parts is None:
             return None
         options, device = pipeline._options, pipeline._topology.device
-        # a Euclidean distance beyond which parts do not come within the separation of a pair
-        reach = 2.0 * options.separation(length_scale_of(self._mesh, options))
-        execution = Execution(device, options.threads, StopFlag(device))
+        reach = reach_of(options, length_scale_of(self._mesh, options))
+        execution = Execution(device, options.threads)
         return parts.near(self._motion._body_paths, len(self._slices), options.t_max, reach, execution)
 
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
-        """The parts of the bodies of a world, which stay for later calls; None where they are not looked for."""
-        mesh, kept, (start, end) = self._mesh, MeshCache.of(self._mesh).parts, self._ends
-        # radii may be others on the device than those of the mesh
-        is_plain = mesh.radius is None or np.array_equal(self._pipeline._topology.radius.numpy(), mesh.radius)
-        most = _MOST_BODIES if self.num_worlds > 1 else _MOST_BODIES_OF_ONE
-        if mesh.num_bodies > most or not is_plain or not (start is end or np.array_equal(start, end)):
-            return None
-        positions, parts = kept.get("parts", (None, None))
-        if positions is not start and (positions is None or not np.array_equal(positions, start)):
-            parts = parts_of(mesh, start)
-            kept["parts"] = start if start is mesh.vertices else start.copy(), parts
-        return parts
+        """The parts of the bodies of a world; None where they are not looked for."""
+        return body_parts(self._mesh, self._pipeline._topology, self._ends, len(self._slices), self.num_worlds)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

@@ -148,3 +148,10 @@ def _sums(terms: NDArray[np.float64]) -> NDArray[np.float64]:
             terms[i - 1] = (terms[i - 1] - (total - rounded)) + (terms[i] - rounded)
             terms[i] = total
     return terms[:-1].sum(axis=0) + terms[-1]
+
+
+def in_space(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vectors in the plane, shape [..., 2], with z = 0; others as they are."""
+    if vectors.shape[-1] == 3:
+        return vectors
+    return np.concatenate([vectors, np.zeros((*vectors.shape[:-1], 1))], axis=-1)

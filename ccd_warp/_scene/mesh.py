@@ -557,12 +557,12 @@ class CollisionMesh(ReadOnly):
         return self._of_parts(**replicated(self, count))
 
     def _copies(self, least: int, most: int) -> CollisionMesh:
-        """This mesh in about as many worlds, or some more; the last two made stay, with what calls attach to them."""
+        """This mesh in so many worlds or some more; the last two made stay, with what calls attach to them."""
         kept: list[CollisionMesh] = vars(self).setdefault("_last_copies", [])
         for copies in kept:
             if least <= copies.num_worlds <= min(4 * least, most):
                 return copies
-        copies = self.replicate(min(1 << (least - 1).bit_length(), most))
+        copies = self.replicate(min(least + least // 8, most))
         kept[:] = [copies, *kept[:1]]
         return copies
 

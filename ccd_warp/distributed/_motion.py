@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.mesh_paths import MeshPaths, check_motion, check_worlds_of, in_space
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_motion, check_worlds_of
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.rotations import norms
+from ccd_warp._rigid.rotations import in_space, norms
 from ccd_warp._scene.input.arguments import shown
 from ccd_warp.distributed._mesh import DistributedMesh
 

@@ -32,8 +32,9 @@ from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.mesh_paths import MeshPaths, in_space
+from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by

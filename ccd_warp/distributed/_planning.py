@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.mesh_paths import in_space
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp.distributed import _partition as partition
 from ccd_warp.distributed._across_ranks import AcrossRanks
 from ccd_warp.distributed._mesh import DistributedMesh

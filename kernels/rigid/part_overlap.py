@@ -35,6 +35,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 # A traversal keeps the second halves of what it divides: nodes of both trees, no deeper than 28 as primitives are
 # numbered in 31 bits, and times, no deeper than 23 as no body turns by more than a million radians.
 _STACK = 80
+_DIRECTIONS = wp.constant(9)
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
@@ -324,7 +325,8 @@ def separation(
     if both_turn:
         of_a = observed(b, a, node_b, node_a, h)
         of_b = observed(a, b, node_a, node_b, h)
-    for k in range(9):
+    k = int(0)
+    while k < _DIRECTIONS:  # a loop with an end that Warp knows is written out
         d = direction(k, node_a, node_b, a, b, between)
         along = wp.abs(wp.dot(apart, d))
         # a direction along which both reach farther than they are apart separates nothing
@@ -332,6 +334,7 @@ def separation(
             r = along_direction(r, d, along, a, b, node_a, node_b, h)
             if both_turn:
                 r = along_observed(r, d, along, node_a, node_b, of_a, of_b, h)
+        k += 1
     return r
 
 

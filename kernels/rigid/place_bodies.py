@@ -79,6 +79,17 @@ class Place:
     turning: vec3d
 
 
+@wp.struct
+class BodyEnds:
+    """All bodies at both ends of a slice."""
+
+    rotation: wp.array[wp.vec4d]
+    position: wp.array[vec3d]
+    turning: wp.array[vec3d]
+    last_rotation: wp.array[wp.vec4d]
+    last_position: wp.array[vec3d]
+
+
 @wp.func
 def rotated(q: wp.vec4d, v: vec3d) -> vec3d:
     """A vector, turned by a unit quaternion."""
@@ -153,6 +164,29 @@ def slack_of(paths: BodyPaths, body: int, arm: vec3d, x: vec3d) -> wp.float64:
 
 
 @wp.kernel
+def place_bodies(
+    begin: int,
+    # in
+    t_begin: wp.array[wp.float64],  # of each body
+    t_end: wp.array[wp.float64],
+    paths: BodyPaths,
+    # out
+    ends: BodyEnds,
+):
+    """Place the bodies at both ends of a slice."""
+    body = begin + wp.tid()
+    if paths.is_rigid[body] == 0:
+        return
+    first = place_at(paths, body, t_begin[body])
+    last = place_at(paths, body, t_end[body])
+    ends.rotation[body] = first.rotation
+    ends.position[body] = first.position
+    ends.turning[body] = first.turning
+    ends.last_rotation[body] = last.rotation
+    ends.last_position[body] = last.position
+
+
+@wp.kernel
 def place_vertices(
     begin: int,
     # in
@@ -160,6 +194,7 @@ def place_vertices(
     t_end: wp.array[wp.float64],
     vertex_body: wp.array[wp.int32],
     paths: BodyPaths,
+    of_bodies: BodyEnds,
     vertices_t0: wp.array[vec3d],  # of a body on a path in its own frame
     vertices_t1: wp.array[vec3d],
     radius: wp.array[wp.float64],  # empty where there is none
@@ -184,15 +219,13 @@ def place_vertices(
     bulge = _ZERO
     error = _ZERO
     if paths.is_rigid[body] != 0:
-        first = place_at(paths, body, begins)
-        last = place_at(paths, body, ends)
         arm = x - paths.pivot[body]
-        from_pivot = rotated(first.rotation, arm)
-        a = first.position + from_pivot
-        b = last.position + rotated(last.rotation, arm)
+        from_pivot = rotated(of_bodies.rotation[body], arm)
+        a = of_bodies.position[body] + from_pivot
+        b = of_bodies.last_position[body] + rotated(of_bodies.last_rotation[body], arm)
         length = ends - begins
         omega = length * paths.omega[body]
-        v = wp.cross(omega, from_pivot) + length * first.turning
+        v = wp.cross(omega, from_pivot) + length * of_bodies.turning[body]
         bulge = _EIGHTH_UP * wp.length(omega) * wp.sqrt(wp.dot(v, v) + _SQUARE_UNDERFLOW)
         error = slack_of(paths, body, arm, x) + paths.excess[body]
     else:

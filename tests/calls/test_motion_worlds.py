@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
-from ccd_warp._calls import motions
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.parts import mesh as parts_mesh
+from ccd_warp._rigid.parts import near_slices
 from ccd_warp._rigid.parts import worlds as parts_worlds
 from ccd_warp._rigid.parts.trees import PartTrees
 
@@ -100,8 +101,7 @@ def parts_alone(monkeypatch):
     """Whether parts are looked for, in small scenes, too; which is to be compared with what whole bodies find."""
 
     def look(wanted):
-        monkeypatch.setattr(motion_worlds, "_MOST_BODIES_OF_ONE", 1 << 11 if wanted else -1)
-        monkeypatch.setattr(motions, "_LARGE_SCENE", 1)
+        monkeypatch.setattr(near_slices, "_MOST_BODIES", 1 << 11 if wanted else -1)
 
     return look
 
@@ -158,3 +158,29 @@ def test_copies_have_one_tree_and_others_their_own():
         np.testing.assert_array_equal(corners, mesh.faces[number])
     with pytest.raises(ValueError, match="shape is 2 bodies; expected an object of trimesh that is one"):
         ccd.CollisionMesh.from_instances(trimesh.Scene([die(), die()]), 3)
+
+
+@pytest.mark.parametrize("real", [np.float64, np.float32])
+def test_a_launch_of_many_worlds_is_that_of_as_many_copies(real):
+    """Also with other radii on the device, another number of worlds, and rows of what moves alone."""
+    slab = trimesh.creation.box((4, 3, 0.2)).apply_translation([0, 0.2, -1])
+    mesh = ccd.CollisionMesh.from_trimesh([BOX, slab, BOX], rigid=[0, 2], static=[1], radius=0.01)
+    pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+    x = mesh.vertices.astype(real)
+    for count, radius in ((3, 0.01), (5, 0.02), (5, 0.0)):
+        rng = np.random.default_rng(count)
+        poses = poses_of([(0, 0, 0), (1.2, 0.1, 0.3)], count)
+        poses[..., 3:] += rng.normal(size=(count, 2, 4))
+        motion = ccd.RigidMotion(poses, twist=0.8 * rng.normal(size=(count, 2, 6)))
+        copies = ccd.CollisionPipeline(mesh.replicate(count), device="cpu")
+        pipeline.radius.fill_(radius)
+        copies.radius.fill_(radius)
+        all_rows = np.tile(x, (count, 1))
+        found = [pipeline.launch(x, x, motion=motion), copies.launch(all_rows, all_rows, motion=motion)]
+        moving = wp.array(x[mesh.moving_vertices], device="cpu")
+        found.append(pipeline.launch(moving, moving, motion=motion) if real is np.float64 else found[1])
+        of_each = [outputs_of(result.to_host()) for result in found]
+        assert np.isfinite(found[0].world_toi.numpy()).any() and len(found[0].to_host().contacts) > 0
+        assert different(*of_each[:2]) == different(*of_each[1:]) == []
+    with pytest.raises(ValueError, match=r"motion has 5 worlds, and the mesh one; expected a pipeline of mesh\.rep"):
+        pipeline.launch_line_search(x, x.copy(), motion=motion)

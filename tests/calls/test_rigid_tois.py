@@ -7,6 +7,7 @@ import trimesh
 import ccd_warp as ccd
 from ccd_warp._calls.rigid_tois import RigidTois
 from ccd_warp._rigid import motion_worlds
+from ccd_warp._rigid.parts import near_slices
 
 BOX = trimesh.creation.box((1, 1, 1))
 FLOOR = trimesh.creation.box((40, 40, 1)).apply_translation([0, 0, -3])
@@ -28,7 +29,7 @@ def throws(count, turn):
         ({}, {}),
         ({"_FEW_PRIMITIVES": 1}, {"t_max": 0.8}),
         ({"_PRIMITIVES": 300}, {"minimum_distance": 0.05}),
-        ({"_MOST_BODIES": 0}, {}),
+        ({"_MOST_BODIES_OF_WORLDS": 0}, {}),
         ({"_LARGE": 0}, {}),
     ],
     ids=["at once", "by turns", "some worlds at a time", "all slices", "by parts"],
@@ -36,7 +37,7 @@ def throws(count, turn):
 @pytest.mark.parametrize("count", [1, 150])
 def test_of_each_world_the_first_contact_is_found_and_little_more(count, changed, options, monkeypatch):
     for name, value in changed.items():
-        monkeypatch.setattr(motion_worlds, name, value)
+        monkeypatch.setattr(near_slices if name.startswith("_MOST") else motion_worlds, name, value)
     mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX, FLOOR], rigid=[0, 1], static=[2])
     pipeline, x, (poses, twist) = ccd.CollisionPipeline(mesh, **options), mesh.vertices, throws(count, 5.0)
     motion = ccd.RigidMotion(poses, twist=twist)
@@ -61,7 +62,7 @@ def test_of_each_world_the_first_contact_is_found_and_little_more(count, changed
 
 def test_of_several_first_contacts_the_gradient_is_that_of_the_first_in_the_list():
     """A box that falls flat on a larger one touches it with four corners and more at once."""
-    mesh = ccd.CollisionMesh.from_trimesh([BOX, trimesh.creation.box((0.5, 0.5, 0.5))], rigid=[0, 1])
+    mesh = ccd.CollisionMesh.from_trimesh([BOX, trimesh.creation.box((0.5, 0.3, 0.5))], rigid=[0, 1])
     poses = np.zeros((3, 2, 7))
     poses[..., 6], poses[:, 1, 2], twist = 1.0, [2.0, 3.0, 0.75], np.zeros((3, 2, 6))
     twist[:, 1, 2] = -4.0

@@ -32,7 +32,7 @@ from ccd_warp.kernels.boxes import box_tree as kernels
 # A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
-_FEW_OF_A_WORLD = 2 * WIDTH  # primitives
+_FEW_OF_A_WORLD = 3 * WIDTH  # primitives
 _NO_END = 1.0
 
 

@@ -52,6 +52,7 @@ class Tree(BoxSet):
     walk = "search_trees"
     parts = ("boxes",)
     is_sorted_when_filled = False
+    _nodes: tuple[wp.array, NDArray[np.float32]] | None = None  # an array of boxes, and the same as one of NumPy
 
     def __init__(self, primitives: PrimitiveSet) -> None:
         super().__init__(primitives, level_sizes(primitives.count), primitives.name)
@@ -79,7 +80,9 @@ class Tree(BoxSet):
         """Lower and upper corners of a level, indexed by block, AABB, corner, axis and lane; on the CPU."""
         size = self.arrays.num_aabbs * BLOCK_FLOATS
         first = sum(self.levels[:level])
-        floats = self.arrays.nodes.numpy()[first * size : (first + self.levels[level]) * size]
+        if self._nodes is None or self._nodes[0] is not self.arrays.nodes:
+            self._nodes = self.arrays.nodes, self.arrays.nodes.numpy()
+        floats = self._nodes[1][first * size : (first + self.levels[level]) * size]
         return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
 
     def places_of_blocks(self, blocks: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -21,6 +21,7 @@ class _AtOnce:
     """What the steps with the same options share that :meth:`ImpactStep.found_at_once` makes."""
 
     plan: HostPlan
+    t_end: float
     length_scale: float
     separation: float
     inflation: float
@@ -37,7 +38,7 @@ class ImpactStep(Step):
         far_distance: The distance of pairs, if it is many edges long.
     """
 
-    lets_part = False
+    is_for_impacts, lets_part = True, False
     start_distances: wp.array | None = None
     far_distance: DistanceInEdges | None = None
 
@@ -57,7 +58,7 @@ class ImpactStep(Step):
         return self
 
     def found_at_once(self) -> Batch | None:
-        """All pairs of a step on straight lines, in one process, without half-spaces and a limit of memory, on the CPU.
+        """All pairs of a step of one slice, in one process, without half-spaces and a limit of memory, on the CPU.
 
         This plays what :meth:`begin_slice`, :meth:`bind_options` and :meth:`HostPlan.batches` do, with what stays the
         same from step to step: in a small scene that would take longer than the kernels.
@@ -65,14 +66,20 @@ class ImpactStep(Step):
         Returns:
             The pairs; None if the step is another one, or if they do not fit the memory, and nothing has been done.
         """
-        if self.paths is not None or self.start_distances is not None or not self.ranks.is_alone:
+        if self.start_distances is not None or not self.ranks.is_alone:
             return None
-        shared = self.workspace.packed_once((self.goal, self.options, self.options.threads), self._at_once)
+        turns = self.paths is not None
+        if turns and len(self.motion.slices) > 1:
+            return None
+        shared = self.workspace.packed_once((self.goal, self.options, self.options.threads, turns), self._at_once)
         if shared is None or shared.plan.is_divided:
             return None
         begin = time.perf_counter()
         self.plan = plan = shared.plan
         self.execution, self.planes = plan.execution, None
+        if turns:
+            self._active = self.motion.slices[0].active
+            self.positions = self.motion.placed(self.motion.slices[0], self.execution)
         self.length_scale, self.separation, self.inflation = shared.length_scale, shared.separation, shared.inflation
         plan.begin_counts()
         if self.separation > 0.0 or self.mesh.is_thick:
@@ -87,9 +94,9 @@ class ImpactStep(Step):
             if near is not None and not near.any():
                 plan.skip_boxes()
             else:
-                plan.fill_boxes(self.positions, self.options.t_max, self.inflation, self.workspace.active(near))
+                plan.fill_boxes(self.positions, shared.t_end, self.inflation, self.workspace.active(near))
             plan.bind(options=shared.packed)
-            plan.set_search(self.options.t_max, self.inflation, self.separation)
+            plan.set_search(shared.t_end, self.inflation, self.separation)
         boxes_end = time.perf_counter()
         self.reset(plan)
         batch = plan.search(shared.most_pairs)
@@ -108,7 +115,10 @@ class ImpactStep(Step):
         length_scale = length_scale_of(self.mesh, self.options)
         separation = self.options.separation(length_scale)
         self.plan, self.length_scale = plan, length_scale
-        return _AtOnce(plan, length_scale, separation, half_rounded_up(separation), self.capacity(), self._packed())
+        turns = self.motion.turns(self.motion.slices[0])
+        plan.bind(turns=turns)
+        inflation, packed = half_rounded_up(separation), self._packed(turns)
+        return _AtOnce(plan, self.motion.t_end, length_scale, separation, inflation, self.capacity(), packed)
 
     def reset(self, plan: HostPlan) -> None:
         """Forget what earlier steps have found, before a search."""

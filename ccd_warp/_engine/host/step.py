@@ -41,12 +41,13 @@ class Step:
         counts: What the step has done, from `finish` on.
         timings: Seconds of its stages.
         counts_survivors: Whether its counts have them.
+        is_for_impacts: Whether what does not touch in the step is of no interest.
         oddities: What is odd about it, which is said at its end.
     """
 
     goal: Goal
     bytes_beside = 0
-    counts_survivors = _has_boxes = False
+    counts_survivors = is_for_impacts = _has_boxes = False
     _active: NDArray[np.bool_] | None = None
     counts = Counts()
 
@@ -83,8 +84,11 @@ class Step:
     @lazy_property
     def motion(self) -> Motion:
         """How vertices move, and in which slices the step is searched."""
-        at = self.positions, self.options.t_max
-        return Motion(self.topology, *at) if self.paths is None else self.paths.begin(self.workspace, *at)
+        if self.paths is None:
+            return Motion(self.topology, self.positions, self.options.t_max)
+        # the processes that share a step go through the same slices
+        for_impacts = self.is_for_impacts and self.ranks.is_alone
+        return self.paths.begin(self.workspace, self.positions, self.options, for_impacts=for_impacts)
 
     def __enter__(self) -> Self:
         return self

@@ -13,10 +13,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._rigid.mesh_paths import in_space
 from ccd_warp._rigid.parts.trees import PartTrees, distinct
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
+from ccd_warp._scene.input.worlds import worlds_of_bodies
 from ccd_warp._scene.mesh import CollisionMesh
 
 if TYPE_CHECKING:
@@ -174,6 +175,9 @@ def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
     if mesh.body_pairs is not None:
         may &= mesh.body_pairs
     may &= ~(mesh.static & mesh.static[:, None])
+    if mesh.num_worlds > 1:
+        first, last = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
+        may &= (first <= last[:, None]) & (first[:, None] <= last)
     pairs = np.argwhere(may)
     swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]
