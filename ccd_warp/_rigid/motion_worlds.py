@@ -33,7 +33,7 @@ from ccd_warp._rigid.mesh_paths import (
     check_motion,
     check_own_frames,
     check_worlds,
-    num_slices,
+    slices_of,
 )
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
@@ -119,7 +119,7 @@ class MotionWorlds:
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
         self._ends = start, end
-        self._slices = Slice.all(num_slices(paths, pipeline._options.t_max), pipeline._options.t_max)
+        self._slices = slices_of(paths, pipeline._options.t_max)
 
     def _in_batches(
         self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T]
@@ -136,7 +136,6 @@ class MotionWorlds:
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
-        times = np.array([part[:2] for part in self._slices])
         for first in range(0, len(cells), count):
             of_batch = cells[first : first + count]
             padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
@@ -145,7 +144,8 @@ class MotionWorlds:
             active[: len(of_batch)] = True if bodies is None else bodies[first : first + count, : self._num_copied]
             # bodies that all copies share, half-spaces, come last
             num_shared = self._mesh.num_bodies - self._num_copied
-            begin, t_end = (np.append(np.repeat(t[number], self._num_copied), np.zeros(num_shared)) for t in times.T)
+            times = self._slices.times(number)
+            begin, t_end = (np.append(np.repeat(t, self._num_copied), np.zeros(num_shared)) for t in times)
             part = Slice(begin, t_end, np.append(active, np.ones(num_shared, dtype=bool)))
             paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
@@ -158,7 +158,7 @@ class MotionWorlds:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
         near, parts = self._near, self._body_parts
         if near is None or parts is None:
-            return np.arange(len(self._slices) * self.num_worlds), None
+            return np.arange(self._slices.num_slices * self.num_worlds), None
         body = parts.body
         keys = near.slice.astype(np.int64) * self.num_worlds + near.world
         cells = distinct(keys.copy())
@@ -251,7 +251,7 @@ class MotionWorlds:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
-        num_near = len(self._slices) if self._near is None else len(np.unique(self._near.slice))
+        num_near = self._slices.num_slices if self._near is None else len(np.unique(self._near.slice))
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:
@@ -277,12 +277,12 @@ class MotionWorlds:
         options, device = pipeline._options, pipeline._topology.device
         reach = reach_of(options, length_scale_of(self._mesh, options))
         execution = Execution(device, options.threads)
-        return parts.near(self._motion._body_paths, len(self._slices), options.t_max, reach, execution)
+        return parts.near(self._motion._body_paths, *self._slices, reach, execution)
 
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
         """The parts of the bodies of a world; None where they are not looked for."""
-        return body_parts(self._mesh, self._pipeline._topology, self._ends, len(self._slices), self.num_worlds)
+        return body_parts(self._mesh, self._pipeline._topology, self._ends, self._slices.num_slices, self.num_worlds)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

@@ -74,7 +74,7 @@ class BodyParts:
         planes = np.stack(np.meshgrid(self._rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
         self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
         self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
-        self._on_device: dict[str, Any] = {}
+        self._on_device: dict[str, tuple[Any, wp.array]] = {}
         self._idle: dict[tuple[str, int, int], list[NearSearch]] = {}
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -129,21 +129,20 @@ class BodyParts:
         *arguments, execution = step
         device, threads = execution.device, execution.num_threads
         key = str(device), threads, num_worlds
-        idle = self._idle.pop(key, None) or []
-        if not idle:
-            trees = self._trees_on(device)
-            idle = [
-                NearSearch(trees, self._on_device[f"pairs {device}"], len(self._rigid), num_worlds, device, threads)
-            ]
-        search = idle.pop()
-        found = search.find(paths, *arguments)
-        while len(self._idle) >= _MOST_IDLE:
+        while len(self._idle) >= _MOST_IDLE and key not in self._idle:
             self._idle.popitem()
-        self._idle.setdefault(key, []).append(search)
+        idle = self._idle.setdefault(key, [])
+        try:
+            search = idle.pop()
+        except IndexError:
+            trees, pairs = self._trees_on(device)
+            search = NearSearch(trees, pairs, len(self._rigid), num_worlds, device, threads)
+        found = search.find(paths, *arguments)
+        idle.append(search)
         return found
 
-    def _trees_on(self, device: Any) -> Any:
-        """The trees on a device."""
+    def _trees_on(self, device: Any) -> tuple[Any, wp.array]:
+        """The trees and the pairs of bodies on a device."""
         if str(device) not in self._on_device:
             from ccd_warp.kernels.rigid import part_overlap as kernels
 
@@ -162,10 +161,7 @@ class BodyParts:
                 dtype = wp.int32 if values.dtype == np.intp else wp.float64 if values.ndim == 1 else wp.vec3d
                 setattr(part_trees, name, wp.array(values, dtype=dtype, device=device))
             pairs = np.array(self.pairs, dtype=np.int32)
-            self._on_device |= {
-                str(device): part_trees,
-                f"pairs {device}": wp.array(pairs, dtype=wp.vec2i, device=device),
-            }
+            self._on_device[str(device)] = part_trees, wp.array(pairs, dtype=wp.vec2i, device=device)
         return self._on_device[str(device)]
 
 

@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.motion import Slice
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import MOST_BODIES, PartMesh, rows_within
@@ -34,7 +34,7 @@ class WorldsOfParts:
         parts: BodyParts,
         near: NearParts,
         motion: RigidMotion,
-        slices: list[Slice],
+        slices: Slices,
         memory_limit: int | None = None,
     ) -> None:
         """Those that are near in slices of the step."""
@@ -82,5 +82,5 @@ class WorldsOfParts:
             active = np.zeros(parts.mesh.num_bodies, dtype=bool)
             for part in (near.a[of_slice], near.b[of_slice]):
                 active[np.searchsorted(parts.body, number[of_slice] * count + body[part])] = True
-            searched.append(self._slices[k]._replace(active=active))
+            searched.append(self._slices.slice(k)._replace(active=active))
         return searched
