@@ -1,5 +1,6 @@
 """In which slices of a step bodies come near each other: what else there is need not be searched."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -56,11 +57,19 @@ def reach_of(options: Options, length_scale: float) -> float:
 
 def searched_slices(parts: BodyParts, near: NearParts, slices: Slices) -> list[Slice]:
     """The slices of one world in which anything is near, with the bodies that are; at least one."""
-    searched = []
-    for number in np.unique(near.slice).tolist():
-        rows = near.slice == number
-        searched.append(slices.slice(number)._replace(active=_bodies(parts, near.a[rows], near.b[rows])))
+    searched = [
+        slices.slice(number)._replace(active=_bodies(parts, near.a[rows], near.b[rows]))
+        for number, rows in of_each(near.slice)
+    ]
     return searched or [slices.slice(0)._replace(active=_bodies(parts, near.a, near.b))]
+
+
+def of_each(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Each of some numbers, ascending, with the rows that have it."""
+    rows = np.argsort(numbers, kind="stable")
+    different, first = np.unique(numbers[rows], return_index=True)
+    if len(rows):
+        yield from zip(different.tolist(), np.split(rows, first[1:]), strict=True)
 
 
 def _bodies(parts: BodyParts, *near: NDArray[np.int32]) -> NDArray[np.bool_]:
