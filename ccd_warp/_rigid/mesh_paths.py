@@ -87,7 +87,8 @@ class MeshPaths(BodyPaths):
             return None
         reach = reach_of(options, length_scale_of(mesh, options))
         execution = Execution(topology.device, options.threads)
-        near = parts.near(self.rows(np.flatnonzero(self.is_rigid)), *slices, reach, execution)
+        of_rigid = self.rows(np.flatnonzero(self.is_rigid))
+        near = parts.near(of_rigid, slices, reach, execution, any_suffices=True)
         return searched_slices(parts, near, slices)
 
     def slices(self, t_max: float) -> list[Slice]:

@@ -55,8 +55,8 @@ _T = TypeVar("_T")
 _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches.
 _PRIMITIVES = 1 << 19
-# Faces from which a mesh of parts may be searched.
-_LARGE = 2000
+# Faces from which a mesh of parts may be searched in place of copies, and in place of the one that there is.
+_LARGE, _LARGE_ALONE = 2000, 1 << 15
 # Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
 # earliest contact ends with the slice in which it is.
 _FEW_SLICES, _FEW_SLICES_OF_A_STEP, _MANY_FACES = 1, 3, 1 << 13
@@ -237,14 +237,18 @@ class MotionWorlds:
         for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
+    @property
+    def _may_be_cut(self) -> bool:
+        """Whether bodies are large enough for meshes of parts."""
+        parts, least = self._body_parts, _LARGE if self.num_worlds > 1 else _LARGE_ALONE
+        return parts is not None and parts.may_be_cut and self._mesh.num_faces >= least
+
     @lazy_property
     def _are_parts(self) -> bool:
-        """Whether meshes of parts are searched: of large bodies, of which little is near in one world."""
-        mesh, parts = self._mesh, self._body_parts
-        if parts is None or not parts.may_be_cut or mesh.num_faces < _LARGE or self._near is None:
-            return False
-        if self.num_worlds > 1:
-            return True
+        """Whether meshes of parts are searched: where little is near in one world."""
+        mesh = self._mesh
+        if not self._may_be_cut or self.num_worlds > 1:
+            return self._may_be_cut
         return self._parts.num_primitives < _FEW * (mesh.num_faces + len(mesh.codimensional_edges))
 
     def _is_whole(self, few: int) -> bool:
@@ -277,7 +281,8 @@ class MotionWorlds:
         options, device = pipeline._options, pipeline._topology.device
         reach = reach_of(options, length_scale_of(self._mesh, options))
         execution = Execution(device, options.threads)
-        return parts.near(self._motion._body_paths, *self._slices, reach, execution)
+        any_suffices = not self._may_be_cut
+        return parts.near(self._motion._body_paths, self._slices, reach, execution, any_suffices=any_suffices)
 
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
