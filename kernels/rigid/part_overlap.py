@@ -48,6 +48,8 @@ _PLACE_POSITION = wp.constant(wp.float64(4.0 * PLACE_POSITION * UNIT_ROUNDOFF[wp
 _PLACE = wp.constant(wp.float64(4.0 * PLACE * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154; a smaller turn has no axis.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
+# No distance whose square overflows is less.
+_OVERFLOW = wp.constant(wp.float64(1e154))
 
 Stack = wp.types.vector(length=_STACK, dtype=wp.int32)
 
@@ -314,7 +316,7 @@ def separation(
     turned = wp.length(b.line - a.line) * h + node_a.turned + node_b.turned
     r = Separation()
     r.moved = wp.min(bent, turned)
-    r.least = distance - r.moved - node_a.radius - node_b.radius
+    r.least = wp.min(distance, _OVERFLOW) - r.moved - node_a.radius - node_b.radius
     if r.least > enough:
         return r
     between = apart
