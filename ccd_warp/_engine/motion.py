@@ -1,6 +1,5 @@
 """How vertices move in a step: all that the stages know of a motion, and straight motion, which is one slice."""
 
-from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -26,11 +25,26 @@ class Slice(NamedTuple):
     t_end: float | NDArray[np.float64]
     active: NDArray[np.bool_] | None = None
 
-    @staticmethod
-    def all(count: int, t_max: float) -> "list[Slice]":
-        """So many slices of equal length, of [0, t_max]."""
-        ends = [t_max * k / count for k in range(count)] + [t_max]
-        return [Slice(begin, end) for begin, end in pairwise(ends)]
+
+class Slices(NamedTuple):
+    """So many slices of equal length, of [0, t_max], which are made when they are asked for."""
+
+    num_slices: int
+    t_max: float
+
+    def times(self, number: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Begins and ends of slices with these numbers."""
+        begin, end = (self.t_max * k / self.num_slices for k in (number, number + 1))
+        return begin, np.where(number + 1 == self.num_slices, self.t_max, end)
+
+    def slice(self, number: int) -> Slice:
+        """One of them."""
+        begin, end = (self.t_max * k / self.num_slices for k in (number, number + 1))
+        return Slice(begin, self.t_max if number + 1 == self.num_slices else end)
+
+    def all(self) -> list[Slice]:
+        """All of them."""
+        return [self.slice(number) for number in range(self.num_slices)]
 
 
 class Motion:

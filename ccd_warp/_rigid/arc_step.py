@@ -12,13 +12,13 @@ from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch
 from ccd_warp._engine.device.step import Capacities
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.motion import Slice
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, Times
-from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.mesh_paths import MeshPaths, slices_of
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.rigid import shorten_paths as kernels
@@ -64,7 +64,7 @@ class DeviceArcStep(DeviceLineSearch):
         """Check the arguments of a launch along paths."""
         if self.topology.device.is_capturing:
             raise RuntimeError("a graph is being captured; a launch with a motion reads it on the host, and cannot be")
-        num_slices = len(paths.slices(self._options.t_max))
+        num_slices = slices_of(paths, self._options.t_max).num_slices
         return self.prepare(vertices_t0, vertices_t1, num_slices=num_slices, **options)
 
     def launch_on_paths(self, prepared: PreparedLaunch, motion: RigidMotion, paths: MeshPaths) -> None:
@@ -103,7 +103,7 @@ class DeviceArcStep(DeviceLineSearch):
     ) -> Stages:
         """Record all launches of a step, or of a pass, slice by slice; returns the stages of the first slice."""
         slots = self._input.slots(form)
-        slices = Slice.all(form.num_slices, self._options.t_max)
+        slices = Slices(form.num_slices, self._options.t_max).all()
         of_slices = [self._stages_of(part) for part in slices]
         for part, stages in zip(slices, of_slices, strict=True):
             begins = part is slices[0]
@@ -125,7 +125,7 @@ class DeviceArcStep(DeviceLineSearch):
 
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""
-        first = Slice.all(form.num_slices, self._options.t_max)[0]
+        first = Slices(form.num_slices, self._options.t_max).slice(0)
         self._arcs.place(self._times_of(first), recording, *self._input.slots(form))
 
     def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.mesh.topology import Positions
-from ccd_warp._engine.motion import Motion, Slice
+from ccd_warp._engine.motion import Motion, Slice, Slices
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arc_factors, arcs, cross, in_space, rotated
 from ccd_warp._runtime.display import counted
@@ -72,31 +72,28 @@ class MeshPaths(BodyPaths):
         if Arcs not in workspace.motions:
             workspace.motions[Arcs] = Arcs(workspace.topology)
         arcs: Arcs = workspace.motions[Arcs]
-        slices = self.slices(options.t_max)
-        if for_impacts and self.searched is None:
-            slices = self._near_slices(workspace, positions, options, slices)
-        return arcs.begin_on_host(self, slices, positions)
+        near = self._near_slices(workspace, positions, options) if for_impacts and self.searched is None else None
+        return arcs.begin_on_host(self, near or self.slices(options.t_max), positions)
 
-    def _near_slices(
-        self, workspace: Workspace, positions: Positions, options: Options, slices: list[Slice]
-    ) -> list[Slice]:
-        """Those of the slices in which anything is near; all of them where that is not looked for."""
+    def _near_slices(self, workspace: Workspace, positions: Positions, options: Options) -> list[Slice] | None:
+        """The slices in which anything is near; None where that is not looked for."""
         from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
 
-        topology = workspace.topology
+        topology, slices = workspace.topology, slices_of(self, options.t_max)
         mesh = topology.mesh
         start, end = (x[:, : mesh.dimension] for x in positions)
-        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end), len(slices))
+        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end), slices.num_slices)
         if parts is None:
-            return slices
+            return None
         reach = reach_of(options, length_scale_of(mesh, options))
         execution = Execution(topology.device, options.threads)
-        near = parts.near(self.rows(np.flatnonzero(self.is_rigid)), len(slices), options.t_max, reach, execution)
+        of_rigid = self.rows(np.flatnonzero(self.is_rigid))
+        near = parts.near(of_rigid, slices, reach, execution, any_suffices=True)
         return searched_slices(parts, near, slices)
 
     def slices(self, t_max: float) -> list[Slice]:
         """The slices of [0, t_max] that are searched."""
-        return self.searched or Slice.all(num_slices(self, t_max), t_max)
+        return self.searched or slices_of(self, t_max).all()
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N], all of whose slices are searched."""
@@ -161,9 +158,9 @@ class WorldPaths(MeshPaths):
         return rigid, world[rigid] * number[-1] + number[body_in_world[rigid]] - 1
 
 
-def num_slices(paths: BodyPaths, t_max: float) -> int:
-    """Into how many slices [0, t_max] is cut, in each of which no body turns by more than `TURN_OF_A_SLICE`."""
-    return max(1, int(np.ceil(paths.largest_turn * t_max / TURN_OF_A_SLICE - _ROUNDING)))
+def slices_of(paths: BodyPaths, t_max: float) -> Slices:
+    """The slices of [0, t_max], in each of which no body turns by more than `TURN_OF_A_SLICE`."""
+    return Slices(max(1, int(np.ceil(paths.largest_turn * t_max / TURN_OF_A_SLICE - _ROUNDING))), t_max)
 
 
 def _times(t: Any, count: int) -> NDArray[np.float64]:

@@ -33,7 +33,7 @@ from ccd_warp._rigid.mesh_paths import (
     check_motion,
     check_own_frames,
     check_worlds,
-    num_slices,
+    slices_of,
 )
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
@@ -56,8 +56,8 @@ _StepT = TypeVar("_StepT", bound=Step)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches. What looks for first contacts
 # ends earlier with fewer, down to as many as take the time of that overhead.
 _PRIMITIVES, _FEW_PRIMITIVES = 1 << 19, 1 << 12
-# Faces from which a mesh of parts may be searched.
-_LARGE = 2000
+# Faces from which a mesh of parts may be searched in place of copies, and in place of the one that there is.
+_LARGE, _LARGE_ALONE = 2000, 1 << 15
 # Slices up to which, and faces of all of them from which, one world is searched slice by slice. What looks for the
 # earliest contact ends with the slice in which it is.
 _FEW_SLICES, _FEW_SLICES_OF_A_STEP, _MANY_FACES = 1, 3, 1 << 13
@@ -120,7 +120,7 @@ class MotionWorlds:
         self._counts: list[Counts] = []
         self.timings: dict[str, float] = {}
         self._ends = start, end
-        self._slices = Slice.all(num_slices(paths, pipeline._options.t_max), pipeline._options.t_max)
+        self._slices = slices_of(paths, pipeline._options.t_max)
 
     def _in_batches(
         self, call: Callable[[Pipeline, Array, Array, MeshPaths], _T], world_toi: Array | None = None
@@ -142,7 +142,6 @@ class MotionWorlds:
         count = copies.num_worlds
         start = np.tile(self._ends[0], (count, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (count, 1))
-        times = np.array([part[:2] for part in self._slices])
         while len(left):
             rows, left = left[:count], left[count:]
             of_batch = cells[rows]
@@ -152,7 +151,8 @@ class MotionWorlds:
             active[: len(of_batch)] = True if bodies is None else bodies[rows, : self._num_copied]
             # bodies that all copies share, half-spaces, come last
             num_shared = self._mesh.num_bodies - self._num_copied
-            begin, t_end = (np.append(np.repeat(t[number], self._num_copied), np.zeros(num_shared)) for t in times.T)
+            times = self._slices.times(number)
+            begin, t_end = (np.append(np.repeat(t, self._num_copied), np.zeros(num_shared)) for t in times)
             part = Slice(begin, t_end, np.append(active, np.ones(num_shared, dtype=bool)))
             paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
@@ -162,13 +162,13 @@ class MotionWorlds:
             yield world[: len(of_batch)], result
             if world_toi is not None:
                 number, world = np.divmod(cells[left], self.num_worlds)
-                left = left[times[number, 0] <= world_toi[world]]
+                left = left[self._slices.times(number)[0] <= world_toi[world]]
 
     def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
         near, parts = self._near, self._body_parts
         if near is None or parts is None:
-            return np.arange(len(self._slices) * self.num_worlds), None
+            return np.arange(self._slices.num_slices * self.num_worlds), None
         body = parts.body
         keys = near.slice.astype(np.int64) * self.num_worlds + near.world
         cells = distinct(keys.copy())
@@ -251,21 +251,25 @@ class MotionWorlds:
         for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
             yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
 
+    @property
+    def _may_be_cut(self) -> bool:
+        """Whether bodies are large enough for meshes of parts."""
+        parts, least = self._body_parts, _LARGE if self.num_worlds > 1 else _LARGE_ALONE
+        return parts is not None and parts.may_be_cut and self._mesh.num_faces >= least
+
     @lazy_property
     def _are_parts(self) -> bool:
-        """Whether meshes of parts are searched: of large bodies, of which little is near in one world."""
-        mesh, parts = self._mesh, self._body_parts
-        if parts is None or not parts.may_be_cut or mesh.num_faces < _LARGE or self._near is None:
-            return False
-        if self.num_worlds > 1:
-            return True
+        """Whether meshes of parts are searched: where little is near in one world."""
+        mesh = self._mesh
+        if not self._may_be_cut or self.num_worlds > 1:
+            return self._may_be_cut
         return self._parts.num_primitives < _FEW * (mesh.num_faces + len(mesh.codimensional_edges))
 
     def _is_whole(self, few: int) -> bool:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
-        num_near = len(self._slices) if self._near is None else len(np.unique(self._near.slice))
+        num_near = self._slices.num_slices if self._near is None else len(np.unique(self._near.slice))
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:
@@ -291,12 +295,13 @@ class MotionWorlds:
         options, device = pipeline._options, pipeline._topology.device
         reach = reach_of(options, length_scale_of(self._mesh, options))
         execution = Execution(device, options.threads)
-        return parts.near(self._motion._body_paths, len(self._slices), options.t_max, reach, execution)
+        any_suffices = not self._may_be_cut
+        return parts.near(self._motion._body_paths, self._slices, reach, execution, any_suffices=any_suffices)
 
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
         """The parts of the bodies of a world; None where they are not looked for."""
-        return body_parts(self._mesh, self._pipeline._topology, self._ends, len(self._slices), self.num_worlds)
+        return body_parts(self._mesh, self._pipeline._topology, self._ends, self._slices.num_slices, self.num_worlds)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

@@ -36,6 +36,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 # numbered in 31 bits, and times, no deeper than 23 as no body turns by more than a million radians.
 _STACK = 80
 _DIRECTIONS = wp.constant(9)
+_BITS = wp.constant(64)
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
@@ -47,6 +48,8 @@ _PLACE_POSITION = wp.constant(wp.float64(4.0 * PLACE_POSITION * UNIT_ROUNDOFF[wp
 _PLACE = wp.constant(wp.float64(4.0 * PLACE * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154; a smaller turn has no axis.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
+# No distance whose square overflows is less.
+_OVERFLOW = wp.constant(wp.float64(1e154))
 
 Stack = wp.types.vector(length=_STACK, dtype=wp.int32)
 
@@ -313,7 +316,7 @@ def separation(
     turned = wp.length(b.line - a.line) * h + node_a.turned + node_b.turned
     r = Separation()
     r.moved = wp.min(bent, turned)
-    r.least = distance - r.moved - node_a.radius - node_b.radius
+    r.least = wp.min(distance, _OVERFLOW) - r.moved - node_a.radius - node_b.radius
     if r.least > enough:
         return r
     between = apart
@@ -392,6 +395,15 @@ def are_apart(lower: wp.vec3d, upper: wp.vec3d) -> bool:
     return upper[0] < lower[0] or upper[1] < lower[1] or upper[2] < lower[2]
 
 
+@wp.func
+def are_found(found: wp.uint64, begin: int, end: int) -> bool:
+    """Whether all bits from one to another are set."""
+    if end >= _BITS:
+        return False
+    bits = (wp.uint64(1) << wp.uint64(end)) - (wp.uint64(1) << wp.uint64(begin))
+    return (found & bits) == bits
+
+
 @wp.kernel
 def find_overlapping_parts(
     begin: int,
@@ -406,13 +418,15 @@ def find_overlapping_parts(
     num_begins: int,
     t_max: wp.float64,
     reach: wp.float64,
+    any_suffices: bool,
     stop: wp.array[wp.int32],
     # out
     pairs: PartPairs,
 ):
     """List the pairs of parts of a pair of bodies of a world that may come within ``reach``, of all slices.
 
-    The slices of a pair are divided among as many items as there are begins.
+    The slices of a pair are divided among as many items as there are begins. Where any pair of parts suffices, those of
+    a slice in which one has been found are not looked for.
     """
     item = begin + wp.tid()
     number = item % num_begins
@@ -437,6 +451,8 @@ def find_overlapping_parts(
     nodes_b = Stack()
     begins[0] = wp.int32(wp.int64(number) * wp.int64(num_slices) / wp.int64(num_begins))
     ends[0] = wp.int32(wp.int64(number + 1) * wp.int64(num_slices) / wp.int64(num_begins))
+    first_of_item = begins[0]
+    found = wp.uint64(0)  # of the first slices of the item
     size = wp.int32(1)
     first_slice = wp.int32(-1)
     last_slice = wp.int32(-1)
@@ -447,6 +463,8 @@ def find_overlapping_parts(
         if is_stopped(stop):
             return
         size -= 1
+        if any_suffices and are_found(found, begins[size] - first_of_item, ends[size] - first_of_item):
+            continue
         if begins[size] != first_slice or ends[size] != last_slice:
             first_slice = begins[size]
             last_slice = ends[size]
@@ -506,6 +524,8 @@ def find_overlapping_parts(
                 nodes_b[size] = 2 * v + 2 - k
                 size += 1
         else:
+            if first_slice - first_of_item < _BITS:
+                found |= wp.uint64(1) << wp.uint64(first_slice - first_of_item)
             place = claim(pairs.count, 0, 0, 1)
             if place < wp.int64(pairs.a.shape[0]):
                 k = wp.int32(place)

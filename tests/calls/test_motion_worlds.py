@@ -102,6 +102,7 @@ def parts_alone(monkeypatch):
 
     def look(wanted):
         monkeypatch.setattr(near_slices, "_MOST_BODIES", 1 << 11 if wanted else -1)
+        monkeypatch.setattr(motion_worlds, "_LARGE_ALONE", 1)
 
     return look
 

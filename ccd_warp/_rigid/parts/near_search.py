@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp._engine.motion import Slices
 from ccd_warp._rigid.arcs import PathTable
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording, Slot
@@ -31,13 +32,23 @@ class NearSearch:
         self._count = wp.zeros((1, 1), dtype=wp.int64, device=device)
         num_pairs = num_worlds * len(pairs)
         num_begins = max(1, _FEW // num_pairs)
-        values = {"slices": 1, "t_max": 1.0, "reach": 0.0, "found": self._new_list(_CAPACITY)}
+        values = {"slices": 1, "t_max": 1.0, "reach": 0.0, "any": False, "found": self._new_list(_CAPACITY)}
         self._recording = recording = Recording(self._execution, values)
         shared = [trees, self._paths.table, num_links]
         with recording.section("near"):
             inputs = [*shared, Slot("t_max"), Slot("reach")]
             recording.launch(kernels.sweep_bodies, num_worlds * num_bodies, inputs=inputs, outputs=[lower, upper])
-            inputs = [pairs, *shared, lower, upper, Slot("slices"), num_begins, Slot("t_max"), Slot("reach")]
+            inputs = [
+                pairs,
+                *shared,
+                lower,
+                upper,
+                Slot("slices"),
+                num_begins,
+                Slot("t_max"),
+                Slot("reach"),
+                Slot("any"),
+            ]
             num_items = num_pairs * num_begins
             recording.launch(
                 kernels.find_overlapping_parts,
@@ -58,11 +69,12 @@ class NearSearch:
             setattr(pairs, name, array)
         return pairs
 
-    def find(self, paths: BodyPaths, num_slices: int, t_max: float, reach: float) -> list[Any]:
-        """The columns of the pairs of parts that are near, each int32."""
+    def find(self, paths: BodyPaths, slices: Slices, reach: float, *, any_suffices: bool) -> list[Any]:
+        """The columns of the pairs of parts that are near, each int32; any of two bodies in a slice may suffice."""
         recording = self._recording
         self._paths.assign(paths)
-        for name, value in (("slices", num_slices), ("t_max", t_max), ("reach", reach)):
+        values = {"slices": slices.num_slices, "t_max": slices.t_max, "reach": reach, "any": any_suffices}
+        for name, value in values.items():
             recording.bind(name, value)
         while True:
             self._count.zero_()

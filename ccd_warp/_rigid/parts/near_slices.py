@@ -1,5 +1,6 @@
 """In which slices of a step bodies come near each other: what else there is need not be searched."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -7,7 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.topology import Topology
-from ccd_warp._engine.motion import Slice
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.parts.mesh import parts_of
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._scene.input.options import Options
@@ -54,13 +55,21 @@ def reach_of(options: Options, length_scale: float) -> float:
     return 2.0 * options.separation(length_scale)
 
 
-def searched_slices(parts: BodyParts, near: NearParts, slices: list[Slice]) -> list[Slice]:
+def searched_slices(parts: BodyParts, near: NearParts, slices: Slices) -> list[Slice]:
     """The slices of one world in which anything is near, with the bodies that are; at least one."""
-    searched = []
-    for number in np.unique(near.slice).tolist():
-        rows = near.slice == number
-        searched.append(slices[number]._replace(active=_bodies(parts, near.a[rows], near.b[rows])))
-    return searched or [slices[0]._replace(active=_bodies(parts, near.a, near.b))]
+    searched = [
+        slices.slice(number)._replace(active=_bodies(parts, near.a[rows], near.b[rows]))
+        for number, rows in of_each(near.slice)
+    ]
+    return searched or [slices.slice(0)._replace(active=_bodies(parts, near.a, near.b))]
+
+
+def of_each(numbers: NDArray[np.integer]) -> Iterator[tuple[int, NDArray[np.intp]]]:
+    """Each of some numbers, ascending, with the rows that have it."""
+    rows = np.argsort(numbers, kind="stable")
+    different, first = np.unique(numbers[rows], return_index=True)
+    if len(rows):
+        yield from zip(different.tolist(), np.split(rows, first[1:]), strict=True)
 
 
 def _bodies(parts: BodyParts, *near: NDArray[np.int32]) -> NDArray[np.bool_]:

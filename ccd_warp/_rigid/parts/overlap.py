@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.motion import Slices
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._rigid.parts.trees import PartTrees, distinct
 from ccd_warp._rigid.rotations import in_space
@@ -74,7 +75,7 @@ class BodyParts:
         planes = np.stack(np.meshgrid(self._rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
         self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
         self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
-        self._on_device: dict[str, Any] = {}
+        self._on_device: dict[str, tuple[Any, wp.array]] = {}
         self._idle: dict[tuple[str, int, int], list[NearSearch]] = {}
 
     def primitives(self, row: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
@@ -92,15 +93,17 @@ class BodyParts:
         keys = distinct(group * self.mesh.num_bodies + self.body[part])
         return np.bincount(keys // self.mesh.num_bodies, minlength=count)
 
-    def near(self, paths: BodyPaths, num_slices: int, t_max: float, reach: float, execution: Execution) -> NearParts:
+    def near(
+        self, paths: BodyPaths, slices: Slices, reach: float, execution: Execution, *, any_suffices: bool = False
+    ) -> NearParts:
         """Pairs of parts that may come within a distance in slices of the step.
 
         Args:
             paths: Those of the rigid bodies, of one world after another.
-            num_slices: So many equal slices of [0, t_max].
-            t_max: The end of the last one.
+            slices: The slices.
             reach: The distance, Euclidean, besides the radii of the vertices.
             execution: Where to test.
+            any_suffices: Whether one pair, of those of two bodies in a slice, tells enough.
 
         Guarantee: two primitives of different parts of bodies that may collide, which come within the distance at some
         time of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers,
@@ -118,32 +121,32 @@ class BodyParts:
             some = paths
             if last - first < num_worlds:
                 some = paths.rows(np.arange(first * num_links, last * num_links))
-            near = NearParts(*self._near(last - first, some, num_slices, t_max, reach, execution))
+            near = NearParts(*self._near(last - first, some, slices, reach, execution, any_suffices=any_suffices))
             found.append(near._replace(world=near.world + first))
         return found[0] if len(found) == 1 else NearParts(*map(np.concatenate, zip(*found, strict=True)))
 
-    def _near(self, num_worlds: int, paths: BodyPaths, *step: Any) -> list[NDArray[np.int32]]:
+    def _near(
+        self, num_worlds: int, paths: BodyPaths, slices: Slices, reach: float, execution: Execution, **how: Any
+    ) -> list[NDArray[np.int32]]:
         """The columns of the pairs in some worlds, by a search that no other thread uses meanwhile."""
         from ccd_warp._rigid.parts.near_search import NearSearch  # few programs need it
 
-        *arguments, execution = step
         device, threads = execution.device, execution.num_threads
         key = str(device), threads, num_worlds
-        idle = self._idle.pop(key, None) or []
-        if not idle:
-            trees = self._trees_on(device)
-            idle = [
-                NearSearch(trees, self._on_device[f"pairs {device}"], len(self._rigid), num_worlds, device, threads)
-            ]
-        search = idle.pop()
-        found = search.find(paths, *arguments)
-        while len(self._idle) >= _MOST_IDLE:
+        while len(self._idle) >= _MOST_IDLE and key not in self._idle:
             self._idle.popitem()
-        self._idle.setdefault(key, []).append(search)
+        idle = self._idle.setdefault(key, [])
+        try:
+            search = idle.pop()
+        except IndexError:
+            trees, pairs = self._trees_on(device)
+            search = NearSearch(trees, pairs, len(self._rigid), num_worlds, device, threads)
+        found = search.find(paths, slices, reach, **how)
+        idle.append(search)
         return found
 
-    def _trees_on(self, device: Any) -> Any:
-        """The trees on a device."""
+    def _trees_on(self, device: Any) -> tuple[Any, wp.array]:
+        """The trees and the pairs of bodies on a device."""
         if str(device) not in self._on_device:
             from ccd_warp.kernels.rigid import part_overlap as kernels
 
@@ -162,10 +165,7 @@ class BodyParts:
                 dtype = wp.int32 if values.dtype == np.intp else wp.float64 if values.ndim == 1 else wp.vec3d
                 setattr(part_trees, name, wp.array(values, dtype=dtype, device=device))
             pairs = np.array(self.pairs, dtype=np.int32)
-            self._on_device |= {
-                str(device): part_trees,
-                f"pairs {device}": wp.array(pairs, dtype=wp.vec2i, device=device),
-            }
+            self._on_device[str(device)] = part_trees, wp.array(pairs, dtype=wp.vec2i, device=device)
         return self._on_device[str(device)]
 
 

@@ -10,10 +10,11 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._engine.motion import Slice
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import MOST_BODIES, PartMesh, rows_within
+from ccd_warp._rigid.parts.near_slices import of_each
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct, ranges
 
@@ -34,7 +35,7 @@ class WorldsOfParts:
         parts: BodyParts,
         near: NearParts,
         motion: RigidMotion,
-        slices: list[Slice],
+        slices: Slices,
         memory_limit: int | None = None,
     ) -> None:
         """Those that are near in slices of the step."""
@@ -75,12 +76,11 @@ class WorldsOfParts:
         near, body, count = self._near, self.parts.body, self.parts.mesh.num_bodies
         number = np.minimum(np.searchsorted(batch, near.world), len(batch) - 1)
         rows = np.flatnonzero(batch[number] == near.world)
-        rows = rows[np.argsort(near.slice[rows], kind="stable")]
-        numbers, first = np.unique(near.slice[rows], return_index=True)
         searched = []
-        for k, of_slice in zip(numbers.tolist(), np.split(rows, first[1:]), strict=True):
+        for k, of_rows in of_each(near.slice[rows]):
+            of_slice = rows[of_rows]
             active = np.zeros(parts.mesh.num_bodies, dtype=bool)
             for part in (near.a[of_slice], near.b[of_slice]):
                 active[np.searchsorted(parts.body, number[of_slice] * count + body[part])] = True
-            searched.append(self._slices[k]._replace(active=active))
+            searched.append(self._slices.slice(k)._replace(active=active))
         return searched
