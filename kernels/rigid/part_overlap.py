@@ -14,13 +14,13 @@ with the body and r the radius of a node, that is no more than
 
 for the centres, and k min(ωh, 2) r for the points of each box; a sphere turns into itself. Along the axis of a body
 nothing turns. For an observer who turns with one of both, that body stands, and the other turns by w, the difference
-of both: its centre is at D, which changes by D' in the middle, and D'' is no longer than
+of both: its centre is at D, which changes by D' in the middle, and is off by at most h²/2 times
 
-    (|w × ω| + w²) ρ + w |u| + ω U + 2|ω × v| + ω² (|D across ω| + h (|v| + U)),   U = |difference of u| + min(wh, 2)|u|
+    (|w × ω| + w²) ρ + w |u| + ω |difference of u| + 2|ω × v| + ω |ω × P|
 
-with ω, D of the pivots and ρ, u of the other. So two bodies that share a spin are at rest. Directions are those of the
-centres, of the sides of both boxes and of both axes. What they do not separate is divided, the times where motion takes
-more than the nodes do, and otherwise the larger node, down to parts in slices.
+with ω of the observer, ρ and u of the other, and P between their pivots. So two bodies that share a spin are at rest.
+Directions are those of the centres, of the sides of both boxes and of both axes. What they do not separate is divided,
+the times where motion takes more than the nodes do, and otherwise the larger node, down to parts in slices.
 """
 
 import warp as wp
@@ -197,10 +197,10 @@ def observed(a: MovedBody, b: MovedBody, node_a: MovedNode, node_b: MovedNode, h
     line = b.line - a.line
     difference = b.omega - a.omega
     w = wp.length(difference)
-    turning = wp.length(b.place.turning - a.place.turning) + wp.min(h * w, _TWO) * b.turning
+    turning = wp.length(b.place.turning - a.place.turning)
     bends = (wp.length(wp.cross(difference, a.omega)) + w * w) * node_b.arm + w * b.turning + a.turn * turning
     bends += _TWO * wp.length(wp.cross(a.omega, line))
-    bends += a.turn * (wp.length(wp.cross(a.omega, between)) + a.turn * h * (wp.length(line) + turning))
+    bends += a.turn * wp.length(wp.cross(a.omega, between))
     r = Observed()
     r.velocity = node_b.velocity - node_a.velocity - wp.cross(a.omega, apart)
     r.bend = _HALF * h * h * bends

@@ -7,7 +7,8 @@ import warp as wp
 from laws.turning import turned, unit
 
 import ccd_warp as ccd
-from ccd_warp._rigid.parts import overlap
+from ccd_warp._engine.motion import Slices
+from ccd_warp._rigid.parts import near_search, overlap
 from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
@@ -16,9 +17,9 @@ WORLDS, SLICES, T_MAX, BODIES = 4, 2, 0.8, 6
 MANY = 1500
 
 
-def near(parts, motion, num_slices=SLICES, reach=0.0, t_max=T_MAX):
+def near(parts, motion, num_slices=SLICES, reach=0.0, t_max=T_MAX, **how):
     execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
-    return parts.near(motion._body_paths, num_slices, t_max, reach, execution)
+    return parts.near(motion._body_paths, Slices(num_slices, t_max), reach, execution, **how)
 
 
 def placed(motion, corners, t):
@@ -56,9 +57,16 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
     assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
     # worlds in several launches, and more pairs than the capacity at first
     monkeypatch.setattr(overlap, "_MOST_ITEMS", 4 * len(parts.pairs))
-    monkeypatch.setattr(overlap, "_CAPACITY", 16)
+    monkeypatch.setattr(near_search, "_CAPACITY", 16)
     is_near = np.zeros((WORLDS, SLICES, *2 * [len(parts.body)]), dtype=bool)
     is_near[near(parts, motion, reach=reach)] = True
+    # where any pair suffices, the same bodies in the same slices
+    every, some = (near(parts, motion, reach=reach, any_suffices=any_suffices) for any_suffices in (False, True))
+    of_bodies = [
+        {*zip(x.world.tolist(), x.slice.tolist(), parts.body[x.a].tolist(), parts.body[x.b].tolist(), strict=True)}
+        for x in (every, some)
+    ]
+    assert of_bodies[0] == of_bodies[1] and len(some.a) < 0.5 * len(every.a)
     may = np.zeros(is_near.shape[2:], dtype=bool)
     for x, y in parts.pairs:
         may |= (parts.body[:, None] == x) & (parts.body == y) if y >= 0 else np.diag(parts.body == x)

@@ -1,7 +1,8 @@
 """Rigid bodies of many worlds by their parts: a world is a mesh of those that may touch in the step, or of nothing.
 
 The parts that may touch in some slice of a world (`overlap`) are the bodies of this world in a mesh of parts (`mesh`),
-along the paths of the whole bodies: so the answers are those of whole bodies, in every bit.
+along the paths of the whole bodies: so the answers are those of whole bodies, in every bit, but for pairs that do not
+touch, and of which a search of all would say so at its limits alone.
 """
 
 from collections.abc import Callable, Iterator
