@@ -23,7 +23,7 @@ from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.motion import Slice
-from ccd_warp._results.contact_place import ContactPlace, MovingVertices
+from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
@@ -41,11 +41,10 @@ from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_sli
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
-from ccd_warp._rigid.world_results import result_of, sizes_of
+from ccd_warp._rigid.world_results import in_one_world, result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
-from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
@@ -241,15 +240,22 @@ class MotionWorlds:
 
         With the tois of worlds as of :meth:`_in_batches`.
         """
-        if not self._are_parts:
-            batches = self._in_batches(lambda copies, *step: copies._contacts(*step, is_ordered=False), world_toi)
-            for worlds, result in batches:
-                yield worlds, result, self._in_one_world(result.contacts, worlds, len(result.world_toi))
-            return
         mesh = self._mesh
+        if not self._are_parts:
+
+            def of_copies(copies: Pipeline, *step: Any) -> tuple[CollisionMesh, MeshResult]:
+                return copies.mesh, copies._contacts(*step, is_ordered=False)
+
+            for worlds, (copies, result) in self._in_batches(of_copies, world_toi):
+                yield worlds, result, in_one_world(result.contacts, copies, mesh, worlds, *self._of_copies(copies))
+            return
         of_step = partial(ContactStep.contacts, is_ordered=False, is_placed=False)
         for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
-            yield worlds, result, of_parts.in_one_world(result.contacts, mesh, worlds)
+            yield (
+                worlds,
+                result,
+                in_one_world(result.contacts, of_parts.mesh, mesh, worlds, of_parts.vertex, of_parts.face),
+            )
 
     @property
     def _may_be_cut(self) -> bool:
@@ -320,24 +326,12 @@ class MotionWorlds:
 
         return on_parts
 
-    def _in_one_world(self, contacts: Contacts, worlds: NDArray[np.intp], num_copies: int) -> Contacts:
-        """The contacts of a batch as those of the mesh of one world."""
-        mesh = self._mesh
-        is_shared = mesh.planes.vertices < 0
-        planes = np.append(np.tile(np.flatnonzero(~is_shared), num_copies), np.flatnonzero(is_shared))
-        sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
-        primitives, copy = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.int32)
-        for kind in PairKind:
-            rows = np.flatnonzero(contacts.kind == int(kind))
-            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
-                of_copies = primitives[rows, column]
-                if name == "plane":  # the other is a vertex
-                    primitives[rows, column] = planes[of_copies]
-                else:
-                    copy[rows] = of_copies // sizes[name]
-                    primitives[rows, column] -= copy[rows] * sizes[name]
-        place = ContactPlace(mesh, world=worlds[copy].astype(np.int32))
-        return Contacts(**{**vars(contacts), "primitives": primitives})._of(place)
+    def _of_copies(self, copies: CollisionMesh) -> tuple[NDArray[np.intp], ...]:
+        """What the vertices, faces and half-spaces of copies are in the mesh of one world."""
+        mesh, is_shared = self._mesh, self._mesh.planes.vertices < 0
+        planes = np.tile(np.flatnonzero(~is_shared), copies.num_worlds)
+        vertex, face = (np.arange(copies.num_worlds * n) % max(n, 1) for n in (mesh.num_vertices, mesh.num_faces))
+        return vertex, face, np.append(planes, np.flatnonzero(is_shared))
 
 
 def _by_turns(world: NDArray[np.int64]) -> tuple[NDArray[np.intp], int]:

@@ -1,16 +1,17 @@
 """The results of worlds from their contacts: of copies of a mesh, or of a mesh of one world with a motion of many."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._results.contact_place import MovingVertices, joined, located, radii_of
+from ccd_warp._results.contact_place import ContactPlace, MovingVertices, joined, located, radii_of
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._results.touch import Touch
-from ccd_warp._runtime.status import CCDStatus, PairKind
+from ccd_warp._runtime.status import CCDStatus, PairKind, primitives_of
 from ccd_warp._scene.mesh import CollisionMesh
 
 # Sorts of one column of numbers take a fraction of those of several.
@@ -110,6 +111,39 @@ def _earliest_in_order(contacts: Contacts, *, has_axis: bool) -> NDArray[np.intp
         return order
     order = np.lexsort((contacts.toi, keys))
     return order[is_new]
+
+
+def in_one_world(
+    contacts: Contacts,
+    of_worlds: CollisionMesh,
+    mesh: CollisionMesh,
+    worlds: NDArray[np.intp],
+    vertex: NDArray[np.intp],
+    face: NDArray[np.intp],
+    plane: NDArray[np.intp] | None = None,
+) -> Contacts:
+    """Contacts in a mesh of worlds as those of a mesh of one, given what its worlds, vertices and so on are there."""
+    if len(contacts) == 0:
+        return contacts
+    numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
+        "vertex": lambda index: vertex[index],
+        "face": lambda index: face[index],
+        "plane": lambda index: index if plane is None else plane[index],
+        "edge": lambda index: _edges(mesh, vertex[of_worlds.edges[index]]),
+    }
+    primitives = contacts.primitives.copy()
+    for kind in PairKind:
+        rows = np.flatnonzero(contacts.kind == int(kind))
+        for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
+            primitives[rows, column] = numbers[name](primitives[rows, column])
+    place = ContactPlace(mesh, world=worlds[contacts.world].astype(np.int32))
+    return replace(contacts, primitives=primitives)._of(place)
+
+
+def _edges(mesh: CollisionMesh, ends: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The edges of a mesh, which are in the order of (max, min), with these vertices, shape [n, 2]."""
+    keys = mesh.edges[:, 1].astype(np.int64) * mesh.num_vertices + mesh.edges[:, 0]
+    return np.searchsorted(keys, ends[:, 1] * mesh.num_vertices + ends[:, 0])
 
 
 def sizes_of(mesh: CollisionMesh, num_worlds: int) -> dict[str, Any]:

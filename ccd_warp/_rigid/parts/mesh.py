@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp._results.contact_place import ContactPlace
-from ccd_warp._results.contacts import Contacts
 from ccd_warp._rigid.parts.overlap import BodyParts
-from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._scene.half_space import Planes
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
 from ccd_warp._scene.mesh import CollisionMesh
@@ -143,27 +139,3 @@ class PartMesh:
             world, [one.names[b] for b in body.tolist()], None if one.radius is None else one.radius[vertex], planes,
         )  # fmt: skip
         return cls(mesh, vertex, number[faces], is_used, first // 3, body_keys)
-
-    def in_one_world(self, contacts: Contacts, mesh: CollisionMesh, worlds: NDArray[np.intp]) -> Contacts:
-        """Contacts as those of the mesh of one world, given what each world of this mesh is."""
-        if len(contacts) == 0:
-            return contacts
-        numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
-            "vertex": lambda index: self.vertex[index],
-            "face": lambda index: self.face[index],
-            "plane": lambda index: index,
-            "edge": lambda index: _edges(mesh, self.vertex[self.mesh.edges[index]]),
-        }
-        primitives = contacts.primitives.copy()
-        for kind in PairKind:
-            rows = np.flatnonzero(contacts.kind == int(kind))
-            for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
-                primitives[rows, column] = numbers[name](primitives[rows, column])
-        place = ContactPlace(mesh, world=worlds[contacts.world].astype(np.int32))
-        return replace(contacts, primitives=primitives)._of(place)
-
-
-def _edges(world: CollisionMesh, ends: NDArray[np.intp]) -> NDArray[np.intp]:
-    """The edges of a mesh, which are in the order of (max, min), with these vertices, shape [n, 2]."""
-    keys = world.edges[:, 1].astype(np.int64) * world.num_vertices + world.edges[:, 0]
-    return np.searchsorted(keys, ends[:, 1] * world.num_vertices + ends[:, 0])
