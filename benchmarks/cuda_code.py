@@ -106,8 +106,8 @@ def main() -> None:
     shown = table.drop(columns="hash").astype(str)
     if given.compare:
         keys = ["module", "kernel"]
-        before = table[keys].merge(pd.read_csv(given.compare), how="left", on=keys).fillna("–").astype(str)
-        before = before.set_index(table.index)
+        earlier = pd.read_csv(given.compare, dtype=str)[shown.columns]
+        before = shown[keys].merge(earlier, how="left", on=keys).fillna("–").set_index(shown.index)
         shown = before.where(shown == before, before + " → " + shown)
     print("\n".join(table_of(shown)))
     print("launches: " + ", ".join(f"{sum(of.values())} with a {way}" for way, of in launched.items()))

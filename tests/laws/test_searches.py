@@ -1,10 +1,13 @@
 """What is found at one time, and which boxes overlap, in drawn scenes: as brute force over all pairs finds it."""
 
+import itertools
+
 import numpy as np
 import pytest
 
 import ccd_warp as ccd
 from laws.calls import OF_SEARCH
+from laws.scenes import drawn
 from laws.test_truth import SEEDS, kinds_of, scene_of
 from laws.truth import candidates, displacement_bounds, intersections, proximities
 
@@ -33,6 +36,14 @@ def first_of_features(found):
         features = features_of(found, row) or row
         first[features] = first.get(features, (row, 0))[0], first.get(features, (row, 0))[1] + 1
     return np.array([*first.values()], dtype=int).reshape(-1, 2).T
+
+
+def check_unique(found, mesh, x, distance, **options):
+    """Of what was found, the first row of each two features is what is unique, and how many have them."""
+    first, shared_by = first_of_features(found)
+    for once in (found.unique(), ccd.find_proximity(mesh, x, distance, unique=True, **options)):
+        assert rows_of(once) == rows_of(found[first]) and once.shared_by.tolist() == shared_by.tolist()
+        assert (once.parameters == found.parameters[first]).all() and (once.points == found.points[first]).all()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -69,15 +80,26 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
         assert is_close[found.kind != int(ccd.PairKind.VERTEX_PLANE)].all()
         between = found.points[:, 0] - found.points[:, 1] - (found.distance - radii)[:, None] * found.direction
         assert (np.linalg.norm(between, axis=1) <= 4e-15 * (size + np.abs(x).max())).all()
-        first, shared_by = first_of_features(found)
-        for once in (found.unique(), ccd.find_proximity(mesh, x, distance, unique=True, **scene.only(*OF_SEARCH))):
-            assert rows_of(once) == rows_of(found[first]) and once.shared_by.tolist() == shared_by.tolist()
-            assert (once.parameters == found.parameters[first]).all() and (once.points == found.points[first]).all()
+        check_unique(found, mesh, x, distance, **scene.only(*OF_SEARCH))
         if "pair_kinds" not in scene.options:
             bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.only(*OF_SEARCH))
             expected, largest = displacement_bounds(pairs, x, distance, kept)
             expected[~pairs.takes_part & ~np.isin(np.arange(len(x)), mesh.planes.vertices)] = np.inf
             assert (bounds <= expected).all() and (bounds >= expected - 2e-15 * largest).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("begin", range(160, 2160, 100))
+def test_what_is_unique_in_many_more_scenes(begin):
+    num_shared = 0
+    for seed in range(begin, begin + 100):
+        scene = drawn(seed)
+        mesh, *ends = scene.make()
+        for x, distance in itertools.product(ends, (scene.size / 16, scene.size / 4)):
+            found = ccd.find_proximity(mesh, x, distance, **scene.only(*OF_SEARCH))
+            check_unique(found, mesh, x, distance, **scene.only(*OF_SEARCH))
+            num_shared += len(found) - len(found.unique())
+    assert num_shared > 1000
 
 
 @pytest.mark.parametrize("seed", SEEDS)
