@@ -189,7 +189,7 @@ def find_proximity(
         Ericson 2005, "Real-time collision detection", section 5.1 (closest points).
 
     Guarantee: every pair that passes the filter and whose distance is at most ``distance`` (plus radii) is found,
-    exactly once, and no pair that is farther apart by more than 2e-15 of its size. The distance that is reported is
+    exactly once, and no pair that is farther apart by more than 3e-15 of its size. The distance that is reported is
     exact to within 1e-15 of that size, whatever the shape of the primitives and however far they are from the origin.
     Among subnormal numbers the unit counts besides: no pair is farther apart by more than 2⁻¹⁰⁶⁹, and the distance is
     exact to within 2⁻¹⁰⁷⁴.

@@ -273,7 +273,14 @@ def turned(d: Vec3, w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3) -> Vec3:
     n = to_unit_size(e)
     w, _along = lowest(n, w00, w01, w10, w11)
     b = without(w - d, a)
-    return select(is_less(dot(n, b), turn), without(without(e, b), a), e)
+    n = to_unit_size(select(is_less(dot(n, b), turn), without(without(e, b), a), e))
+    # of sides that are nearly parallel b is nearly along d: then the second corner alone
+    m = to_unit_size(without(d, w - d))
+    _w, along_n = lowest(n, w00, w01, w10, w11)
+    _w, along_m = lowest(m, w00, w01, w10, w11)
+    length_n = square_root(dot(n, n))
+    length_m = square_root(dot(m, m))
+    return select(is_less(along_n * length_m, along_m * length_n) | is_at_most(length_n, spread(zero)), m, n)
 
 
 @simd.func

@@ -34,9 +34,6 @@ def rows_of(found):
 
 # --- hard pairs ---
 
-# Of so many pairs of two edges that are parallel but for rounding one may have a bound that is no more than true.
-MOST_LOOSE = 20_000
-
 
 def hard_pairs(kind, each, rng):
     """Of all families, and with points nearly in one place; as they are, or 1e-12 of their size to tenfold apart."""
@@ -77,7 +74,7 @@ def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_thei
     assert (np.abs(np.linalg.norm(found.direction, axis=1) - (found.distance > 0)) <= 1e-15).all()
     for bound, truth in zip(least, exact[:, [0, 0, 1]].T, strict=True):
         assert (bound <= truth).all()
-        assert (bound < truth - 3e-15 * size - 1e-300).sum() <= len(pairs) // MOST_LOOSE
+        assert (bound >= truth - 3.5e-15 * size - 1e-300).all()
 
 
 def test_a_pair_exactly_at_the_distance_is_found_and_one_beyond_it_is_not():
