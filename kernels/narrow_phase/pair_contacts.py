@@ -73,35 +73,44 @@ def leave_open(pairs: PairList, k: int):
 
 
 @wp.func(inline=False)
-def status_of(pairs: PairList, vertices: PairVertices, gap: wp.float64, options: Options) -> int:
+def status_of(kind: int, vertices: PairVertices, gap: wp.float64, x_t0: wp.array[wp.vec3d], options: Options) -> int:
     """`status_at_start` of a pair of primitives."""
     of_pair = options_of_pair(options, vertices.first, vertices.second)
-    a = points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t0)
-    return status_at_start(pairs.kind, gap, a, of_pair)
+    a = points_of(kind, vertices.first, vertices.second, x_t0)
+    return status_at_start(kind, gap, a, of_pair)
 
 
 @wp.func(inline=False)
-def motion_of(pairs: PairList, vertices: PairVertices) -> wp.float64:
+def motion_of(kind: int, vertices: PairVertices, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d]) -> wp.float64:
     """`relative_motion` of a pair; out of line, so that nobody keeps its points in registers for it."""
-    a = points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t0)
-    return relative_motion(a, points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t1))
+    a = points_of(kind, vertices.first, vertices.second, x_t0)
+    return relative_motion(a, points_of(kind, vertices.first, vertices.second, x_t1))
 
 
 @wp.func(inline=False)
-def is_pressed(pairs: PairList, vertices: PairVertices, toi: wp.float64) -> bool:
+def is_pressed(
+    kind: int, vertices: PairVertices, toi: wp.float64, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d]
+) -> bool:
     """Whether a pair that keeps its start distance touches as good as from the start."""
-    a = points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t0)
-    motion = relative_motion(a, points_of(pairs.kind, vertices.first, vertices.second, pairs.vertices_t1))
-    return toi <= _PRESSED and toi * motion <= _PRESSED * wp.max(largest(corners(pairs.kind, a)))
+    a = points_of(kind, vertices.first, vertices.second, x_t0)
+    motion = relative_motion(a, points_of(kind, vertices.first, vertices.second, x_t1))
+    return toi <= _PRESSED and toi * motion <= _PRESSED * wp.max(largest(corners(kind, a)))
 
 
 # on CUDA out of line, so that its registers are not those of every thread; on the CPU a call costs 3 % of a step
 @wp.func(inline=not on_warp)
-def place_at(pairs: PairList, vertices: PairVertices, t: wp.float64, uv: wp.vec2d, options: Options) -> ContactGap:
+def place_at(
+    kind: int,
+    vertices: PairVertices,
+    t: wp.float64,
+    uv: wp.vec2d,
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+    options: Options,
+) -> ContactGap:
     """`contact_at`, for points on arcs from where they are and how they move at that time."""
-    kind = pairs.kind
-    a = points_of(kind, vertices.first, vertices.second, pairs.vertices_t0)
-    b = points_of(kind, vertices.first, vertices.second, pairs.vertices_t1)
+    a = points_of(kind, vertices.first, vertices.second, x_t0)
+    b = points_of(kind, vertices.first, vertices.second, x_t1)
     if wp.static(on_arcs):
         tangents = tangents_of_arcs(kind, vertices.first, vertices.second, a, b, t, options)
         return contact_at(kind, tangents.a, tangents.b, wp.float64(0.5), uv)
@@ -109,7 +118,9 @@ def place_at(pairs: PairList, vertices: PairVertices, t: wp.float64, uv: wp.vec2
 
 
 @wp.func(inline=False)
-def is_struck(pairs: PairList, vertices: PairVertices, options: Options, minima: Minima) -> bool:
+def is_struck(
+    vertices: PairVertices, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], options: Options, minima: Minima
+) -> bool:
     """Whether of a pair only what is kinematic moves."""
     free = vertices.first
     if is_kinematic(minima, vertices.first[0]):
@@ -117,7 +128,7 @@ def is_struck(pairs: PairList, vertices: PairVertices, options: Options, minima:
     elif not is_kinematic(minima, vertices.second[0]):
         return False
     for k in range(3):
-        if not (pairs.vertices_t0[free[k]] == pairs.vertices_t1[free[k]]):
+        if not (x_t0[free[k]] == x_t1[free[k]]):
             return False
     if wp.static(on_arcs):
         return not turns_anywhere(free, options.turns)
@@ -145,7 +156,7 @@ def record_contact(
     keeps_start_distance = bool(False)
     if wp.static(by_pair):
         if start_distance_of(options.start_distance, first, second) < infinite:
-            if is_pressed(pairs, vertices, outcome.toi):
+            if is_pressed(pairs.kind, vertices, outcome.toi, pairs.vertices_t0, pairs.vertices_t1):
                 keeps_start_distance = True
                 outcome.toi = wp.float64(0.0)
                 if outcome.status == STATUS_COLLISION:
@@ -153,12 +164,14 @@ def record_contact(
     toi = outcome.toi
     status = outcome.status
     if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options) and not keeps_start_distance:
-        status = status_of(pairs, vertices, outcome.gap, options)
+        status = status_of(pairs.kind, vertices, outcome.gap, pairs.vertices_t0, options)
         if status == STATUS_ROUNDING_LIMIT:
             flag_world(minima, first[0], ROUNDING_LIMIT)
     if may_be_raised(toi, round.gaps_moved) and not keeps_start_distance:
-        toi = raised_toi(toi, outcome.gap, motion_of(pairs, vertices), round.gaps_moved)
-    if round.only_moving != 0 and is_struck(pairs, vertices, options, minima):
+        toi = raised_toi(
+            toi, outcome.gap, motion_of(pairs.kind, vertices, pairs.vertices_t0, pairs.vertices_t1), round.gaps_moved
+        )
+    if round.only_moving != 0 and is_struck(vertices, pairs.vertices_t0, pairs.vertices_t1, options, minima):
         flag_world(minima, first[0], STRUCK)
     else:
         lower_pair(minima, first, second, wp.cast(toi, wp.int64))
@@ -170,7 +183,9 @@ def record_contact(
         contacts.status[n] = status
         contacts.gap[n] = outcome.gap
         contacts.width[n] = outcome.width
-        at_toi = place_at(pairs, vertices, outcome.toi, outcome.parameters, options)
+        at_toi = place_at(
+            pairs.kind, vertices, outcome.toi, outcome.parameters, pairs.vertices_t0, pairs.vertices_t1, options
+        )
         contacts.parameters[n] = at_toi.parameters
         contacts.normal[n] = at_toi.direction
     else:
