@@ -1,9 +1,10 @@
 """Rounds of the lanes in a window on arcs: along chords, off which the points are by no more than a parabola.
 
-At a share s of a window a point of an arc is off its chord by at most 4s(1 − s) of its sagitta: by nothing at both ends.
-So a window that ends where a pair touches comes to the contact, in one round as on straight paths, where a pair with the
-sagitta as a separation would stop short of it. Along a direction the bound is a parabola, which a line leaves at a root
-of a quadratic; in the volume it is a cubic above the product of the parabola and the support of the normal.
+At a share s of a window a point of an arc is off its chord by at most 4s(1 − s) of its sagitta: by nothing at both
+ends. So a window that ends where a pair touches comes to the contact in one round, as on straight paths, where a pair
+with the sagitta as a separation would stop short of it. Along a direction the bound is a parabola, and where it meets a
+line a root of a quadratic; in the volume it is a cubic above the product of the parabola and the support of the normal.
+The rounding is step 19 of `rounding`.
 """
 
 import warp as wp
@@ -54,6 +55,7 @@ unit = UNIT_ROUNDOFF[real]
 zero = wp.constant(real(0.0))
 one = wp.constant(real(1.0))
 two = wp.constant(real(2.0))
+quarter = wp.constant(real(0.25))
 four = wp.constant(real(4.0))
 minus_one = wp.constant(real(-1.0))
 floor_errors = wp.constant(real(8.0))
@@ -83,7 +85,12 @@ if is_euclidean:
         return is_in_ball(x, by, separation)
 
 else:
-    from .facets import offset
+    from .facets import clip_facet, offset, widest_facet
+    from .lane_touch import touching_point
+
+    # Clips with a facet in a round.
+    _FACET_STEPS = wp.constant(4)
+    box_errors = wp.constant(real(256.0))
 
     @simd.func
     def direction_of(d: Vec3) -> Vec3:
@@ -98,7 +105,7 @@ else:
 
 @simd.func
 def bow_reach(f: Volume, separation: Vec3, sagitta: Vec3) -> Volume:
-    """The reach of a separation and of a parabola over a window: a cubic to be restricted with f (rounding, step 19)."""
+    """The reach of a separation and a parabola over a window: a cubic to be restricted with f (rounding, step 19)."""
     r = reach_of(f, separation)
     mid = support(sagitta, f.normal_mid)
     r.b1 = r.b1 + four_thirds_up * greatest(support(sagitta, f.normal_t0), mid)
@@ -227,12 +234,35 @@ def advance_on_arcs(
             # where the patch meets a corner of the box, its closest point is farther than a side of the box
             most = four * greatest_of(slack + local)
             is_near = is_close(near.d, near_errors * n.error + vec(most, most, most), separation)
+            if wp.static(not is_euclidean):
+                # as on straight paths, with the sagitta of all of the window, where the others gain little
+                has_box = opposite(is_within(n.separation, two * slack + box_errors * n.error))
+                slow = has_box & opposite(is_near) & is_less(s - begin, quarter)
+                turns = still & (volume.is_flat | slow)
+                if bits_of(turns) != _NONE:
+                    facet = widest_facet(c, separation, n.error, is_face, near_errors)
+                    whole = n.separation + bow
+                    turned = clip_facet(n.t0, n.t1, whole, n.error, facet.number, t, end, _FACET_STEPS)
+                    turned = select(turns & is_less(zero, facet.slack), turned, t)
+                    s = greatest(s, turned)
+                    is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & is_near)
+                    free = still & is_less(end, s)
             contact = still & is_near & opposite(moving) & opposite(free)
             if bits_of(contact) != _NONE:
                 stays = is_at_most(t, zero) & is_close(near.d, floor, separation)
                 at = select(stays, t, s)
-                point = point_at(corners_at(n.t0, n.t1, at), near.u, near.v, is_face)
-                contact = contact & is_close(point, floor, separation + n.delta)
+                c = corners_at(n.t0, n.t1, at)
+                point = point_at(c, near.u, near.v, is_face)
+                touches = is_close(point, floor, separation + n.delta)
+                if wp.static(not is_euclidean):
+                    others = contact & opposite(touches)
+                    if bits_of(others) != _NONE:
+                        # of a patch at the corner of a separation box another point may touch than the closest one
+                        size = floor + separation + n.delta
+                        number = widest_facet(c, separation, n.error, is_face, near_errors).number
+                        point = select(others, touching_point(separation, c, number, point, size, is_face), point)
+                        touches = is_close(point, floor, separation + n.delta)
+                contact = contact & touches
                 s = select(contact, at, s)
                 u = select(contact, near.u, u)
                 v = select(contact, near.v, v)

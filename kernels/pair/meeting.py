@@ -1,7 +1,7 @@
 """When the points of a pair on arcs seem to meet: Newton's iteration on the distance of the pair, from where it is.
 
-Nothing here carries a guarantee: the time is only a good end for a window (`lane_windows`), in which whatever is claimed
-is proved.
+Nothing here carries a guarantee: the time is only a good end for a window (`lane_windows`), in which whatever is
+claimed is proved.
 """
 
 import warp as wp
@@ -17,6 +17,7 @@ closest = specialised("pair.lane_closest", real=wp.float64, width=width).closest
 support = specialised("pair.support", real=wp.float64, width=width, norm=norm).support
 Lanes = simd.Lanes
 
+# Steps after which a pair that has not been seen to meet counts as one that does not.
 _STEPS = wp.constant(5)
 _NONE = wp.constant(wp.uint32(0))
 zero = wp.constant(wp.float64(0.0))
@@ -31,6 +32,7 @@ class Meeting:
 
     t: Lanes
     speed: Lanes
+    gap: Lanes  # how far apart the pair is to begin with, beyond its separation
 
 
 @simd.func
@@ -51,10 +53,12 @@ def meeting(kind: int, a: Points, b: Points, arcs: Arcs, separation: Lanes, begi
         is_open = simd.mask_of(open)
         step = gap / speed
         t = simd.greatest(r.t + step, begin)
+        length = simd.square_root(simd.dot(near.d, near.d))
         if steps == 0:
+            r.gap = gap / length
             t = simd.select(simd.is_less(zero, speed), t, simd.spread(two))
         t = simd.least(t, two)
-        r.speed = simd.select(is_open, speed / simd.square_root(simd.dot(near.d, near.d)), r.speed)
+        r.speed = simd.select(is_open, speed / length, r.speed)
         r.t = simd.select(is_open, t, r.t)
         open = open & simd.bits_of(simd.is_less(last_step, simd.magnitude(step)) & simd.is_less(r.t, two))
         steps += 1
