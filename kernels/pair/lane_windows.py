@@ -161,7 +161,7 @@ def advance_to_meeting(
         answer.iterations = simd.select(is_open, iterations, answer.iterations)
         answer.t = simd.select(is_open, in_step(simd.least(t, one), options.turns), answer.t)
         following = next_window(window, t, is_free)
-        window.h = simd.select(shrinks, following.h, eighth * (one - t))
+        window.h = simd.select(shrinks, following.h, eighth * (one - in_slice(answer.t, options.turns)))
         window.last = simd.select(shrinks, following.last, nothing)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
         is_sharp = shrinks & simd.is_at_most(simd.greatest_of(chords), sharp)
