@@ -17,7 +17,7 @@ from .lane_rows import Index
 
 on_arcs = has_arcs(norm)
 if on_arcs:
-    from ..pair.lane_windows import first_window, later_windows
+    from ..pair.lane_windows import first_windows, later_windows
     from .lane_rows import arcs_of_pairs
 simd64 = specialised("pair.simd", width=width)
 
@@ -30,7 +30,7 @@ def first_answer(
     lane_options = options_of_rows(options, pairs, rows)
     if wp.static(on_arcs):
         lane_options.arcs = arcs_of_pairs(pairs, rows, options.turns)
-        return first_window(pairs.kind, a, b, lane_options, options, lane_options.arcs.t_begin, cap, least)
+        return first_windows(pairs.kind, a, b, lane_options, options, cap, least)
     else:
         return first_rounds(pairs.kind, a, b, lane_options, cap, least)
 

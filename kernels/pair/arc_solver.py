@@ -127,10 +127,11 @@ def solve_on_arcs(
         is_corotating = bool(False)
         if is_shared:
             window_of_body = corotating.corotating_window(kind, a, b, turning, at_begin, at_end, window.begin, window.h)
-            is_corotating = window_of_body.sagitta < wp.max(chords)
+            of_body = window_of_body.sagitta + window_of_body.error
+            is_corotating = of_body < wp.max(chords)
             if is_corotating:
                 at_end = window_of_body.at_end
-                chords = wp.vec3d(window_of_body.sagitta, window_of_body.sagitta, window_of_body.sagitta)
+                chords = wp.vec3d(of_body, of_body, of_body)
         of_window.sagitta = lane_windows.enlarged(chords, error)
         outcome = solver.solve(
             kind, solver.normalise(kind, at_begin, at_end, of_window), of_window, real(0.0), 0, cap - used

@@ -44,6 +44,7 @@ class CorotatingWindow:
 
     at_end: Points
     sagitta: Lanes
+    error: Lanes  # of the difference of two points that is turned
 
 
 @wp.struct
@@ -139,7 +140,8 @@ def corotating_window(
         r.at_end.p1 = corotating_point(q, z_end, arcs.spin_b, h)
         most = simd.greatest(most, acceleration(of_x, of_q, z, arcs, h))
         size = simd.greatest(size, simd.greatest(squared(z), squared(z_end)))
-    r.sagitta = eighth_up * h * h * most + corotating_error * simd.square_root(size)
+    r.sagitta = eighth_up * h * h * most
+    r.error = corotating_error * simd.square_root(size)
     return r
 
 

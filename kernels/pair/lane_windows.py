@@ -1,12 +1,20 @@
-"""Pairs on arcs, several at once: `windows` in which the lanes are solved by the rounds of straight motion."""
+"""Pairs on arcs, several at once: windows that end where a pair seems to meet, solved by the rounds of `arc_rounds`.
+
+The first window is the whole slice, which is all that most free pairs need. The next ends at the time at which Newton's
+iteration sees the pair meet (`meeting`), and a little after it, so that the contact is within. What such windows do not
+bring further goes on in those of `windows`, and at last to the solver for single pairs.
+"""
 
 import warp as wp
 
+from ..boxes.lanes import number_of_bits
 from ..parameters import real, width
 from ..template import specialised
-from .arcs import amplitude, error_of, motion_of, points_at, sagitta
+from .arc_rounds import advance_on_arcs
+from .arcs import amplitude, error_of, points_at, sagitta
 from .corotating import are_alike, corotating_window, longest_turned, may_turn, selected
-from .lane_solver import LaneAnswer, solve_full
+from .lane_solver import LaneAnswer
+from .meeting import meeting
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
 from .query import Options
@@ -18,19 +26,22 @@ Lanes = simd.Lanes
 Vec3 = simd.Vec3
 all_lanes = wp.constant(wp.uint32((1 << width) - 1))
 
-# Rounds of the solver in a window, and windows of the pairs that the first leaves open, before they go on one by one.
-FIRST_ROUNDS = wp.constant(3)
-_ROUNDS = wp.constant(4)
-_LATER_WINDOWS = wp.constant(6)
+# Rounds of a window; of all windows that end where a pair seems to meet; of those that shrink by themselves as well.
+_ROUNDS = wp.constant(2)
+_MOST_ROUNDS = wp.constant(12)
+_ALL_ROUNDS = wp.constant(32)
+# Pairs in the lanes below which those that are open wait for others.
+_FEWEST = wp.constant(max(width // 2, 1))
 _NONE = wp.constant(wp.uint32(0))
 zero = wp.constant(wp.float64(0.0))
 one = wp.constant(wp.float64(1.0))
 two = wp.constant(wp.float64(2.0))
+four = wp.constant(wp.float64(4.0))
+eight = wp.constant(wp.float64(8.0))
 eighth = wp.constant(wp.float64(0.125))
-# More than how fast two points of a pair part or approach, as a multiple of the largest motion of its corners.
-speed_share = wp.constant(wp.float64(8.0))
+# Far shorter than a window.
+tiny_time = wp.constant(wp.float64(2.0**-60))
 start_distance_errors = wp.constant(wp.float64(START_DISTANCE_ERRORS))
-unbounded = wp.constant(wp.float64(float("inf")))
 # What a corner is off by in the precision of the iteration.
 corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 
@@ -49,7 +60,7 @@ def enlarged(a: Vec3, by: Lanes) -> Vec3:
 
 
 @(simd.rare if width > 1 else simd.func)
-def advance_windows(
+def advance_to_meeting(
     kind: int,
     a: Points,
     b: Points,
@@ -58,13 +69,15 @@ def advance_windows(
     lanes: wp.uint32,
     t_start: Lanes,
     used: Lanes,
-    num_windows: int,
-    num_rounds: int,
+    fewest: int,
+    cap: int,
     bound: wp.float64,
 ) -> LaneAnswer:
-    """Advance the given lanes through some windows of the slice, or until they are free up to a bound.
+    """Advance the given lanes as long as there are more of them than the fewest, through windows of few rounds.
 
-    Those that begin with a window over all that is left of the slice have used no iterations.
+    The first window of a pair is all of the slice, the others end where it seems to meet. What a window does depends on
+    the time that the pair has reached and on the iterations that it has used alone, so a pair gets the same answer in
+    whatever company it is.
     """
     amplitudes = amplitude(kind, lane_options.arcs)
     error = error_of(a, b, lane_options.arcs)
@@ -79,90 +92,95 @@ def advance_windows(
     shared = simd.bits_of(are_alike(lane_options.arcs) & may_turn(lane_options.minimum_separation))
     t_begin = lane_options.arcs.t_begin
     t_length = lane_options.arcs.t_length
-    window = Window()
-    window.begin = in_slice(t_start, t_begin, t_length)
-    window.h = one - window.begin
-    window.h = simd.select(simd.is_less(zero, used), eighth * window.h, window.h)
-    window.last = nothing
     lane_options.t_end = real(1.0)
-    # the last contact of chords that was within the tolerance
-    near = _NONE
-    near_u = nothing
-    near_v = nothing
-    near_gap = nothing
-    near_t = nothing
-    speed = speed_share * motion_of(a, b, lane_options.arcs)
-    tolerance = simd.spread(options.tolerance * options.length_scale)
+    rounds = wp.min(cap, _ROUNDS)
+    most = wp.float64(wp.max(wp.min(cap, _MOST_ROUNDS) - _ROUNDS, 0))
+    limit = most
+    if fewest == 0:
+        limit = wp.float64(wp.max(wp.min(cap, _ALL_ROUNDS) - _ROUNDS, 0))
     answer = LaneAnswer()
     answer.iterations = used
-    open = lanes
-    windows = int(0)
-    while open != _NONE and windows < num_windows:
-        end = simd.least(window.begin + window.h, one)
-        window.h = end - window.begin
-        at_begin = points_at(kind, a, b, lane_options.arcs, window.begin)
+    answer.t = t_start
+    window = Window()
+    window.begin = in_slice(t_start, t_begin, t_length)
+    window.h = eighth * (one - window.begin)
+    window.last = nothing
+    open = lanes & simd.bits_of(simd.is_at_most(used, limit))
+    is_first = bool(True)
+    while open != _NONE and (is_first or number_of_bits(open) > fewest):
+        is_first = False
+        begin = in_slice(answer.t, t_begin, t_length)
+        starts = simd.is_at_most(answer.iterations, zero)
+        shrinks = simd.is_less(most, answer.iterations)
+        at_begin = points_at(kind, a, b, lane_options.arcs, begin)
+        sharp = sharpness(error, kind, at_begin)
+        seeking = open & ~simd.bits_of(starts | shrinks)
+        met = meeting(kind, a, b, lane_options.arcs, lane_options.minimum_separation, begin, seeking)
+        # beyond the time of meeting the window goes on until the sagitta there is of the size of rounding errors
+        ahead = simd.least(met.t - begin, one - begin) + tiny_time
+        beyond = simd.least(sharp / (simd.greatest_of(amplitudes) * ahead), ahead)
+        beyond = simd.greatest(beyond, four * sharp / simd.magnitude(met.speed))
+        # nor is it longer than it takes for the sagitta to be as large as the gap
+        fits = simd.square_root(eight * simd.greatest(met.gap, zero) / simd.greatest_of(amplitudes)) + beyond
+        fits = simd.select(simd.mask_of(shared), two, fits)
+        end = simd.least(met.t + beyond, begin + fits)
+        end = simd.select(shrinks, begin + window.h, end)
+        end = simd.select(starts, one, simd.least(end, one))
+        h = end - begin
         at_end = points_at(kind, a, b, lane_options.arcs, end)
-        chords = sagitta(amplitudes, window.h)
+        chords = sagitta(amplitudes, h)
+        excess = error
         is_corotating = none
         if open & shared != _NONE:
-            window_of_body = corotating_window(kind, a, b, lane_options.arcs, at_begin, at_end, window.begin, window.h)
-            is_corotating = simd.mask_of(shared) & simd.is_less(window_of_body.sagitta, simd.greatest_of(chords))
-            at_end = selected(is_corotating, window_of_body.at_end, at_end)
-            of_window = simd.vec(window_of_body.sagitta, window_of_body.sagitta, window_of_body.sagitta)
-            chords = simd.select(is_corotating, of_window, chords)
-        lane_options.sagitta = enlarged(chords, error)
-        of_chords = solve_full(kind, at_begin, at_end, lane_options, open, nothing, num_rounds, unbounded)
+            of_body = corotating_window(kind, a, b, lane_options.arcs, at_begin, at_end, begin, h)
+            all_of_body = of_body.sagitta + of_body.error
+            is_corotating = simd.mask_of(shared) & simd.is_less(all_of_body, simd.greatest_of(chords))
+            at_end = selected(is_corotating, of_body.at_end, at_end)
+            chords = simd.select(is_corotating, simd.vec(of_body.sagitta, of_body.sagitta, of_body.sagitta), chords)
+            excess = simd.select(is_corotating, error + of_body.error, error)
+        lane_options.sagitta = simd.vec(excess, excess, excess)
+        of_window = advance_on_arcs(kind, at_begin, at_end, lane_options, chords, open, rounds)
         is_open = simd.mask_of(open)
-        is_free = simd.mask_of(of_chords.free)
-        sharp = simd.bits_of(simd.is_at_most(simd.greatest_of(chords), sharpness(error, kind, at_begin)))
-        t = reached(window, end, is_free, of_chords.t)
-        # a sharp window in which nothing but rounding is left of the motion may end in no contact, where the one before
-        # did: its point is one of this contact, with a gap that has changed by the motion since then
-        touches = open & sharp & (of_chords.contact | (near & ~of_chords.free))
-        is_near = simd.mask_of(open & of_chords.contact)
-        # the arcs may be as far from the chords on the other side
-        gap = of_chords.gap + two * simd.greatest_of(lane_options.sagitta)
+        is_free = simd.mask_of(of_window.free)
+        off_chord = (four * of_window.t * (one - of_window.t)) * simd.greatest_of(chords)
+        window.begin = begin
+        window.h = h
+        t = reached(window, end, is_free, of_window.t)
+        touches = of_window.contact & simd.bits_of(simd.is_at_most(off_chord, sharp))
+        gap = of_window.gap + two * (excess + off_chord)
         gap = simd.select(is_corotating, longest_turned * gap, gap)
-        near_u = simd.select(is_near, of_chords.u, near_u)
-        near_v = simd.select(is_near, of_chords.v, near_v)
-        near_gap = simd.select(is_near, gap, near_gap)
-        near_t = simd.select(is_near, t, near_t)
         is_contact = simd.mask_of(touches)
         answer.contact = answer.contact | touches
-        answer.free = answer.free | (open & of_chords.free & simd.bits_of(simd.is_at_most(one, end)))
-        answer.u = simd.select(is_contact, near_u, answer.u)
-        answer.v = simd.select(is_contact, near_v, answer.v)
-        answer.gap = simd.select(is_contact, near_gap + speed * (t - near_t), answer.gap)
-        near = (near & ~(open & of_chords.free)) | (
-            open & of_chords.contact & simd.bits_of(simd.is_at_most(gap, tolerance))
-        )
-        answer.iterations = answer.iterations + simd.select(is_open, of_chords.iterations, nothing)
+        answer.free = answer.free | (open & of_window.free & simd.bits_of(simd.is_at_most(one, end)))
+        answer.u = simd.select(is_contact, of_window.u, answer.u)
+        answer.v = simd.select(is_contact, of_window.v, answer.v)
+        answer.gap = simd.select(is_contact, gap, answer.gap)
+        iterations = answer.iterations + simd.greatest(of_window.iterations, one)
+        # what gains nothing, or is within its separation as far as its closest points show, goes on in windows that
+        # shrink by themselves
+        gains = shrinks | (simd.is_less(begin, t) & (starts | simd.is_less(zero, met.gap)))
+        iterations = simd.select(gains, iterations, simd.greatest(iterations, most + one))
+        answer.iterations = simd.select(is_open, iterations, answer.iterations)
+        answer.t = simd.select(is_open, in_step(simd.least(t, one), t_begin, t_length), answer.t)
         following = next_window(window, t, is_free)
-        window.begin = simd.select(is_open, following.begin, window.begin)
-        window.h = simd.select(is_open, following.h, window.h)
-        window.last = simd.select(is_open, following.last, window.last)
+        window.h = simd.select(shrinks, following.h, eighth * (one - in_slice(answer.t, t_begin, t_length)))
+        window.last = simd.select(shrinks, following.last, nothing)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
-        settled = answer.free | answer.contact | (~of_chords.free & sharp)
-        open = open & ~settled & simd.bits_of(simd.is_less(in_step(window.begin, t_begin, t_length), bound))
-        windows += 1
-    answer.t = in_step(simd.least(window.begin, one), t_begin, t_length)
+        is_sharp = shrinks & simd.is_at_most(simd.greatest_of(chords), sharp)
+        settled = answer.free | answer.contact | (simd.bits_of(is_sharp) & ~of_window.free)
+        open = open & ~settled & simd.bits_of(simd.is_at_most(answer.iterations, limit))
+        open = open & simd.bits_of(simd.is_less(answer.t, bound))
     return answer
 
 
 @wp.func
-def first_window(
-    kind: int,
-    a: Points,
-    b: Points,
-    lane_options: LaneOptions,
-    options: Options,
-    t_start: Lanes,
-    cap: int,
-    bound: wp.float64,
+def first_windows(
+    kind: int, a: Points, b: Points, lane_options: LaneOptions, options: Options, cap: int, bound: wp.float64
 ) -> LaneAnswer:
-    """Advance the pairs of all lanes through one window, that of the whole slice."""
-    rounds = wp.min(cap, FIRST_ROUNDS)
-    return advance_windows(kind, a, b, lane_options, options, all_lanes, t_start, simd.spread(zero), 1, rounds, bound)
+    """Advance the pairs of all lanes from the begin of the slice until most are settled."""
+    t = lane_options.arcs.t_begin
+    used = simd.spread(zero)
+    return advance_to_meeting(kind, a, b, lane_options, options, all_lanes, t, used, _FEWEST, cap, bound)
 
 
 @wp.func
@@ -179,5 +197,4 @@ def later_windows(
     bound: wp.float64,
 ) -> LaneAnswer:
     """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
-    windows = wp.min(_LATER_WINDOWS, (cap - FIRST_ROUNDS) / _ROUNDS)
-    return advance_windows(kind, a, b, lane_options, options, lanes, t_start, used, windows, _ROUNDS, bound)
+    return advance_to_meeting(kind, a, b, lane_options, options, lanes, t_start, used, 0, cap, bound)

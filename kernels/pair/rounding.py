@@ -104,8 +104,8 @@ below are in the normalised units of step 2.
    by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that underflows is below
    SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta is less than u² of
    the velocity. A time in a slice is that of the step less the begin of the slice, over its length, and is rounded down
-   by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`frames`) the difference of two
-   points is turned: products with factors below 1, cross products and sums, 12u of the difference, and a sum of u·M:
+   by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`corotating`) the difference of
+   two points is turned: products with factors below 1, cross products and sums, 12u of it, and a sum of u·M:
    FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS. A gap
    beyond the separation of chords gets twice what was added to that: it was not asked for, and arcs may bend away.
 18. **Bodies on arcs** (`kernels.rigid.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
@@ -119,6 +119,21 @@ below are in the normalised units of step 2.
    screws, and the products of errors. A vertex that does not turn has the error of step 12 on three axes. The products
    of a vertex, some thirty of them here and in step 17, lose 2^-1075 each at most where they underflow: the slack gets
    2^-1068.
+19. **Off a chord by a parabola** (`arc_rounds`). At a share s of a window both points of a corner together are off
+    their chords by at most s(1 - s)/2·h²·|x''| = 4s(1 - s)·σ, σ the sagitta of step 17, along any axis; in
+    normalised units σ is raised by SLACK·u, which covers its rounding to the precision of the iteration. The
+    volume: the product of 4s(1 - s) and Σ B_i(s)·n_i, n_i the supports of σ along the Bernstein coefficients of
+    Q×R, has those of degree four (0, n_0, 4/3 n_1, n_2, 0), and the cubic of (0, 4/3 max(n_0, n_1), 4/3 max(n_1,
+    n_2), 0), raised to degree four, is above it. It is added to the cubic of the separation in step 9, one rounding
+    more, and 2σ is to the separation in the bound there. A direction: with a and b the projections at both ends, a
+    for the one at which the corner is beyond the offset (else time runs backward), x = a - off, y = b - off and c =
+    4·support(σ), rounded up, the corner is beyond while x - p·s + c·s² > 0, p = x - y + c. That falls as p grows: x
+    and y are off by u of themselves and p by two roundings, so p gets RELATIVE·u·(|x| + |y| + c). It is beyond up
+    to 2x/(p + √(p² - 4xc)), which falls as p and the root grow: under it p² and the difference lose 2u·p², and 4xc,
+    with the u of x, is lowered by RELATIVE·u, so 2·RELATIVE·u·p² is added, and without a root where the difference
+    is as far below zero. Products that underflow lose less than SQUARE_UNDERFLOW, added as well. x, the root, sum
+    and quotient lose 4u: times (1 - 8u), as the difference of it from one, for time that ran backward, times (1 +
+    8u).
 
 Constants are in units of u.
 """

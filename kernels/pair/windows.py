@@ -8,7 +8,8 @@ sagitta is of the size of rounding errors.
 **How much shorter.** A window of length h that ends in a contact after a gain g leaves a gap of its sagitta, which a
 pair that goes on as it came crosses in the time g·(h / h')², h' the length of the window before that ended in a
 contact. A chord of four times that length has the contact in its middle, and leaves a gap that is smaller by the square
-of the ratio of both: Newton's iteration, from below.
+of the ratio of both: Newton's iteration, from below. In lanes windows that end where a pair seems to meet come first
+(`lane_windows`).
 """
 
 import warp as wp
