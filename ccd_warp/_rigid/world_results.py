@@ -1,6 +1,5 @@
 """The results of worlds from their contacts: of copies of a mesh, or of a mesh of one world with a motion of many."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -118,25 +117,28 @@ def in_one_world(
     of_worlds: CollisionMesh,
     mesh: CollisionMesh,
     worlds: NDArray[np.intp],
-    vertex: NDArray[np.intp],
-    face: NDArray[np.intp],
-    plane: NDArray[np.intp] | None = None,
+    numbers: dict[str, NDArray[np.intp]],
 ) -> Contacts:
-    """Contacts in a mesh of worlds as those of a mesh of one, given what its worlds, vertices and so on are there."""
+    """Contacts in a mesh of worlds as those of a mesh of one, given what its worlds are there, and its primitives.
+
+    Edges are found by their vertices, and half-spaces are the same, where their ``numbers`` are not given.
+    """
     if len(contacts) == 0:
         return contacts
-    numbers: dict[str, Callable[[NDArray[np.int32]], NDArray[Any]]] = {
-        "vertex": lambda index: vertex[index],
-        "face": lambda index: face[index],
-        "plane": lambda index: index if plane is None else plane[index],
-        "edge": lambda index: _edges(mesh, vertex[of_worlds.edges[index]]),
-    }
-    primitives = contacts.primitives.copy()
+    primitives, world = contacts.primitives.copy(), np.zeros(len(contacts), dtype=np.intp)
+    corners = {"edge": of_worlds.edges, "face": of_worlds.faces}
     for kind in PairKind:
         rows = np.flatnonzero(contacts.kind == int(kind))
         for column, name in enumerate(primitives_of(kind) if len(rows) else ()):
-            primitives[rows, column] = numbers[name](primitives[rows, column])
-    place = ContactPlace(mesh, world=worlds[contacts.world].astype(np.int32))
+            index = primitives[rows, column]
+            if column == 0:  # no half-space
+                vertex = corners[name][index, 0] if name in corners else index
+                world[rows] = worlds[of_worlds.vertex_world[vertex]]
+            if name in numbers:
+                primitives[rows, column] = numbers[name][index]
+            elif name == "edge":
+                primitives[rows, column] = _edges(mesh, numbers["vertex"][of_worlds.edges[index]])
+    place = ContactPlace(mesh, world=world.astype(np.int32))
     return replace(contacts, primitives=primitives)._of(place)
 
 
