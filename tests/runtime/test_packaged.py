@@ -230,8 +230,9 @@ def _excluded(mesh, start, end):
 
 
 def _turn(mesh, start, end):
-    turning = ccd.CollisionMesh.from_arrays([(start[:25], mesh.faces[:32])], rigid=[0], self_collision=False)
-    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=[[0, 0, 0.1, 0, 0, 1.0]])
+    bodies = [(x, mesh.faces[:32]) for x in np.split(start, 2)]
+    turning = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], self_collision=False)
+    motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1.0]], twist=[[0, 0, 0.1, 0, 0.3, 1.0]])
     return ccd.mesh_ccd(turning, turning.vertices, turning.vertices, motion=motion)
 
 
