@@ -55,7 +55,6 @@ class Launches:
         self._is_placing = False  # whether that launch may have moved some of the static bodies
         self._placed_by: DeviceStep | None = None  # the step whose launch was the last to place static bodies
         self._is_distance_checked = False  # at the positions of a launch
-        self._is_given = False  # whether a capacity is the caller's
         # for a motion of many worlds: their number, the launches of as many copies of the mesh, and their positions
         self._of_worlds: tuple[int, Launches, dict[Any, wp.array]] | None = None
 
@@ -67,12 +66,10 @@ class Launches:
 
     def set_capacities(self, max_pairs: int | None, max_contacts: int | None) -> None:
         """Let steps that are made from now on have these capacities, where they are given."""
-        self.capacities = self._with_capacities(max_pairs, max_contacts)
+        self.capacities, self._of_worlds = self._with_capacities(max_pairs, max_contacts), None
 
     def _with_capacities(self, max_pairs: int | None, max_contacts: int | None) -> Capacities:
         capacities = self.capacities
-        if max_pairs is not None or max_contacts is not None:
-            self._is_given, self._of_worlds = True, None
         if max_pairs is not None:
             capacities = replace(capacities, max_pairs=check_count("max_pairs", max_pairs, MOST_PAIRS))
         if max_contacts is not None:
@@ -138,7 +135,7 @@ class Launches:
             self._placed_by = step
         self.capacities, self._layout, self._step = capacities, layout, step
         self._at_one_time.clear()
-        self._arc_step = None
+        self._arc_step = self._of_worlds = None
         return step
 
     def launch(
@@ -222,7 +219,7 @@ class Launches:
             if device.is_capturing:
                 raise RuntimeError("a graph is being captured; a launch with a motion is no part of one")
             launches = Launches(Topology.of(mesh._copies(count, count), device), self._options)
-            if self._is_given:
+            if self.capacities != Capacities.default(mesh):  # those of the caller
                 launches.capacities = self.capacities
             self._of_worlds = count, launches, {}
         _, launches, arrays = self._of_worlds

@@ -39,12 +39,13 @@ class Slices(NamedTuple):
 
     def slice(self, number: int) -> Slice:
         """One of them."""
-        begin, end = (self.t_max * k / self.num_slices for k in (number, number + 1))
-        return Slice(begin, self.t_max if number + 1 == self.num_slices else end)
+        begin, end = self.times(np.asarray(number))
+        return Slice(float(begin), float(end))
 
     def all(self) -> list[Slice]:
         """All of them."""
-        return [self.slice(number) for number in range(self.num_slices)]
+        begins, ends = self.times(np.arange(self.num_slices))
+        return [Slice(begin, end) for begin, end in zip(begins.tolist(), ends.tolist(), strict=True)]
 
 
 class Motion:

@@ -12,7 +12,7 @@ from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.line_search import DeviceLineSearch
 from ccd_warp._engine.device.step import Capacities
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.motion import Slice, Slices
+from ccd_warp._engine.motion import Slices
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
@@ -46,7 +46,7 @@ class DeviceArcStep(DeviceLineSearch):
         radii = arcs.radius, arcs.box_radius
         searched = search_options(1.0, arrays["inflation"], separation, self.norm, self._flag, radii)
         mesh, device = self._mesh, topology.device
-        self._times: dict[Slice, Times] = {}
+        self._times: dict[int, list[Times]] = {}  # of the slices of each recording, by their number
         self._least: wp.array = self._empty(mesh.num_bodies, wp.int64)
         self._whole = self._arcs.new_paths("omega", "velocity", "turning")
         self._rows_kept: wp.array = wp.array((mesh.kinematic | mesh.rigid).astype(np.int32), device=device)
@@ -103,9 +103,9 @@ class DeviceArcStep(DeviceLineSearch):
     ) -> Stages:
         """Record all launches of a step, or of a pass, slice by slice; returns the stages of the first slice."""
         slots = self._input.slots(form)
-        slices = Slices(form.num_slices, self._options.t_max).all()
-        of_slices = [self._stages_of(part) for part in slices]
-        for part, stages in zip(slices, of_slices, strict=True):
+        slices, times = Slices(form.num_slices, self._options.t_max).all(), self._times_of(form)
+        of_slices = [self._stages_of(of_slice) for of_slice in times]
+        for part, of_slice, stages in zip(slices, times, of_slices, strict=True):
             begins = part is slices[0]
             if begins:
                 self._input.record(recording, form, stages.between(*slots), is_first)
@@ -114,7 +114,7 @@ class DeviceArcStep(DeviceLineSearch):
             else:
                 counts = self._no_count, self._flag.array
                 self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
-            self._arcs.place(self._times_of(part), recording, *slots)
+            self._arcs.place(of_slice, recording, *slots)
             if begins and is_first and self.static_trees:
                 stages.fill_vertex_aabbs(recording, self.topology.static_vertices, self._active)
                 stages.fill_boxes(recording, self.static_trees)
@@ -125,8 +125,7 @@ class DeviceArcStep(DeviceLineSearch):
 
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""
-        first = Slices(form.num_slices, self._options.t_max).slice(0)
-        self._arcs.place(self._times_of(first), recording, *self._input.slots(form))
+        self._arcs.place(self._times_of(form)[0], recording, *self._input.slots(form))
 
     def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
         """Record the launches that shorten the motion of what touches."""
@@ -141,15 +140,19 @@ class DeviceArcStep(DeviceLineSearch):
         """Bodies whose rows a line search does not write, int32, shape [B]: they stand in the bodies' own frames."""
         return self._rows_kept
 
-    def _times_of(self, part: Slice) -> Times:
-        """The begin and the end of a slice for each body, which recorded launches read."""
-        if part not in self._times:
-            self._times[part] = self._arcs.new_times(part)
-        return self._times[part]
+    def _times_of(self, form: Form) -> list[Times]:
+        """The begins and ends of slices for each body, which recorded launches read; of recordings that stay alone."""
+        count = form.num_slices
+        if count not in self._times:
+            kept = {other.num_slices for other in self._recordings}
+            self._times = {number: times for number, times in self._times.items() if number in kept}
+            slices = Slices(count, self._options.t_max).all()
+            self._times[count] = [self._arcs.new_times(part) for part in slices]
+        return self._times[count]
 
-    def _stages_of(self, part: Slice) -> Stages:
+    def _stages_of(self, times: Times) -> Stages:
         """The stages of a slice."""
-        turns = self._arcs.turns_at(self._times_of(part))
+        turns = self._arcs.turns_at(times)
         radius = self.topology.radius if self._radius is None else self._radius
         packed = self._options.for_kernel(self._length_scale, stop=self._flag.array, radius=radius, turns=turns)
         return replace(self._stages.between(self._arcs.start, self._arcs.end), options=packed, turns=turns)

@@ -211,7 +211,9 @@ class MotionWorlds:
             return least
 
         if self._is_whole(_FEW_SLICES_OF_A_STEP):
-            return self._pipeline._least_toi(*self._ends, self._whole_paths(), any_suffices=any_suffices)
+            least = self._pipeline._least_toi(*self._ends, self._whole_paths(), any_suffices=any_suffices)
+            self._add(self._pipeline.counts, self._pipeline.timings)
+            return least
         if self._are_parts:
             of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
             least = least_of(toi for *_, toi in self._parts.search(self._on_parts(LeastToiStep, of_parts)))

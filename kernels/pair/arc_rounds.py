@@ -4,7 +4,7 @@ At a share s of a window a point of an arc is off its chord by at most 4s(1 − 
 ends. So a window that ends where a pair touches comes to the contact in one round, as on straight paths, where a pair
 with the sagitta as a separation would stop short of it. Along a direction the bound is a parabola, and where it meets a
 line a root of a quadratic; in the volume it is a cubic above the product of the parabola and the support of the normal.
-The rounding is step 19 of `rounding`.
+The **bow** of a window is its sagitta in normalised units, rounded up. The rounding is step 19 of `rounding`.
 """
 
 import warp as wp
@@ -16,7 +16,7 @@ from . import simd
 from .lane_advance import near_errors, point_at, settled
 from .lane_closest import closest
 from .lane_pair import LanePair, narrowed, normalise, widened
-from .lane_solver import LaneAnswer, beyond, length64, length_up, slack_down
+from .lane_solver import LaneAnswer, gap_at
 from .norm import is_ball
 from .pair_options import LaneOptions
 from .patch import Volume, corners_at
@@ -147,22 +147,6 @@ def clip_bow(d: Vec3, off: Lanes, bow: Lanes, t: Lanes, n: LanePair, is_triangle
         s = least(s, clip_corner(dot(d, n.t0.w11), dot(d, n.t1.w11), off, bow, t))
     can_prove = is_at_most(tiny_direction, greatest_of(magnitude(d)))
     return select(can_prove & is_less(t, s), s, t)
-
-
-@simd64.func
-def gap_at(n: LanePair, point: Vec3) -> simd64.Lanes:
-    """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
-    if wp.static(is_euclidean):
-        nothing = vec(spread(zero), spread(zero), spread(zero))
-        x = widened(beyond(point.x, n.error.x, nothing.x))
-        y = widened(beyond(point.y, n.error.y, nothing.y))
-        z = widened(beyond(point.z, n.error.z, nothing.z))
-        more = length64(simd64.vec(x, y, z)) * length_up - widened(n.separation.x) * slack_down
-        return simd64.greatest(more * length_up, zero64) * n.unit.x
-    x = widened(beyond(point.x, n.error.x, n.separation.x)) * n.unit.x
-    y = widened(beyond(point.y, n.error.y, n.separation.y)) * n.unit.y
-    z = widened(beyond(point.z, n.error.z, n.separation.z)) * n.unit.z
-    return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, zero64))
 
 
 @simd64.func

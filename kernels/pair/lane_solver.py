@@ -17,7 +17,7 @@ from .pair_options import LaneOptions as Options
 from .points import Points
 from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
-from .simd import Lanes, bits_of, greatest, is_less, least, magnitude, mask_of, select, spread
+from .simd import Lanes, Vec3, bits_of, greatest, is_less, least, magnitude, mask_of, select, spread
 from .volume import volume_of
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
@@ -76,27 +76,27 @@ def with_start_gap(n: LanePair, is_face: bool, fraction: real) -> LanePair:
     return n
 
 
+@simd64.func
+def gap_at(n: LanePair, point: Vec3) -> simd64.Lanes:
+    """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
+    if wp.static(is_euclidean):
+        nothing = spread(real(0.0))
+        x64 = widened(beyond(point.x, n.error.x, nothing))
+        y64 = widened(beyond(point.y, n.error.y, nothing))
+        z64 = widened(beyond(point.z, n.error.z, nothing))
+        all64 = length64(simd64.vec(x64, y64, z64)) * length_up
+        more = all64 - widened(n.separation.x) * slack_down
+        return simd64.greatest(more * length_up, wp.float64(0.0)) * n.unit.x
+    x = widened(beyond(point.x, n.error.x, n.separation.x)) * n.unit.x
+    y = widened(beyond(point.y, n.error.y, n.separation.y)) * n.unit.y
+    z = widened(beyond(point.z, n.error.z, n.separation.z)) * n.unit.z
+    return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
+
+
 def make_solve(with_facets: bool):
     advance = specialised("pair.lane_advance", norm=norm, real=real, width=width, with_facets=with_facets)
-    LaneReached = advance.LaneReached
     advance_round = advance.advance_round
     start = advance.start
-
-    @simd64.func
-    def gap_of(n: LanePair, reached: LaneReached) -> simd64.Lanes:
-        """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
-        if wp.static(is_euclidean):
-            nothing = spread(real(0.0))
-            x64 = widened(beyond(reached.point.x, n.error.x, nothing))
-            y64 = widened(beyond(reached.point.y, n.error.y, nothing))
-            z64 = widened(beyond(reached.point.z, n.error.z, nothing))
-            all64 = length64(simd64.vec(x64, y64, z64)) * length_up
-            more = all64 - widened(n.separation.x) * slack_down
-            return simd64.greatest(more * length_up, wp.float64(0.0)) * n.unit.x
-        x = widened(beyond(reached.point.x, n.error.x, n.separation.x)) * n.unit.x
-        y = widened(beyond(reached.point.y, n.error.y, n.separation.y)) * n.unit.y
-        z = widened(beyond(reached.point.z, n.error.z, n.separation.z)) * n.unit.z
-        return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
 
     @wp.func
     def solve(
@@ -137,7 +137,7 @@ def make_solve(with_facets: bool):
             reached.open = mask_of(open)
             rounds += 1
         if answer.contact != _NONE:
-            answer.gap = gap_of(n, reached)
+            answer.gap = gap_at(n, reached.point)
             answer.closest = bits_of(reached.is_regular)
             if wp.static(not by_pair):
                 answer.closest = all_lanes

@@ -14,17 +14,15 @@ from ..boxes.pair_lanes import collect_pairs
 from ..boxes.thickness import distance_of
 from ..pair.points import corners as corners_of_lanes
 from ..pair.simd import Lanes
-from ..pair.single_points import corners, points_of
 from ..pair_kind import EDGE_EDGE
 from ..parameters import is_thick, width
 from ..step.minima import FOUND
-from ..step.step import Step
+from ..template import specialised
 from .cull import free_lanes, has_volume
 from .lane_points import points_at
 from .search_types import Search, SearchOptions, is_turned, write_pair
 
 _NONE = wp.constant(wp.uint32(0))
-_ONE = wp.constant(wp.uint32(1))
 
 
 capacity = wp.constant(width - 1 + WIDTH)
@@ -114,24 +112,7 @@ if width > 1:
             cull(search, collected, 0, count)
 
 else:
-
-    @wp.func
-    def is_discarded(
-        kind: int,
-        a: wp.vec3i,  # vertices of the first primitive
-        b: wp.vec3i,
-        step: Step,
-        options: SearchOptions,
-    ) -> bool:
-        """Whether a test of the cull proves that a candidate does not touch in the step."""
-        if has_volume(kind):
-            c0 = corners(kind, points_of(kind, a, b, step.vertices_t0))
-            c1 = corners(kind, points_of(kind, a, b, step.vertices_t1))
-            if wp.static(is_thick):
-                distance = distance_of(options.separation, options.radius, a, b)
-                return free_lanes(kind, c0, c1, distance, options.is_euclidean, options.t_end, _ONE) != _NONE
-            return free_lanes(kind, c0, c1, options.separation, options.is_euclidean, options.t_end, _ONE) != _NONE
-        return False
+    is_discarded = specialised("search.candidate_cull", is_thick=is_thick).is_discarded
 
     @wp.func
     def collect(search: Search, q: int, block: int, mask: wp.uint32, collected: wp.array[wp.int32]):

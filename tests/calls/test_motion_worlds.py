@@ -185,3 +185,40 @@ def test_a_launch_of_many_worlds_is_that_of_as_many_copies(real):
         assert different(*of_each[:2]) == different(*of_each[1:]) == []
     with pytest.raises(ValueError, match=r"motion has 5 worlds, and the mesh one; expected a pipeline of mesh\.rep"):
         pipeline.launch_line_search(x, x.copy(), motion=motion)
+
+
+def test_a_step_of_one_world_says_what_it_has_searched():
+    """Of one slice, and of many that are searched at once."""
+    mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX.copy().apply_translation([1.4, 0.1, 0])], rigid=[0], static=[1])
+    pipeline = ccd.CollisionPipeline(mesh)
+    for turn in (0.1, 6.0):
+        motion = ccd.RigidMotion(poses_of([[0, 0, 0]], 1)[0], twist=[[0.8, 0, 0, 0, 0.1, turn]])
+        assert pipeline.collision_free_step(mesh.vertices, mesh.vertices, motion=motion) < 1.0
+        assert pipeline.counts.num_boxes > 0 and pipeline.timings["total"] > 0.0
+
+
+def test_bodies_whose_rows_are_others_in_each_step_are_not_divided_in_each(monkeypatch):
+    """As of a user who gives places in the world, and motions from there."""
+    made, whole = [], PartTrees.__init__
+    monkeypatch.setattr(PartTrees, "__init__", lambda self, *given: made.append(self) or whole(self, *given))
+    ball = trimesh.creation.icosphere(2)
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ball.copy().apply_translation([2.1, 0, 0])], rigid=[0, 1])
+    motion = ccd.RigidMotion(poses_of([[0, 0, 0]] * 2, 1)[0], twist=[[0.2, 0, 0, 0, 0, 0.1], [0, 0, 0, 0, 0, 0.3]])
+    tois = [ccd.mesh_ccd(mesh, x, x, motion=motion).toi for x in (mesh.vertices + 0.1 * k for k in range(5))]
+    assert len(made) == 1 and np.all(np.diff(tois) < 0.0) and tois[0] < 1.0  # farther from where they turn
+    for k in (7, 7):  # where they stay, they are
+        ccd.mesh_ccd(mesh, mesh.vertices + k, mesh.vertices + k, motion=motion)
+    assert len(made) == 2
+
+
+def test_a_capacity_that_is_refused_leaves_those_of_worlds_as_they_are():
+    mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX.copy().apply_translation([1.02, 0.1, 0.05])], rigid=[0, 1])
+    motion = ccd.RigidMotion(poses_of([[0, 0, 0]] * 2, 200), twist=np.full((200, 2, 6), 0.05) * [[1], [-1]])
+    found = []
+    for refuse in (False, True):
+        pipeline = ccd.CollisionPipeline(mesh, device="cpu")
+        if refuse:
+            with pytest.raises(ValueError, match="max_pairs"):
+                pipeline.reserve(max_contacts=9, max_pairs=0)
+        found.append(outputs_of(pipeline.launch(mesh.vertices, mesh.vertices, motion=motion).to_host()))
+    assert different(*found) == [] and np.isfinite(found[0][".toi"])

@@ -14,7 +14,8 @@ class MeshCache:
     Attributes:
         topologies: Topologies by name of the device.
         idle_workspaces: Workspaces that no call uses, by name of the device.
-        parts: Under "parts" the positions for which bodies have last been divided, and their parts.
+        parts: Under "parts" the positions for which bodies have last been divided, and their parts; under "last" those
+            of the last call that had others.
     """
 
     topologies: dict[str, Any] = field(default_factory=dict)

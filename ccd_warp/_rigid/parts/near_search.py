@@ -28,7 +28,7 @@ class NearSearch:
         self._execution = Execution(device, threads, self._flag)
         self._paths = PathTable(num_worlds * num_links, device)
         num_bodies = len(trees.first)
-        lower, upper = (wp.empty((num_worlds, num_bodies), dtype=wp.vec3d, device=device) for _ in range(2))
+        self._boxes = [wp.empty((num_worlds, num_bodies), dtype=wp.vec3d, device=device) for _ in range(2)]
         self._count = wp.zeros((1, 1), dtype=wp.int64, device=device)
         num_pairs = num_worlds * len(pairs)
         num_begins = max(1, _FEW // num_pairs)
@@ -37,12 +37,11 @@ class NearSearch:
         shared = [trees, self._paths.table, num_links]
         with recording.section("near"):
             inputs = [*shared, Slot("t_max"), Slot("reach")]
-            recording.launch(kernels.sweep_bodies, num_worlds * num_bodies, inputs=inputs, outputs=[lower, upper])
+            recording.launch(kernels.sweep_bodies, num_worlds * num_bodies, inputs=inputs, outputs=self._boxes)
             inputs = [
                 pairs,
                 *shared,
-                lower,
-                upper,
+                *self._boxes,
                 Slot("slices"),
                 num_begins,
                 Slot("t_max"),

@@ -16,8 +16,8 @@ from ccd_warp._scene.mesh import CollisionMesh
 
 # Bodies of one world, whose pairs are listed, and of many, of which each has as many tests.
 _MOST_BODIES, _MOST_BODIES_OF_WORLDS = 1 << 11, 64
-# Faces for each slice above which it takes longer to divide the bodies than to search them.
-_LARGE_SCENE = 1 << 12
+# Faces for each slice above which it takes longer to divide the bodies than to search them: once, and in each step.
+_LARGE_SCENE, _SMALL_SCENE = 1 << 12, 1 << 7
 
 
 def body_parts(
@@ -29,25 +29,34 @@ def body_parts(
 
     Returns:
         None where they are not looked for: of many bodies, or others than rigid ones and those that stand, and of
-        large ones in a first step of few slices, which takes less time itself; copies of one body are divided once.
+        large ones where it takes less time to search them: in a first step of few slices, unless they are copies of
+        one, and wherever rows are others than in the step before.
     """
     start, end = ends
-    kept = MeshCache.of(mesh).parts
-    is_later = kept.get("is later", False)
-    kept["is later"] = True
-    num_passes = num_slices * num_worlds
-    if mesh.num_faces > num_passes * _LARGE_SCENE and not (is_later or mesh._is_of_instances):
-        return None
     most = _MOST_BODIES if num_worlds == 1 else _MOST_BODIES_OF_WORLDS
     # radii may be others on the device than those of the mesh
     is_plain = mesh.radius is None or np.array_equal(topology.radius.numpy(), mesh.radius)
     if mesh.num_bodies > most or not is_plain or not (start is end or np.array_equal(start, end)):
         return None
+    kept = MeshCache.of(mesh).parts
     positions, parts = kept.get("parts", (None, None))
-    if positions is not start and (positions is None or not np.array_equal(positions, start)):
-        parts = parts_of(mesh, start)
-        kept["parts"] = start if start is mesh.vertices else start.copy(), parts
+    if _are_same(positions, start):
+        return parts
+    last = kept.get("last")
+    if not _are_same(last, start):
+        last = kept["last"] = start if start is mesh.vertices else start.copy()
+        num_passes = num_slices * num_worlds
+        is_cheap = mesh.num_faces <= num_passes * (_LARGE_SCENE if positions is None else _SMALL_SCENE)
+        if not (is_cheap or (positions is None and mesh._is_of_instances)):
+            return None
+    parts = parts_of(mesh, start)
+    kept["parts"] = last, parts
     return parts
+
+
+def _are_same(positions: NDArray[np.float64] | None, start: NDArray[np.float64]) -> bool:
+    """Whether these are known positions."""
+    return positions is start or (positions is not None and np.array_equal(positions, start))
 
 
 def reach_of(options: Options, length_scale: float) -> float:

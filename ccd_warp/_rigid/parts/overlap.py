@@ -6,6 +6,7 @@ tested from the top, in all of the step first (`kernels.rigid.part_overlap`).
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -134,7 +135,8 @@ class BodyParts:
         device, threads = execution.device, execution.num_threads
         key = str(device), threads, num_worlds
         while len(self._idle) >= _MOST_IDLE and key not in self._idle:
-            self._idle.popitem()
+            with suppress(KeyError):  # another thread may do the same
+                self._idle.popitem()
         idle = self._idle.setdefault(key, [])
         try:
             search = idle.pop()
