@@ -36,6 +36,7 @@ from ccd_warp.kernels.narrow_phase.sinks import TABLE
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.contacts import lift, mark_finite
 from ccd_warp.kernels.step.minima import NUM_COUNTS
+from ccd_warp.kernels.step.pair_list import PairList
 
 if TYPE_CHECKING:
     from ccd_warp._results.toi_gradient import ToiGradient
@@ -345,7 +346,8 @@ def _launch(
     outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
-        inputs = [*table_inputs(kind, packed, count, counts), new_queue(count, device)]
+        queue = new_queue(count, device, keeps_contacts=False)
+        inputs = [*table_inputs(kind, packed, count, counts), PairList(), queue]
         launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)

@@ -36,6 +36,8 @@ _SMALLEST_SEARCH = 64
 # of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
 _MOST_CULLS = 1 << 17
 _MOST_REST = 1 << 11
+# What a launch on CUDA searches, culls and solves: two trees, pairs of two kinds.
+KINDS_AT_ONCE = 2
 # Pairs for which a recording on CUDA has threads, where their number is not known then: as many as there ever are.
 _MANY_PAIRS = 1 << 20
 # On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
@@ -57,9 +59,9 @@ def measure_pairs_in(norm: str, device: Any) -> Any:
     return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
 
 
-def _in_twos(items: Sequence[Any]) -> Iterator[Any]:
-    """The items, two at a time: what a launch on CUDA searches and culls."""
-    return (items[k : k + 2] for k in range(0, len(items), 2))
+def _groups(items: Sequence[Any], size: int = KINDS_AT_ONCE) -> Iterator[Any]:
+    """The items, so many at a time."""
+    return (items[k : k + size] for k in range(0, len(items), size))
 
 
 @dataclass(frozen=True)
@@ -357,7 +359,7 @@ class Stages:
         filters = [self.filter_of(tree_pair) for tree_pair, _ in searches]
         for collision_filter in {id(one): one for one in filters}.values():  # more than one with slender bodies
             alike = [search for search, one in zip(searches, filters, strict=True) if one is collision_filter]
-            for two in _in_twos(alike):
+            for two in _groups(alike):
                 of_two = []
                 for tree_pair, part in two:
                     (query,), (target,) = (self.boxes[tree.name] for tree in (tree_pair.query, tree_pair.target))
@@ -377,7 +379,7 @@ class Stages:
                 were more candidates than the list could take, as :meth:`_cull_the_rest` then does.
         """
         culled = specialised("search.candidate_cull", is_thick=self.is_thick)
-        for two in _in_twos(kinds):
+        for two in _groups(kinds):
             of_kinds, num_threads = [], 0
             for kind in two:
                 candidates, most = self.candidates[kind], _MOST_CULLS
@@ -452,19 +454,28 @@ class Stages:
         step, table, least, of_round = self.step, Table(), LeastToi(), Round()
         of_round.is_second, of_round.only_moving = int(is_second), int(only_moving)
         of_round.gaps_moved = float(gaps_moved)
+        if launcher.is_cuda:
+            self._solve_queued(launcher, sink, of_round)
+            return
         with launcher.at_once():
-            for kind, keys in self.keys.items():
-                inputs = [self.pairs[kind], self.options, of_round, 0]
+            for kind in self.kinds:
+                inputs = [sink, self.pairs[kind], self.options, of_round, 0]
                 # not the struct of the step, with which the solver takes 3 to 8 % longer: clang copies the minima in it
                 outputs = [table, step.minima, step.contacts, self._least[kind] if sink == BOUND else least]
-                if launcher.is_cuda:
-                    kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
-                    most_pairs = _MANY_PAIRS if isinstance(keys, Slot) else len(keys)
-                    launch_queued(launcher, kernels, most_pairs, [*inputs, self.queue], outputs)
-                    continue
-                inputs.insert(0, sink)
                 kernel = self.narrow_phase.solve_pairs
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
+
+    def _solve_queued(self, launcher: Launcher, sink: int, of_round: Any) -> None:
+        """A round on CUDA: of two kinds at once where contacts are kept."""
+        kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
+        step = self.step
+        for kinds in _groups(self.kinds, KINDS_AT_ONCE if sink == CONTACTS else 1):
+            pairs: list[Any] = [self.pairs[kind] for kind in kinds]
+            others = pairs[1] if len(kinds) > 1 else replace(pairs[0], keys=None)
+            inputs = [pairs[0], self.options, of_round, 0, others, self.queue]
+            outputs = [Table(), step.minima, step.contacts, self._least[kinds[0]] if sink == BOUND else LeastToi()]
+            most = sum(_MANY_PAIRS if isinstance(self.keys[kind], Slot) else len(self.keys[kind]) for kind in kinds)
+            launch_queued(launcher, kernels, most, inputs, outputs)
 
     def measure_pairs(self, launcher: Launcher, sink: int, norm: str) -> None:
         """In place of the narrow phase: measure the pairs at the start, in a norm.

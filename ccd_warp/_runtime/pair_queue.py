@@ -5,22 +5,29 @@ from typing import Any
 
 import warp as wp
 
-# Bytes of a place in the queue: its row, the time reached and the iterations so far.
-QUEUE_BYTES = 4 + 8 + 1
+from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp.kernels.narrow_phase.pair_queue import Queue
 
 
-def queue_of(rows: wp.array, t: wp.array, used: wp.array) -> Any:
-    """A queue in the given arrays: int32, float64 and int8."""
-    from ccd_warp.kernels.narrow_phase.queued_pairs import Queue  # not before a step needs it
-
-    queue = Queue()
-    queue.rows, queue.t, queue.used = rows, t, used
-    return queue
+def queue_dtypes(*, keeps_contacts: bool) -> dict[str, Any]:
+    """The types of the arrays of a queue by their names."""
+    return {name: dtype for name, dtype in dtypes_of(Queue).items() if keeps_contacts or name != "contact"}
 
 
-def new_queue(count: int, device: Any) -> Any:
+def queue_bytes(*, keeps_contacts: bool) -> int:
+    """Bytes of a place in a queue."""
+    return sum(map(wp.types.type_size_in_bytes, queue_dtypes(keeps_contacts=keeps_contacts).values()))
+
+
+def queue_of(arrays: dict[str, wp.array]) -> Any:
+    """A queue in the given arrays."""
+    return struct_of(Queue, arrays)
+
+
+def new_queue(count: int, device: Any, *, keeps_contacts: bool) -> Any:
     """A queue with a place for each of ``count`` pairs."""
-    return queue_of(*(wp.empty(count, dtype=dtype, device=device) for dtype in (wp.int32, wp.float64, wp.int8)))
+    dtypes = queue_dtypes(keeps_contacts=keeps_contacts)
+    return queue_of({name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})
 
 
 def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs: list, outputs: list) -> None:
@@ -35,6 +42,6 @@ def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs
     """
     from ccd_warp.kernels.narrow_phase.queued_pairs import MOST_SOLVERS, WARP
 
-    for kernel, most in zip(kernels, MOST_SOLVERS.values(), strict=True):
+    for kernel, most in zip(kernels, MOST_SOLVERS.values(), strict=False):
         solvers = min(most, most_pairs * WARP)
         launcher.launch(kernel, solvers, inputs=[solvers, *inputs], outputs=outputs, grain=1)

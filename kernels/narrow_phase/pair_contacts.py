@@ -97,8 +97,7 @@ def is_pressed(
     return toi <= _PRESSED and toi * motion <= _PRESSED * wp.max(largest(corners(kind, a)))
 
 
-# on CUDA out of line, so that its registers are not those of every thread; on the CPU a call costs 3 % of a step
-@wp.func(inline=not on_warp)
+@wp.func(inline=True)
 def place_at(
     kind: int,
     vertices: PairVertices,

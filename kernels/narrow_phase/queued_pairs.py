@@ -1,4 +1,4 @@
-"""The narrow phase on CUDA: three kernels, with a queue between them for the pairs that each leaves open.
+"""The narrow phase on CUDA: three kernels, with a queue between them for the pairs that each leaves open, and one more.
 
 A thread takes one pair, and a warp waits for the slowest of its pairs. So the first kernel makes only the first rounds,
 which settle most pairs that do not touch; the second the later rounds of `lane_solver`, which settle most contacts; and
@@ -12,11 +12,13 @@ within a separation the second kernel finds a point and not the closest one, so 
 
 In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less,
 and no other pair at all.
+
+Where contacts are kept, these kernels take the pairs of two kinds, and put what they find of a contact into the queue.
+A fourth one, in which all threads of a warp have a contact, lowers the minima and lists it (`pair_contacts`).
 """
 
 import warp as wp
 
-from ..atomics import claim
 from ..pair.norm import MAXIMUM_NORM, has_arcs
 from ..pair.query import CLIPPING, Options
 from ..pair.simd import fingerprint
@@ -27,6 +29,7 @@ from ..step.minima import QUEUED, Minima
 from ..step.pair_list import LeastToi, PairList, Round, num_found
 from ..step.step import ContactList
 from ..template import specialised
+from .pair_queue import SETTLED, Queue, QueuedPair, enqueue, put, queued
 from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
@@ -34,58 +37,15 @@ from .whole_warp import WARP, agreed, is_first, item_of_warp
 STAGES = ("first", "later", "last")
 # Most registers of a thread: sixteen warps a multiprocessor for the pairs that come as they are, where the compiler by
 # itself takes up to 216. The other kernels have fewer pairs, and as many registers as there are.
-MAX_REGISTERS = {"first": 128, "later": 255, "last": 255}
+MAX_REGISTERS = {"first": 128, "later": 255, "last": 255, "placed": 128}
 # Threads of a block: one warp, so that a few thousand pairs reach all multiprocessors. With more than 64 registers a
 # thread no more than 32 warps fit on one, as many as it can hold blocks.
 BLOCK_DIM = 32
 # Most threads of each kernel: about what 132 multiprocessors run at once with these registers; more pairs take turns.
-MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15}
+MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15, "placed": 1 << 16}
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
-_SETTLED = wp.constant(-1)
 _LANES = wp.constant(WARP)
-
-
-@wp.struct
-class Queue:
-    """Pairs that are open, each free on [0, t), in any order; their number is in the counts."""
-
-    rows: wp.array[wp.int32]  # of its points, or of its key; then `_SETTLED`, or `_SETTLED` - 1 - a row to complete
-    t: wp.array[wp.float64]
-    used: wp.array[wp.int8]  # iterations so far
-
-
-@wp.struct
-class OpenPair:
-    """An open pair of the queue."""
-
-    row: int
-    t: wp.float64
-    used: int
-
-
-@wp.func
-def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, row: int, t: wp.float64, used: int):
-    """Append an open pair; there is capacity for all pairs.
-
-    So no bound is needed: the count is 0 before a round, and a thread has each of its pairs appended once at most. A
-    place beyond the queue would therefore be that of a count that was not reset, which makes all of the queue wrong;
-    the emulated device ends such a launch.
-    """
-    n = claim(counts, kind, column, 1)
-    queue.rows[n] = row
-    queue.t[n] = t
-    queue.used[n] = wp.int8(used)
-
-
-@wp.func
-def queued(queue: Queue, n: int) -> OpenPair:
-    """The pair at a place of the queue."""
-    pair = OpenPair()
-    pair.row = queue.rows[n]
-    pair.t = queue.t[n]
-    pair.used = wp.int32(queue.used[n])
-    return pair
 
 
 @wp.struct
@@ -140,20 +100,28 @@ def module_of(name: str, stage: str):
     return module
 
 
+@wp.func
+def num_pairs(pairs: PairList, options: Options, round: Round) -> int:
+    """Number of pairs of a kind that a round takes: none in the second round if the first has left none open."""
+    if pair_outcome.cap_of_round(options, round, pairs) == 0:
+        return 0
+    return wp.int32(num_found(pairs))
+
+
 def make_solve_pairs(name: str, sink: int, stage: str):
     is_initial, is_last = stage == "first", stage == "last"
     is_table, is_listed, is_bound = sink == TABLE, sink == CONTACTS, sink == BOUND
 
     @wp.func
-    def is_done(pair: OpenPair, least: LeastToi, are_shared: bool) -> bool:
+    def is_done(pair: QueuedPair, least: LeastToi, are_shared: bool) -> bool:
         """Whether a pair of the queue is settled; the threads of a warp that share it find the same."""
-        done = pair.row == _SETTLED
-        if wp.static(not is_last):
+        done = pair.row == SETTLED
+        if wp.static(is_listed or not is_last):
             done = pair.row < 0
         if wp.static(is_bound):
             done = done or pair_outcome.is_beyond(pair.t, least)
-            if are_shared:
-                done = agreed(done)
+        if are_shared:
+            done = agreed(done)
         return done
 
     @wp.func
@@ -163,6 +131,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         if wp.static(is_bound):
             open = open and answer.t < bound
         return open
+
+    @wp.func
+    def keep_contact(queue: Queue, n: int, row: int, outcome: Outcome):
+        """Write to a place of the queue what is found of a contact."""
+        put(queue, n, SETTLED - 1 - row, outcome.toi, outcome.status)
+        uv = outcome.parameters
+        queue.contact[n] = wp.vec4d(uv[0], uv[1], outcome.gap, outcome.width)
 
     @wp.func
     def complete_row(kind: int, k: int, options: Options, table: Table):
@@ -180,6 +155,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         options: Options,
         round: Round,
         num_rows: int,
+        others: PairList,  # of the second kind
         queue: Queue,
         # out
         table: Table,
@@ -187,17 +163,23 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         contacts: ContactList,
         least: LeastToi,
     ):
-        """A stage of ``solve_pairs`` of `narrow_phase` for a sink; the queue of a table is counted in the first row."""
+        """A stage of ``solve_pairs`` of `narrow_phase` for a sink; the queue of a table is counted in the first row.
+
+        A list of contacts is of the pairs of two kinds, and the rows of the second follow those of the first.
+        """
         cap = options.max_iterations
         count = num_rows
+        of_first = num_rows
         row = int(0)
         column = QUEUED + round.is_second
         if wp.static(not is_table):
             row = pairs.kind
-            cap = pair_outcome.cap_of_round(options, round, pairs)
-            if cap == 0:
+            count = num_pairs(pairs, options, round)
+            of_first = count
+            if wp.static(is_listed):
+                count += num_pairs(others, options, round)
+            if count == 0:
                 return
-            count = wp.int32(num_found(pairs))
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
             count = wp.int32(pairs.counts[row, column])
@@ -206,56 +188,63 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         while following < count:
             n = following
             following += items.stride
-            pair = OpenPair()
+            pair = QueuedPair()
             if wp.static(is_initial):
                 pair.row = n
-                if wp.static(not is_table):
-                    if round.is_second != 0 and pairs.keys[n] >= wp.int64(0):
-                        continue  # the second round is of the pairs that the first has left open
-                if skips_first:
-                    enqueue(queue, pairs.counts, row, column, n, pair.t, pair.used)
-                    continue
             else:
                 pair = queued(queue, n)
                 if is_done(pair, least, items.are_shared):
                     continue
             k = pair.row
+            of_kind = pairs
+            if wp.static(is_listed):
+                if k >= of_first:
+                    k -= of_first
+                    of_kind = others
+            if wp.static(not is_table):
+                cap = pair_outcome.cap_of_round(options, round, of_kind)
+            if wp.static(is_initial):
+                if wp.static(not is_table):
+                    if round.is_second != 0 and of_kind.keys[k] >= wp.int64(0):
+                        continue  # the second round is of the pairs that the first has left open
+                if skips_first:
+                    enqueue(queue, pairs.counts, row, column, pair.row, pair.t, pair.used)
+                    continue
             if wp.static(is_table and is_last):
                 if k < 0:
                     if items.writes:
-                        complete_row(pairs.kind, _SETTLED - 1 - k, options, table)
+                        complete_row(pairs.kind, SETTLED - 1 - k, options, table)
                     continue
             if wp.static(is_table):
                 a = row_points(table.points_t0, k)
                 b = row_points(table.points_t1, k)
             else:
-                a, b = points_of_pairs(pairs, k)
+                a, b = points_of_pairs(of_kind, k)
             is_needed = bool(True)
             if wp.static(is_listed):
-                is_needed = round.only_moving == 0 or not pair_contacts.stays_in_place(pairs, k, a, b, options)
+                is_needed = round.only_moving == 0 or not pair_contacts.stays_in_place(of_kind, k, a, b, options)
             outcome = Outcome()
             if wp.static(is_last):
                 if wp.static(is_table):
                     outcome = pair_outcome.finished(pairs.kind, pair.t, pair.used, False, a, b, options, cap)
                 elif is_needed:
-                    outcome = pair_outcome.finished_of_list(pairs, k, pair.t, pair.used, a, b, options, cap)
+                    outcome = pair_outcome.finished_of_list(of_kind, k, pair.t, pair.used, a, b, options, cap)
             else:
                 bound = unbounded
                 if wp.static(is_bound):
                     bound = wp.cast(least.bits[0], wp.float64)
                 answer = LaneAnswer()
                 if wp.static(is_initial):
-                    answer = lane_answers.first_answer(pairs, k, a, b, options, cap, bound)
+                    answer = lane_answers.first_answer(of_kind, k, a, b, options, cap, bound)
                 else:
                     used = wp.float64(pair.used)
-                    answer = lane_answers.later_answer(pairs, k, a, b, options, _ONE, pair.t, used, cap, bound)
+                    answer = lane_answers.later_answer(of_kind, k, a, b, options, _ONE, pair.t, used, cap, bound)
                 if is_needed and is_open(answer, bound):
                     used_now = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        enqueue(queue, pairs.counts, row, column, k, answer.t, used_now)
+                        enqueue(queue, pairs.counts, row, column, pair.row, answer.t, used_now)
                     else:
-                        queue.t[n] = answer.t
-                        queue.used[n] = wp.int8(used_now)
+                        put(queue, n, pair.row, answer.t, used_now)
                     continue
                 if is_needed:
                     outcome = pair_outcome.outcome_of(answer, 0, options)
@@ -263,10 +252,10 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if wp.static(is_table):
                     is_complete = outcome.status == STATUS_NO_COLLISION or answer.closest != _NONE
                 if wp.static(not is_initial):
-                    queue.rows[n] = wp.where(is_complete, _SETTLED, _SETTLED - 1 - k)
+                    queue.rows[n] = wp.where(is_complete, SETTLED, SETTLED - 1 - k)
                 elif wp.static(is_table):
                     if not is_complete:
-                        enqueue(queue, pairs.counts, row, column, _SETTLED - 1 - k, answer.t, 0)
+                        enqueue(queue, pairs.counts, row, column, SETTLED - 1 - k, answer.t, 0)
             if not items.writes:
                 continue
             if wp.static(is_table):
@@ -275,13 +264,56 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 pair_outcome.write_row(k, outcome, table)
             elif wp.static(is_bound):
                 pair_contacts.settle_least(pairs, k, outcome, options, round, cap, least)
-            else:
-                pair_contacts.settle_contact(pairs, k, outcome, options, round, cap, minima, contacts)
+            elif pair_contacts.is_left_open(outcome, round, options, cap):
+                pair_contacts.leave_open(of_kind, k)
+            elif outcome.status != STATUS_NO_COLLISION:
+                if wp.static(is_initial):
+                    n = enqueue(queue, pairs.counts, row, column, SETTLED, outcome.toi, 0)
+                keep_contact(queue, n, pair.row, outcome)
 
     return solve_pairs
 
 
+@wp.kernel(module=module_of("solve_pairs", "placed"), cuda_max_registers=MAX_REGISTERS["placed"])
+def place_contacts(
+    begin: int,
+    # in
+    num_threads: int,
+    pairs: PairList,
+    options: Options,
+    round: Round,
+    num_rows: int,
+    others: PairList,
+    queue: Queue,
+    # out
+    table: Table,
+    minima: Minima,
+    contacts: ContactList,
+    least: LeastToi,
+):
+    """Lower the minima by each contact that a round has put into the queue, and list it; after the stages above."""
+    of_first = num_pairs(pairs, options, round)
+    n = begin + wp.tid()
+    while wp.int64(n) < pairs.counts[pairs.kind, QUEUED + round.is_second]:
+        pair = queued(queue, n)
+        if pair.row < SETTLED:
+            of_contact = queue.contact[n]
+            outcome = pair_contacts.Outcome()
+            outcome.toi = pair.t
+            outcome.status = pair.used
+            outcome.parameters = wp.vec2d(of_contact[0], of_contact[1])
+            outcome.gap = of_contact[2]
+            outcome.width = of_contact[3]
+            k = SETTLED - 1 - pair.row
+            of_kind = pairs
+            if k >= of_first:
+                k -= of_first
+                of_kind = others
+            pair_contacts.record_contact(of_kind, k, outcome, options, round, minima, contacts)
+        n += num_threads
+
+
 points_toi = [] if on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
-solve_pairs = [make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES]
+solve_pairs = [*(make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES), place_contacts]
 pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

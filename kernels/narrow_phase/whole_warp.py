@@ -76,6 +76,7 @@ def latest(t: wp.float32) -> wp.float32:  # noqa: F811
 @wp.func_native(
     """
 #if defined(__CUDA_ARCH__)
+    __syncwarp();
     return __shfl_sync(0xFFFFFFFFu, (int)is_true, 0) != 0;
 #else
     return is_true;
@@ -83,7 +84,10 @@ def latest(t: wp.float32) -> wp.float32:  # noqa: F811
 """
 )
 def agreed(is_true: bool) -> bool:
-    """What the first thread of the warp has found, where another kernel changes meanwhile what they look at."""
+    """What the first thread of the warp has found, where others change meanwhile what they look at.
+
+    What the threads have read before is read when the first of them goes on, and may write there.
+    """
     ...
 
 

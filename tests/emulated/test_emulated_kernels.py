@@ -265,11 +265,11 @@ def test_warps_agree_while_others_lower_the_least_toi():
         counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
         counts[EDGE_EDGE, [FOUND, QUEUED]] = 64
         times = array(np.where(first, 0.25, 0.31), wp.float64)
-        queue = queue_of(array(np.arange(64), wp.int32), times, array(np.full(64, 3), wp.int8))
+        queue = queue_of({"rows": array(np.arange(64), wp.int32), "t": times, "used": array(np.full(64, 3), wp.int8)})
         least = LeastToi()
         least.bits, least.open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
         pairs.counts = array(counts, wp.int64)
-        inputs = [0, num_solvers, pairs, options, Round(), 0, queue]
+        inputs = [0, num_solvers, pairs, options, Round(), 0, PairList(), queue]
         outputs = [Table(), Minima(), ContactList(), least]
         launch(specialised("narrow_phase.queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
         assert 0.3 - 1e-6 <= least.bits.numpy().view(np.float64)[0] <= 0.3

@@ -21,14 +21,14 @@ from ccd_warp._engine.mesh.planes import plane_query, planes_of
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
 from ccd_warp._engine.plan import Goal, Plan
-from ccd_warp._engine.stages import Stages, StepFields
+from ccd_warp._engine.stages import KINDS_AT_ONCE, Stages, StepFields
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.device_pairs import DeviceContacts
 from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp._runtime.pair_queue import QUEUE_BYTES, new_queue
+from ccd_warp._runtime.pair_queue import new_queue, queue_bytes
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.interop import as_positions, without_worlds
 from ccd_warp._scene.input.options import Options
@@ -62,8 +62,10 @@ class Capacities:
 
     def num_bytes(self, num_kinds: int, *, is_cuda: bool) -> int:
         """Bytes of the arrays that have these capacities, for pairs of so many kinds."""
-        keys = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1) + (QUEUE_BYTES if is_cuda else 0)
-        return self.max_pairs * keys + self.max_contacts * BYTES_PER_CONTACT
+        of_pair = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1)
+        if is_cuda:
+            of_pair += min(num_kinds, KINDS_AT_ONCE) * queue_bytes(keeps_contacts=True)
+        return self.max_pairs * of_pair + self.max_contacts * BYTES_PER_CONTACT
 
 
 class DeviceStep(Plan):
@@ -165,7 +167,7 @@ class DeviceStep(Plan):
             "is_thick": self._radius is not None,
             "search_options": search_options(options.t_max, inflation, separation, self.norm, self._flag, radii),
             "options": options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
-            "queue": new_queue(max_pairs, topology.device) if is_cuda and self._has_narrow_phase else None,
+            "queue": self._new_queue(max_pairs) if is_cuda and self._has_narrow_phase else None,
             "plane_query": self.plane_query() if self.has_planes else None,
         }
 
@@ -173,6 +175,11 @@ class DeviceStep(Plan):
         """What vertices and planes are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
         return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), lets_part=lets_part)
+
+    def _new_queue(self, max_pairs: int) -> Any:
+        """A queue for the pairs of the kinds that are solved at once."""
+        num_kinds = min(len(self._searched_kinds), KINDS_AT_ONCE)
+        return new_queue(num_kinds * max_pairs, self.topology.device, keeps_contacts=True)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)

@@ -8,7 +8,7 @@ import warp as wp
 
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._runtime.pair_queue import QUEUE_BYTES, queue_of
+from ccd_warp._runtime.pair_queue import queue_bytes, queue_dtypes, queue_of
 from ccd_warp._runtime.status import PairKind
 
 # Bytes of the key of a pair, and the largest number of pairs, which are counted in 32 bits.
@@ -19,7 +19,6 @@ CANDIDATES_EACH = 4
 # The least capacity for pairs of a kind, and how much more than what was found the next one is.
 _LEAST_CAPACITY = 1 << 12
 _GROWTH = 1.25
-_QUEUE = {"keys rows": wp.int32, "keys time": wp.float64, "keys used": wp.int8}
 
 
 class PairMemory:
@@ -46,12 +45,15 @@ class PairMemory:
         """
         self.kinds = kinds
         self.capacities = dict.fromkeys(kinds, 0)
-        self.pair_bytes = KEY_BYTES * (1 + CANDIDATES_EACH) + QUEUE_BYTES if is_cuda else KEY_BYTES
+        keeps_contacts = not keeps_toi
+        of_queue = queue_bytes(keeps_contacts=keeps_contacts)
+        self.pair_bytes = KEY_BYTES * (1 + CANDIDATES_EACH) + of_queue if is_cuda else KEY_BYTES
         self.most_pairs = MOST_PAIRS // CANDIDATES_EACH if is_cuda else MOST_PAIRS
         self._buffers, self._is_cuda, self._keeps_toi, self._has_queue = buffers, is_cuda, keeps_toi, has_queue
         self._keys: wp.array | None = None  # the array that is divided among the kinds
         self._total = 0  # of the capacities
-        self._queue: list[wp.array] = []
+        self._queue: dict[str, wp.array] = {}
+        self._queue_dtypes = queue_dtypes(keeps_contacts=keeps_contacts)
         self._recording: Recording
 
     def slots(self) -> dict[str, dict[PairKind, Slot]]:
@@ -107,7 +109,7 @@ class PairMemory:
             self._give(kind, *parts)
             begin = end
         self.capacities, self._keys, self._total = capacities, keys, total
-        self._reserve_queue(max(capacities.values(), default=0))
+        self._reserve_queue(total)
 
     def share(self, count: int) -> None:
         """Let every kind use the same memory, for so many pairs, one at a time."""
@@ -135,9 +137,9 @@ class PairMemory:
                 self._recording.bind(f"{kind.name} {name}", array)
 
     def _reserve_queue(self, count: int) -> None:
-        """Have capacity for so many pairs of a kind in the queue."""
+        """Have capacity for so many pairs in the queue."""
         if self._has_queue:
-            arrays: list[Any] = [self._buffers.get(name, count, dtype) for name, dtype in _QUEUE.items()]
+            arrays = {name: self._buffers.get(f"queue {name}", count, of) for name, of in self._queue_dtypes.items()}
             if self._queue != arrays:
                 self._queue = arrays
-                self._recording.bind("queue", queue_of(*arrays))
+                self._recording.bind("queue", queue_of(arrays))
