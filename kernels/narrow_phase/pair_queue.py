@@ -38,12 +38,12 @@ def enqueue(
     the emulated device ends such a launch.
     """
     n = wp.int32(claim(counts, kind, column, 1))
-    put(queue, n, row, t, used)
+    keep(queue, n, row, t, used)
     return n
 
 
 @wp.func
-def put(queue: Queue, n: int, row: int, t: wp.float64, used: int):
+def keep(queue: Queue, n: int, row: int, t: wp.float64, used: int):
     """Write a pair to a place of the queue."""
     queue.rows[n] = row
     queue.t[n] = t

@@ -29,7 +29,7 @@ from ..step.minima import QUEUED, Minima
 from ..step.pair_list import LeastToi, PairList, Round, num_found
 from ..step.step import ContactList
 from ..template import specialised
-from .pair_queue import SETTLED, Queue, QueuedPair, enqueue, put, queued
+from .pair_queue import SETTLED, Queue, QueuedPair, enqueue, keep, queued
 from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
@@ -131,13 +131,6 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         if wp.static(is_bound):
             open = open and answer.t < bound
         return open
-
-    @wp.func
-    def keep_contact(queue: Queue, n: int, row: int, outcome: Outcome):
-        """Write to a place of the queue what is found of a contact."""
-        put(queue, n, SETTLED - 1 - row, outcome.toi, outcome.status)
-        uv = outcome.parameters
-        queue.contact[n] = wp.vec4d(uv[0], uv[1], outcome.gap, outcome.width)
 
     @wp.func
     def complete_row(kind: int, k: int, options: Options, table: Table):
@@ -244,7 +237,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     if wp.static(is_initial):
                         enqueue(queue, pairs.counts, row, column, pair.row, answer.t, used_now)
                     else:
-                        put(queue, n, pair.row, answer.t, used_now)
+                        keep(queue, n, pair.row, answer.t, used_now)
                     continue
                 if is_needed:
                     outcome = pair_outcome.outcome_of(answer, 0, options)
@@ -267,9 +260,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             elif pair_contacts.is_left_open(outcome, round, options, cap):
                 pair_contacts.leave_open(of_kind, k)
             elif outcome.status != STATUS_NO_COLLISION:
+                marked = SETTLED - 1 - pair.row
                 if wp.static(is_initial):
-                    n = enqueue(queue, pairs.counts, row, column, SETTLED, outcome.toi, 0)
-                keep_contact(queue, n, pair.row, outcome)
+                    n = enqueue(queue, pairs.counts, row, column, marked, outcome.toi, outcome.status)
+                else:
+                    keep(queue, n, marked, outcome.toi, outcome.status)
+                uv = outcome.parameters
+                queue.contact[n] = wp.vec4d(uv[0], uv[1], outcome.gap, outcome.width)
 
     return solve_pairs
 
