@@ -250,7 +250,7 @@ class CollisionPipeline:
 
         Args:
             max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
-                the list of candidates, four for each pair, and 45 more for each of two kinds, whose queue others
+                the list of candidates, four for each pair, and 48 more for each of two kinds, whose queue others
                 share. Default: unchanged; initially one for each primitive, and at least 4,096.
             max_contacts: Capacity for contacts, 80 bytes each, and for what :meth:`launch_proximity` lists, 64 bytes
                 each. Default: unchanged; initially one for each vertex, and at least 4,096.

@@ -19,15 +19,10 @@ def queue_bytes(*, keeps_contacts: bool) -> int:
     return sum(map(wp.types.type_size_in_bytes, queue_dtypes(keeps_contacts=keeps_contacts).values()))
 
 
-def queue_of(arrays: dict[str, wp.array]) -> Any:
-    """A queue in the given arrays."""
-    return struct_of(Queue, arrays)
-
-
 def new_queue(count: int, device: Any, *, keeps_contacts: bool) -> Any:
     """A queue with a place for each of ``count`` pairs."""
     dtypes = queue_dtypes(keeps_contacts=keeps_contacts)
-    return queue_of({name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})
+    return struct_of(Queue, {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})
 
 
 def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs: list, outputs: list) -> None:

@@ -9,28 +9,24 @@ SETTLED = wp.constant(-1)
 
 
 @wp.struct
-class Queue:
-    """Pairs, each free on [0, t), in any order; their number is in the counts."""
+class QueuedPair:
+    """A pair of the queue, free on [0, t)."""
 
-    rows: wp.array[wp.int32]  # numbers of pairs, or what stands in their place
-    t: wp.array[wp.float64]
-    used: wp.array[wp.int8]  # iterations so far; of a contact its status
-    contact: wp.array[wp.vec4d]  # of a contact its parameters, its gap and the width of its time; empty without a list
+    row: int  # number of the pair, or what stands in its place
+    used: int  # iterations so far; of a contact its status
+    t: wp.float64
 
 
 @wp.struct
-class QueuedPair:
-    """A pair of the queue."""
+class Queue:
+    """Pairs in any order; their number is in the counts."""
 
-    row: int
-    t: wp.float64
-    used: int
+    pairs: wp.array[QueuedPair]
+    contact: wp.array[wp.vec4d]  # of a contact its parameters, its gap and the width of its time; empty without a list
 
 
 @wp.func
-def enqueue(
-    queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, row: int, t: wp.float64, used: int
-) -> int:
+def enqueue(queue: Queue, counts: wp.array2d[wp.int64], kind: int, column: int, pair: QueuedPair) -> int:
     """Append a pair, and return its place; there is capacity for all pairs.
 
     So no bound is needed: the count is 0 before a round, and a thread has each of its pairs appended once at most. A
@@ -38,23 +34,5 @@ def enqueue(
     the emulated device ends such a launch.
     """
     n = wp.int32(claim(counts, kind, column, 1))
-    keep(queue, n, row, t, used)
+    queue.pairs[n] = pair
     return n
-
-
-@wp.func
-def keep(queue: Queue, n: int, row: int, t: wp.float64, used: int):
-    """Write a pair to a place of the queue."""
-    queue.rows[n] = row
-    queue.t[n] = t
-    queue.used[n] = wp.int8(used)
-
-
-@wp.func
-def queued(queue: Queue, n: int) -> QueuedPair:
-    """The pair at a place of the queue."""
-    pair = QueuedPair()
-    pair.row = queue.rows[n]
-    pair.t = queue.t[n]
-    pair.used = wp.int32(queue.used[n])
-    return pair

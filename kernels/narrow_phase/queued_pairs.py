@@ -29,7 +29,7 @@ from ..step.minima import QUEUED, Minima
 from ..step.pair_list import LeastToi, PairList, Round, num_found
 from ..step.step import ContactList
 from ..template import specialised
-from .pair_queue import SETTLED, Queue, QueuedPair, enqueue, keep, queued
+from .pair_queue import SETTLED, Queue, QueuedPair, enqueue
 from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
@@ -163,10 +163,10 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         cap = options.max_iterations
         count = num_rows
         of_first = num_rows
-        row = int(0)
+        kind = int(0)
         column = QUEUED + round.is_second
         if wp.static(not is_table):
-            row = pairs.kind
+            kind = pairs.kind
             count = num_pairs(pairs, options, round)
             of_first = count
             if wp.static(is_listed):
@@ -175,7 +175,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 return
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
-            count = wp.int32(pairs.counts[row, column])
+            count = wp.int32(pairs.counts[kind, column])
         items = items_of(begin + wp.tid(), num_solvers, count, wp.static(is_last) and options.method == CLIPPING)
         following = items.first
         while following < count:
@@ -185,10 +185,11 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             if wp.static(is_initial):
                 pair.row = n
             else:
-                pair = queued(queue, n)
+                pair = queue.pairs[n]
                 if is_done(pair, least, items.are_shared):
                     continue
-            k = pair.row
+            row = pair.row
+            k = row
             of_kind = pairs
             if wp.static(is_listed):
                 if k >= of_first:
@@ -201,7 +202,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     if round.is_second != 0 and of_kind.keys[k] >= wp.int64(0):
                         continue  # the second round is of the pairs that the first has left open
                 if skips_first:
-                    enqueue(queue, pairs.counts, row, column, pair.row, pair.t, pair.used)
+                    enqueue(queue, pairs.counts, kind, column, pair)
                     continue
             if wp.static(is_table and is_last):
                 if k < 0:
@@ -233,22 +234,24 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     used = wp.float64(pair.used)
                     answer = lane_answers.later_answer(of_kind, k, a, b, options, _ONE, pair.t, used, cap, bound)
                 if is_needed and is_open(answer, bound):
-                    used_now = wp.int32(answer.iterations)
+                    pair.t = answer.t
+                    pair.used = wp.int32(answer.iterations)
                     if wp.static(is_initial):
-                        enqueue(queue, pairs.counts, row, column, pair.row, answer.t, used_now)
+                        enqueue(queue, pairs.counts, kind, column, pair)
                     else:
-                        keep(queue, n, pair.row, answer.t, used_now)
+                        queue.pairs[n] = pair
                     continue
                 if is_needed:
                     outcome = pair_outcome.outcome_of(answer, 0, options)
                 is_complete = bool(True)
                 if wp.static(is_table):
                     is_complete = outcome.status == STATUS_NO_COLLISION or answer.closest != _NONE
+                pair.row = wp.where(is_complete, SETTLED, SETTLED - 1 - row)
                 if wp.static(not is_initial):
-                    queue.rows[n] = wp.where(is_complete, SETTLED, SETTLED - 1 - k)
+                    queue.pairs[n] = pair
                 elif wp.static(is_table):
                     if not is_complete:
-                        enqueue(queue, pairs.counts, row, column, SETTLED - 1 - k, answer.t, 0)
+                        enqueue(queue, pairs.counts, kind, column, pair)
             if not items.writes:
                 continue
             if wp.static(is_table):
@@ -260,11 +263,13 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             elif pair_contacts.is_left_open(outcome, round, options, cap):
                 pair_contacts.leave_open(of_kind, k)
             elif outcome.status != STATUS_NO_COLLISION:
-                marked = SETTLED - 1 - pair.row
+                pair.row = SETTLED - 1 - row
+                pair.t = outcome.toi
+                pair.used = outcome.status
                 if wp.static(is_initial):
-                    n = enqueue(queue, pairs.counts, row, column, marked, outcome.toi, outcome.status)
+                    n = enqueue(queue, pairs.counts, kind, column, pair)
                 else:
-                    keep(queue, n, marked, outcome.toi, outcome.status)
+                    queue.pairs[n] = pair
                 uv = outcome.parameters
                 queue.contact[n] = wp.vec4d(uv[0], uv[1], outcome.gap, outcome.width)
 
@@ -292,7 +297,7 @@ def place_contacts(
     of_first = num_pairs(pairs, options, round)
     n = begin + wp.tid()
     while wp.int64(n) < pairs.counts[pairs.kind, QUEUED + round.is_second]:
-        pair = queued(queue, n)
+        pair = queue.pairs[n]
         if pair.row < SETTLED:
             of_contact = queue.contact[n]
             outcome = pair_contacts.Outcome()

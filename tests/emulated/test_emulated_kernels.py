@@ -6,6 +6,7 @@ import warp as wp
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
 from ccd_warp.kernels.boxes.half_warp import least_together, united
 from ccd_warp.kernels.boxes.lanes import vec8f
+from ccd_warp.kernels.narrow_phase.pair_queue import Queue, QueuedPair
 from ccd_warp.kernels.narrow_phase.sinks import Table
 from ccd_warp.kernels.narrow_phase.whole_warp import agreed, claim_for, is_first, item_of_warp, latest, threads_where
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
@@ -22,7 +23,6 @@ from ccd_warp._engine.boxes.grids import Grid
 from ccd_warp._engine.boxes.trees import search_range
 from ccd_warp._engine.mesh.topology import PrimitiveSet
 from ccd_warp._runtime.launch import Execution
-from ccd_warp._runtime.pair_queue import queue_of
 from ccd_warp._scene.input.options import Options
 from emulated import MARKS
 from emulated.device import emulation
@@ -264,8 +264,9 @@ def test_warps_agree_while_others_lower_the_least_toi():
     for _ in range(3):
         counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
         counts[EDGE_EDGE, [FOUND, QUEUED]] = 64
-        times = array(np.where(first, 0.25, 0.31), wp.float64)
-        queue = queue_of({"rows": array(np.arange(64), wp.int32), "t": times, "used": array(np.full(64, 3), wp.int8)})
+        open_pairs = [(k, 3, 0.25 if first[k] else 0.31) for k in range(64)]
+        queue = Queue()
+        queue.pairs = array(np.array(open_pairs, dtype=QueuedPair.numpy_dtype()), QueuedPair)
         least = LeastToi()
         least.bits, least.open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
         pairs.counts = array(counts, wp.int64)

@@ -62,10 +62,9 @@ class Capacities:
 
     def num_bytes(self, num_kinds: int, *, is_cuda: bool) -> int:
         """Bytes of the arrays that have these capacities, for pairs of so many kinds."""
-        of_pair = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1)
-        if is_cuda:
-            of_pair += min(num_kinds, KINDS_AT_ONCE) * queue_bytes(keeps_contacts=True)
-        return self.max_pairs * of_pair + self.max_contacts * BYTES_PER_CONTACT
+        keys = num_kinds * KEY_BYTES * (1 + CANDIDATES_EACH if is_cuda else 1)
+        queue = KINDS_AT_ONCE * queue_bytes(keeps_contacts=True) if is_cuda else 0
+        return self.max_pairs * (keys + queue) + self.max_contacts * BYTES_PER_CONTACT
 
 
 class DeviceStep(Plan):
@@ -135,6 +134,7 @@ class DeviceStep(Plan):
         """The arrays and values of the stages."""
         topology, options, result, mesh = self.topology, self._options, self.result, self._mesh
         is_cuda, max_pairs = self.execution.is_cuda, capacities.max_pairs
+        has_queue = is_cuda and self._has_narrow_phase
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         inflation = half_rounded_up(separation)
@@ -167,7 +167,7 @@ class DeviceStep(Plan):
             "is_thick": self._radius is not None,
             "search_options": search_options(options.t_max, inflation, separation, self.norm, self._flag, radii),
             "options": options.for_kernel(length_scale, stop=self._flag.array, radius=radii[0]),
-            "queue": self._new_queue(max_pairs) if is_cuda and self._has_narrow_phase else None,
+            "queue": new_queue(KINDS_AT_ONCE * max_pairs, topology.device, keeps_contacts=True) if has_queue else None,
             "plane_query": self.plane_query() if self.has_planes else None,
         }
 
@@ -175,11 +175,6 @@ class DeviceStep(Plan):
         """What vertices and planes are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
         return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), lets_part=lets_part)
-
-    def _new_queue(self, max_pairs: int) -> Any:
-        """A queue for the pairs of the kinds that are solved at once."""
-        num_kinds = min(len(self._searched_kinds), KINDS_AT_ONCE)
-        return new_queue(num_kinds * max_pairs, self.topology.device, keeps_contacts=True)
 
     def _empty(self, count: int, dtype: Any) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)

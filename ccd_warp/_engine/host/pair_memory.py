@@ -8,8 +8,10 @@ import warp as wp
 
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._runtime.pair_queue import queue_bytes, queue_dtypes, queue_of
+from ccd_warp._runtime.pair_queue import queue_bytes, queue_dtypes
 from ccd_warp._runtime.status import PairKind
+from ccd_warp._runtime.structs import struct_of
+from ccd_warp.kernels.narrow_phase.pair_queue import Queue
 
 # Bytes of the key of a pair, and the largest number of pairs, which are counted in 32 bits.
 KEY_BYTES = 8
@@ -139,7 +141,7 @@ class PairMemory:
     def _reserve_queue(self, count: int) -> None:
         """Have capacity for so many pairs in the queue."""
         if self._has_queue:
-            arrays = {name: self._buffers.get(f"queue {name}", count, of) for name, of in self._queue_dtypes.items()}
+            arrays = {name: self._buffers.get(f"keys {name}", count, of) for name, of in self._queue_dtypes.items()}
             if self._queue != arrays:
                 self._queue = arrays
-                self._recording.bind("queue", queue_of(arrays))
+                self._recording.bind("queue", struct_of(Queue, arrays))
