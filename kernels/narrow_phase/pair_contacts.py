@@ -17,7 +17,7 @@ from ..pair.status import (
 )
 from ..pair.turns import turns_anywhere
 from ..parameters import norm, on_warp, real
-from ..step.contact_normal import ContactGap, contact_at
+from ..step.contact_normal import contact_at
 from ..step.minima import (
     ANY_OPEN,
     CONTACTS_OVERFLOW,
@@ -72,48 +72,10 @@ def leave_open(pairs: PairList, k: int):
     claim(pairs.counts, 0, ANY_OPEN, 1)
 
 
-@wp.func(inline=False)
-def status_of(kind: int, vertices: PairVertices, gap: wp.float64, x_t0: wp.array[wp.vec3d], options: Options) -> int:
-    """`status_at_start` of a pair of primitives."""
-    of_pair = options_of_pair(options, vertices.first, vertices.second)
-    a = points_of(kind, vertices.first, vertices.second, x_t0)
-    return status_at_start(kind, gap, a, of_pair)
-
-
-@wp.func(inline=False)
-def motion_of(kind: int, vertices: PairVertices, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d]) -> wp.float64:
-    """`relative_motion` of a pair; out of line, so that nobody keeps its points in registers for it."""
-    a = points_of(kind, vertices.first, vertices.second, x_t0)
-    return relative_motion(a, points_of(kind, vertices.first, vertices.second, x_t1))
-
-
-@wp.func(inline=False)
-def is_pressed(
-    kind: int, vertices: PairVertices, toi: wp.float64, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d]
-) -> bool:
+@wp.func
+def is_pressed(kind: int, a: Points, b: Points, toi: wp.float64) -> bool:
     """Whether a pair that keeps its start distance touches as good as from the start."""
-    a = points_of(kind, vertices.first, vertices.second, x_t0)
-    motion = relative_motion(a, points_of(kind, vertices.first, vertices.second, x_t1))
-    return toi <= _PRESSED and toi * motion <= _PRESSED * wp.max(largest(corners(kind, a)))
-
-
-@wp.func(inline=True)
-def place_at(
-    kind: int,
-    vertices: PairVertices,
-    t: wp.float64,
-    uv: wp.vec2d,
-    x_t0: wp.array[wp.vec3d],
-    x_t1: wp.array[wp.vec3d],
-    options: Options,
-) -> ContactGap:
-    """`contact_at`, for points on arcs from where they are and how they move at that time."""
-    a = points_of(kind, vertices.first, vertices.second, x_t0)
-    b = points_of(kind, vertices.first, vertices.second, x_t1)
-    if wp.static(on_arcs):
-        tangents = tangents_of_arcs(kind, vertices.first, vertices.second, a, b, t, options)
-        return contact_at(kind, tangents.a, tangents.b, wp.float64(0.5), uv)
-    return contact_at(kind, a, b, t, uv)
+    return toi <= _PRESSED and toi * relative_motion(a, b) <= _PRESSED * wp.max(largest(corners(kind, a)))
 
 
 @wp.func(inline=False)
@@ -152,10 +114,12 @@ def record_contact(
     vertices = vertices_of_pair(pairs, k)
     first = vertices.first
     second = vertices.second
+    a = points_of(pairs.kind, first, second, pairs.vertices_t0)
+    b = points_of(pairs.kind, first, second, pairs.vertices_t1)
     keeps_start_distance = bool(False)
     if wp.static(by_pair):
         if start_distance_of(options.start_distance, first, second) < infinite:
-            if is_pressed(pairs.kind, vertices, outcome.toi, pairs.vertices_t0, pairs.vertices_t1):
+            if is_pressed(pairs.kind, a, b, outcome.toi):
                 keeps_start_distance = True
                 outcome.toi = wp.float64(0.0)
                 if outcome.status == STATUS_COLLISION:
@@ -163,13 +127,11 @@ def record_contact(
     toi = outcome.toi
     status = outcome.status
     if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options) and not keeps_start_distance:
-        status = status_of(pairs.kind, vertices, outcome.gap, pairs.vertices_t0, options)
+        status = status_at_start(pairs.kind, outcome.gap, a, options_of_pair(options, first, second))
         if status == STATUS_ROUNDING_LIMIT:
             flag_world(minima, first[0], ROUNDING_LIMIT)
     if may_be_raised(toi, round.gaps_moved) and not keeps_start_distance:
-        toi = raised_toi(
-            toi, outcome.gap, motion_of(pairs.kind, vertices, pairs.vertices_t0, pairs.vertices_t1), round.gaps_moved
-        )
+        toi = raised_toi(toi, outcome.gap, relative_motion(a, b), round.gaps_moved)
     if round.only_moving != 0 and is_struck(vertices, pairs.vertices_t0, pairs.vertices_t1, options, minima):
         flag_world(minima, first[0], STRUCK)
     else:
@@ -182,9 +144,13 @@ def record_contact(
         contacts.status[n] = status
         contacts.gap[n] = outcome.gap
         contacts.width[n] = outcome.width
-        at_toi = place_at(
-            pairs.kind, vertices, outcome.toi, outcome.parameters, pairs.vertices_t0, pairs.vertices_t1, options
-        )
+        t = outcome.toi
+        if wp.static(on_arcs):
+            tangents = tangents_of_arcs(pairs.kind, first, second, a, b, t, options)
+            a = tangents.a
+            b = tangents.b
+            t = wp.float64(0.5)
+        at_toi = contact_at(pairs.kind, a, b, t, outcome.parameters)
         contacts.parameters[n] = at_toi.parameters
         contacts.normal[n] = at_toi.direction
     else:
