@@ -25,7 +25,7 @@ from ..template import specialised
 from . import lane_rows
 from .lane_answers import first_answer, later_answer
 from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, rows_from, rows_of
-from .pair_contacts import settle_contact, settle_least, stays_in_place
+from .pair_contacts import is_left_open, leave_open, record_contact, settle_least, stays_in_place
 from .pair_outcome import (
     cap_of_round,
     finished_lanes,
@@ -126,8 +126,10 @@ def settle_pair(
             outcome = finished_of_list(pairs, k, simd64.lane_of(answer.t, lane), used, a, b, options, cap)
     if sink == BOUND:
         settle_least(pairs, k, outcome, options, round, cap, least)
-    else:
-        settle_contact(pairs, k, outcome, options, round, cap, minima, contacts)
+    elif is_left_open(outcome, round, options, cap):
+        leave_open(pairs, k)
+    elif outcome.status != STATUS_NO_COLLISION:
+        record_contact(pairs, k, outcome, options, round, minima, contacts)
 
 
 # a Warp module for each precision, number of lanes and norm

@@ -158,25 +158,6 @@ def record_contact(
 
 
 @wp.func(inline=True)
-def settle_contact(
-    pairs: PairList,
-    k: int,
-    outcome: Outcome,
-    options: Options,
-    round: Round,
-    cap: int,
-    # out
-    minima: Minima,
-    contacts: ContactList,
-):
-    """Record the result of a pair, if it is a contact, or leave the pair open."""
-    if is_left_open(outcome, round, options, cap):
-        leave_open(pairs, k)
-    elif outcome.status != STATUS_NO_COLLISION:
-        record_contact(pairs, k, outcome, options, round, minima, contacts)
-
-
-@wp.func(inline=True)
 def settle_least(pairs: PairList, k: int, outcome: Outcome, options: Options, round: Round, cap: int, least: LeastToi):
     """Lower the least toi by the result of a pair, or leave the pair open."""
     if is_left_open(outcome, round, options, cap):
