@@ -72,10 +72,7 @@ class BodyParts:
         self._first_row = self.begins[self._first_part]  # of each body
         self.row_of = np.cumsum(mesh.rigid) - 1
         self._rigid = np.flatnonzero(mesh.rigid)
-        pairs = _pairs(mesh)
-        planes = np.stack(np.meshgrid(self._rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
-        self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
-        self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
+        self.pairs = pairs_of(mesh, counts > 0)
         self._on_device: dict[str, tuple[Any, wp.array]] = {}
         self._idle: dict[tuple[str, int, int], list[NearSearch]] = {}
 
@@ -171,11 +168,15 @@ class BodyParts:
         return self._on_device[str(device)]
 
 
-def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
-    """Pairs of bodies that may collide, of which the first is rigid; some rigid bodies stand where they are."""
+def pairs_of(mesh: CollisionMesh, is_filled: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Pairs of bodies with primitives that may collide, the first rigid, the second -1 - k of half-space k.
+
+    Some rigid bodies stand where they are.
+    """
     may = np.triu(np.ones((mesh.num_bodies, mesh.num_bodies), dtype=bool), 1)
     if mesh.body_pairs is not None:
         may &= mesh.body_pairs
+    may &= is_filled & is_filled[:, None] & (mesh.rigid | mesh.rigid[:, None])
     may &= ~(mesh.static & mesh.static[:, None])
     if mesh.num_worlds > 1:
         first, last = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
@@ -183,4 +184,6 @@ def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
     pairs = np.argwhere(may)
     swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]
-    return pairs
+    rigid = np.flatnonzero(mesh.rigid & is_filled)
+    planes = np.stack(np.meshgrid(rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
+    return np.concatenate([pairs, planes.reshape(-1, 2)])

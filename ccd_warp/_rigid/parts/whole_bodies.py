@@ -1,0 +1,104 @@
+"""Which whole bodies may touch in slices of a step whose rows stand on the device, where nothing else knows them."""
+
+from typing import Any
+
+import numpy as np
+import warp as wp
+
+from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._rigid.parts.overlap import pairs_of
+from ccd_warp._rigid.parts.walk import record_walk
+from ccd_warp._rigid.rotations import in_space
+from ccd_warp._runtime.launch import Recording
+from ccd_warp._scene.half_space import unit_normals
+from ccd_warp._scene.mesh import CollisionMesh
+from ccd_warp.kernels.rigid import part_overlap as kernels
+
+_RUN = 256  # vertices that one item bounds
+_MOST_BODIES = 1 << 11  # whose pairs are listed
+
+
+class WholeBodies:
+    """The bodies of a mesh, each in one box, and the slices in which they may touch.
+
+    Bodies that neither stand nor are on a path are searched in every slice.
+    """
+
+    def __init__(self, topology: Topology, radius: wp.array) -> None:
+        """Allocate the arrays of the bodies; ``radius`` is that of their vertices, empty where there is none."""
+        mesh, self._device, self._radius = topology.mesh, topology.device, radius
+        takes_part = np.ones(mesh.num_vertices, dtype=bool)
+        takes_part[mesh.unused_vertices] = False
+        vertices = np.flatnonzero(takes_part)
+        counts = np.bincount(mesh.vertex_body[vertices], minlength=mesh.num_bodies)
+        num_runs = -(-counts // _RUN)
+        body = np.repeat(np.arange(mesh.num_bodies), num_runs)
+        number = np.arange(len(body)) - (np.cumsum(num_runs) - num_runs)[body]
+        first = (np.cumsum(counts) - counts)[body] + _RUN * number
+        self._runs = [self._int32(x) for x in (vertices, np.append(first, len(vertices)), body)]
+        self._first_run = self._int32(np.append(0, np.cumsum(num_runs)))
+        self._links = self._int32(np.where(mesh.rigid, np.arange(mesh.num_bodies), -1))
+        self._bounds: list[wp.array] = [
+            wp.empty(len(body), dtype=dtype, device=self._device) for dtype in (wp.vec3d, wp.vec3d, wp.float64)
+        ]
+        self._trees = self._new_trees(mesh, counts > 0)
+        self._pairs = wp.array(np.array(pairs_of(mesh, counts > 0), dtype=np.int32), dtype=wp.vec2i, device=self._device)
+        always = ~(mesh.rigid | mesh.static)
+        self._always, self._is_any_always = self._int32(always), int(always.any())
+
+    @staticmethod
+    def are_few(mesh: CollisionMesh) -> bool:
+        """Whether they are looked for: of few bodies, and with no half-space that moves."""
+        return mesh.num_bodies <= _MOST_BODIES and not (mesh.planes.vertices >= 0).any()
+
+    def _int32(self, values: Any) -> wp.array:
+        return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=self._device)
+
+    def _new_trees(self, mesh: CollisionMesh, is_filled: Any) -> Any:
+        """Trees of one node each, whose boxes are made in each step."""
+        count, device = mesh.num_bodies, self._device
+        trees = kernels.PartTrees()
+        trees.first = trees.first_part = self._int32(np.arange(count))
+        trees.num_parts, trees.link = self._int32(is_filled), self._links
+        axes = np.broadcast_to(np.eye(3), (count, 3, 3))
+        trees.axes = wp.array(axes, dtype=wp.vec3d, device=device)
+        trees.centre, trees.half = (wp.zeros(count, dtype=wp.vec3d, device=device) for _ in range(2))
+        trees.radius, trees.thickness = (wp.zeros(count, dtype=wp.float64, device=device) for _ in range(2))
+        trees.plane_point = wp.array(in_space(mesh.planes.points), dtype=wp.vec3d, device=device)
+        trees.plane_normal = wp.array(in_space(unit_normals(mesh.planes.normals)), dtype=wp.vec3d, device=device)
+        return trees
+
+    def new_marks(self, num_slices: int) -> Any:
+        """The bodies that may touch in each slice, as the struct of the kernels."""
+        marks, count = kernels.PartPairs(), len(self._always)
+        marks.marks = wp.zeros((num_slices, count), dtype=wp.int32, device=self._device)
+        marks.is_any = wp.zeros(num_slices, dtype=wp.int32, device=self._device)
+        return marks
+
+    def record_bounds(self, recording: Recording, start: Any, end: Any) -> None:
+        """Record the launches that bound the bodies, given the rows of both ends."""
+        inputs = [*self._runs, self._links, start, end, self._radius]
+        count = len(self._runs[2])
+        recording.launch(kernels.bound_rows, count, inputs=inputs, outputs=self._bounds, grain=16)
+        inputs = [self._first_run, *self._bounds]
+        recording.launch(kernels.bound_bodies, len(self._links), inputs=inputs, outputs=[self._trees])
+
+    def record_near(
+        self, recording: Recording, paths: Any, t_max: float, reach: float, active: wp.array, stop: wp.array, marks: Any
+    ) -> None:
+        """Record the launches that mark what comes within a distance of another body of which one is active.
+
+        Args:
+            recording: Where to.
+            paths: The paths of all bodies, as the struct of the kernels.
+            t_max: The end of the last slice.
+            reach: The distance, Euclidean, besides the radii of the vertices.
+            active: Bodies of which one of each pair is, int32, shape [B].
+            stop: What ends the search.
+            marks: Those of :meth:`new_marks`, which are written.
+        """
+        num_slices = len(marks.is_any)
+        inputs = [self._always, self._is_any_always, active]
+        recording.launch(kernels.clear_marks, num_slices * len(self._always), inputs=inputs, outputs=[marks])
+        of_slices = num_slices, t_max, reach, True
+        record_walk(recording, self._trees, self._pairs, paths, 0, 1, marks, active, stop, *of_slices)
