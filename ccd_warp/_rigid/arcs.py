@@ -116,9 +116,8 @@ class Arcs(Motion):
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
         launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def begin_on_host(self, paths: BodyPaths, slices: list[Slice], positions: Positions) -> Motion:
-        """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
-        self.begin(paths)
+    def begin_on_host(self, slices: list[Slice], positions: Positions) -> Motion:
+        """Begin a step on the host along paths that are known, given positions at both ends in the bodies' frames."""
         self.slices = slices
         device = self._topology.device
         self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]

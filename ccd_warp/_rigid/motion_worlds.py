@@ -40,6 +40,7 @@ from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
 from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct
+from ccd_warp._rigid.parts.whole_bodies import NearBodies
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import in_one_world, result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
@@ -274,6 +275,8 @@ class MotionWorlds:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
+        if self._near is None and NearBodies.are_found(self._mesh):
+            return True
         num_near = self._slices.num_slices if self._near is None else len(np.unique(self._near.slice))
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
@@ -281,7 +284,8 @@ class MotionWorlds:
         """The paths of the one world that there is, with the slices in which anything is near, and what."""
         near, parts = self._near, self._body_parts
         searched = None if near is None or parts is None else searched_slices(parts, near, self._slices)
-        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched)
+        divides = parts is not None
+        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched, divides=divides)
 
     @lazy_property
     def _parts(self) -> WorldsOfParts:

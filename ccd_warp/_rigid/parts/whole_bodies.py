@@ -1,21 +1,25 @@
-"""Which whole bodies may touch in slices of a step whose rows stand on the device, where nothing else knows them."""
+"""Which whole bodies may touch in slices of a step whose rows are not known beforehand: on the device, or others."""
 
 from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.parts.overlap import pairs_of
 from ccd_warp._rigid.parts.walk import record_walk
 from ccd_warp._rigid.rotations import in_space
-from ccd_warp._runtime.launch import Recording
+from ccd_warp._runtime.launch import Execution, Recording, Slot
+from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.rigid import part_overlap as kernels
 
 _RUN = 256  # vertices that one item bounds
 _MOST_BODIES = 1 << 11  # whose pairs are listed
+_MOST_RECORDINGS = 4  # by their numbers of slices
 
 
 class WholeBodies:
@@ -42,7 +46,8 @@ class WholeBodies:
             wp.empty(len(body), dtype=dtype, device=self._device) for dtype in (wp.vec3d, wp.vec3d, wp.float64)
         ]
         self._trees = self._new_trees(mesh, counts > 0)
-        self._pairs = wp.array(np.array(pairs_of(mesh, counts > 0), dtype=np.int32), dtype=wp.vec2i, device=self._device)
+        pairs = np.array(pairs_of(mesh, counts > 0), dtype=np.int32)
+        self._pairs: wp.array = wp.array(pairs, dtype=wp.vec2i, device=self._device)
         always = ~(mesh.rigid | mesh.static)
         self._always, self._is_any_always = self._int32(always), int(always.any())
 
@@ -84,7 +89,7 @@ class WholeBodies:
         recording.launch(kernels.bound_bodies, len(self._links), inputs=inputs, outputs=[self._trees])
 
     def record_near(
-        self, recording: Recording, paths: Any, t_max: float, reach: float, active: wp.array, stop: wp.array, marks: Any
+        self, recording: Recording, paths: Any, t_max: Any, reach: Any, active: wp.array, stop: wp.array, marks: Any
     ) -> None:
         """Record the launches that mark what comes within a distance of another body of which one is active.
 
@@ -102,3 +107,57 @@ class WholeBodies:
         recording.launch(kernels.clear_marks, num_slices * len(self._always), inputs=inputs, outputs=[marks])
         of_slices = num_slices, t_max, reach, True
         record_walk(recording, self._trees, self._pairs, paths, 0, 1, marks, active, stop, *of_slices)
+
+
+class NearBodies:
+    """The search for whole bodies that are near in steps on the host, of which all others than rigid ones stand."""
+
+    @staticmethod
+    def are_found(mesh: CollisionMesh) -> bool:
+        """Whether they are looked for: others than rigid bodies and those that stand move in every slice."""
+        return WholeBodies.are_few(mesh) and not (~mesh.rigid & ~mesh.static).any()
+
+    def __init__(self, topology: Topology) -> None:
+        """Allocate the arrays of a mesh."""
+        self._topology, self._bodies = topology, WholeBodies(topology, topology.radius)
+        self._flag = StopFlag(topology.device)
+        self._every = wp.full(topology.mesh.num_bodies, value=1, dtype=wp.int32, device=topology.device)
+        self._no_rows: wp.array = wp.empty(0, dtype=wp.vec3d, device=topology.device)
+        self._recordings: dict[tuple[int, int], tuple[Recording, Any]] = {}
+
+    def slices(
+        self, paths: Any, positions: Positions, slices: Slices, reach: float, execution: Execution
+    ) -> list[Slice]:
+        """The slices in which anything is near, with the bodies that are; at least one.
+
+        Args:
+            paths: The table of the paths, on the device.
+            positions: Positions at both ends, of rigid bodies in their own frames.
+            slices: The slices of the step.
+            reach: A Euclidean distance, besides the radii of the vertices.
+            execution: Where to search.
+        """
+        ends: list[wp.array] = [
+            wp.array(x, dtype=wp.vec3d, device=self._topology.device, copy=False) for x in positions
+        ]
+        values = {"start": ends[0], "end": ends[1], "t_max": slices.t_max, "reach": reach}
+        key = slices.num_slices, execution.num_threads
+        while len(self._recordings) >= _MOST_RECORDINGS and key not in self._recordings:
+            self._recordings.pop(next(iter(self._recordings)))
+        if key not in self._recordings:
+            of_slices = Recording(Execution(self._topology.device, execution.num_threads, self._flag), values)
+            found = self._bodies.new_marks(slices.num_slices)
+            with of_slices.section("near"):
+                self._bodies.record_bounds(of_slices, Slot("start"), Slot("end"))
+                asked = Slot("t_max"), Slot("reach"), self._every, self._flag.array
+                self._bodies.record_near(of_slices, paths, *asked, found)
+            self._recordings[key] = of_slices, found
+        recording, found = self._recordings[key]
+        for name, value in values.items():
+            recording.bind(name, value)
+        recording.play("near")
+        for name in ("start", "end"):  # the caller's arrays
+            recording.bind(name, self._no_rows)
+        marks: NDArray[np.bool_] = found.marks.numpy() != 0
+        near = np.flatnonzero(found.is_any.numpy())
+        return [slices.slice(k)._replace(active=marks[k]) for k in (near.tolist() or [0])]
