@@ -26,7 +26,7 @@ def near(parts, motion, num_slices=SLICES, reach=0.0, t_max=T_MAX, **how):
     return parts.near(motion._body_paths, Slices(num_slices, t_max), reach, execution, **how)
 
 
-def near_bodies(mesh, motion, reach):
+def near_bodies(mesh, motion, reach, vertices):
     """Which whole bodies are near in each slice of each world, bool, shape [W, S, B]."""
     topology = Topology.of(mesh, wp.get_device("cpu"))
     arcs, bodies, execution = Arcs(topology), NearBodies(topology), Execution(topology.device, 2)
@@ -34,7 +34,7 @@ def near_bodies(mesh, motion, reach):
     slices = Slices(SLICES, T_MAX)
     for world, of_world in enumerate(is_near):
         arcs.begin(MeshPaths.of_checked(mesh, motion._of_worlds(np.array([world]))))
-        for part in bodies.slices(arcs.paths, (mesh.vertices, mesh.vertices), slices, reach, execution):
+        for part in bodies.slices(arcs.paths, (vertices, vertices), slices, reach, execution):
             of_world[round(part.t_begin * SLICES / T_MAX)] = part.active
     return is_near
 
@@ -89,7 +89,7 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
     for x, y in parts.pairs:
         may |= (parts.body[:, None] == x) & (parts.body == y) if y >= 0 else np.diag(parts.body == x)
     assert not is_near[..., ~may].any() and is_near.sum() < 0.2 * may.sum() * WORLDS * SLICES
-    whole = near_bodies(mesh, motion, reach)
+    whole = near_bodies(mesh, motion, reach, mesh.vertices)
     assert not whole[..., :BODIES].all()
     part, vertex = np.unique(
         np.column_stack([
@@ -127,6 +127,7 @@ def test_parts_with_coordinates_that_are_no_numbers_are_near_everything():
     partners = {y for pair in parts.pairs.tolist() if 0 in pair for y in pair if y > 0}
     _, _, a, b = near(parts, motion)
     assert len(wrong) > 0
+    assert near_bodies(mesh, motion, 0.0, vertices)[..., [0, *partners]].all()
     for part in wrong:
         found = {*b[a == part].tolist(), *a[b == part].tolist()}
         assert found - {part} == set(np.flatnonzero(np.isin(parts.body, list(partners))).tolist())
