@@ -272,6 +272,8 @@ def _check_static_bodies(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: B
     Raises:
         ValueError: If one moves.
     """
+    if not mesh.static[bodies].any():
+        return
     num_worlds = len(paths) // len(bodies)
     is_static = np.tile(mesh.static[bodies], num_worlds)
     for row in np.flatnonzero(is_static & (paths.excess > 0.0))[:1].tolist():

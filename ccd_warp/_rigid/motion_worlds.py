@@ -250,7 +250,7 @@ class MotionWorlds:
                 return copies.mesh, copies._contacts(*step, is_ordered=False)
 
             for worlds, (copies, result) in self._in_batches(of_copies, world_toi):
-                yield worlds, result, in_one_world(result.contacts, copies, mesh, worlds, self._of_copies(copies))
+                yield worlds, result, in_one_world(result.contacts, copies, mesh, worlds)
             return
         of_step = partial(ContactStep.contacts, is_ordered=False, is_placed=False)
         for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
@@ -328,14 +328,6 @@ class MotionWorlds:
             return result
 
         return on_parts
-
-    def _of_copies(self, copies: CollisionMesh) -> dict[str, NDArray[np.intp]]:
-        """What the primitives of copies are in the mesh of one world."""
-        mesh, is_shared = self._mesh, self._mesh.planes.vertices < 0
-        sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
-        numbers = {name: np.tile(np.arange(n), copies.num_worlds) for name, n in sizes.items()}
-        planes = np.tile(np.flatnonzero(~is_shared), copies.num_worlds)
-        return numbers | {"plane": np.append(planes, np.flatnonzero(is_shared))}
 
 
 def _by_turns(world: NDArray[np.int64]) -> tuple[NDArray[np.intp], int]:
