@@ -6,9 +6,10 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Slice, Slices
-from ccd_warp._rigid.parts.overlap import pairs_of
+from ccd_warp._rigid.parts.overlap import pairs_of, partners_of
 from ccd_warp._rigid.parts.walk import record_walk
 from ccd_warp._rigid.rotations import in_space
 from ccd_warp._runtime.launch import Execution, Recording, Slot
@@ -18,7 +19,7 @@ from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.rigid import part_overlap as kernels
 
 _RUN = 256  # vertices that one item bounds
-_MOST_BODIES = 1 << 11  # whose pairs are listed
+_MOST_PAIRS = 1 << 21  # of bodies, which are listed
 _MOST_RECORDINGS = 4  # by their numbers of slices
 
 
@@ -53,8 +54,11 @@ class WholeBodies:
 
     @staticmethod
     def are_few(mesh: CollisionMesh) -> bool:
-        """Whether they are looked for: of few bodies, and with no half-space that moves."""
-        return mesh.num_bodies <= _MOST_BODIES and not (mesh.planes.vertices >= 0).any()
+        """Whether they are looked for: of few bodies in a world, and with no half-space that moves."""
+        kept = MeshCache.of(mesh).parts
+        if "are few" not in kept:
+            kept["are few"] = not (mesh.planes.vertices >= 0).any() and partners_of(mesh)[1].sum() <= _MOST_PAIRS
+        return bool(kept["are few"])
 
     def _int32(self, values: Any) -> wp.array:
         return wp.array(np.asarray(values, dtype=np.int32), dtype=wp.int32, device=self._device)
