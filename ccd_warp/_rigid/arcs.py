@@ -17,6 +17,7 @@ from ccd_warp.kernels.rigid import place_bodies as kernels
 
 _COLUMNS, _OF_ENDS = dtypes_of(kernels.BodyPaths), dtypes_of(kernels.BodyEnds)
 _PLACE, _ENDS = "place", ("start", "end")
+_MOST_PLACING = 4  # recordings
 Times = tuple[wp.array, wp.array]
 
 
@@ -90,7 +91,7 @@ class Arcs(Motion):
         self._body_ends = struct_of(kernels.BodyEnds, ends)
         self._no_ends: list[wp.array] = 2 * [wp.empty(0, dtype=wp.vec3d, device=device)]
         self._ends = self._no_ends
-        self._placing: Recording | None = None
+        self._placing: list[Recording] = []  # of the last goals
         self._places = (self.start.numpy(), self.end.numpy()) if device.is_cpu else None
         self._turns = self.turns_at(self._times)
 
@@ -130,12 +131,14 @@ class Arcs(Motion):
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
         for written, t in zip(self._written, part[:2], strict=True):
             written.write(np.asarray(t))
-        if self._placing is None or self._placing.execution is not execution:
-            self._placing = Recording(execution, dict(zip(_ENDS, self._ends, strict=True)))
-            with self._placing.section(_PLACE):
-                self.place(self._times, self._placing, *map(Slot, _ENDS))
-        self._bind(self._placing)
-        self._placing.play(_PLACE)
+        placing = next((known for known in self._placing if known.execution is execution), None)
+        if placing is None:
+            placing = Recording(execution, dict(zip(_ENDS, self._ends, strict=True)))
+            with placing.section(_PLACE):
+                self.place(self._times, placing, *map(Slot, _ENDS))
+            self._placing = [placing, *self._placing[: _MOST_PLACING - 1]]
+        self._bind(placing)
+        placing.play(_PLACE)
         return self._places or (self.start.numpy(), self.end.numpy())
 
     def _bind(self, placing: Recording) -> None:
@@ -145,8 +148,8 @@ class Arcs(Motion):
     def release(self) -> None:
         """Do not keep the caller's arrays alive."""
         self._ends = self._no_ends
-        if self._placing is not None:
-            self._bind(self._placing)
+        for placing in self._placing:
+            self._bind(placing)
 
     def turns(self, part: Slice) -> Any:
         """How the vertices turn in the slice in which they have last been placed on the host."""
