@@ -236,15 +236,17 @@ if has_arcs(norm):
         """How the points of a pair of primitives of a mesh turn, for each lane."""
         i = vertices_of_pairs(pairs, rows)
         r = Arcs()
-        r.v0 = gathered_point(turns.velocity, i.i0)
-        r.v1 = gathered_point(turns.velocity, i.i1)
-        r.v2 = gathered_point(turns.velocity, i.i2)
-        r.v3 = gathered_point(turns.velocity, i.i3)
         body = of_vertex(turns.vertex_body, i.i0)
         r.t_begin = gathered_number(turns.t_begin, body)
         r.t_length = gathered_number(turns.t_end, body) - r.t_begin
         r.spin_a = r.t_length * gathered_point(turns.omega, body)
         r.spin_b = r.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
+        spin = simd.greatest_of(simd.greatest(simd.magnitude(r.spin_a), simd.magnitude(r.spin_b)))
+        if simd.bits_of(simd.is_less(wp.float64(0.0), spin)) != wp.uint32(0):
+            r.v0 = gathered_point(turns.velocity, i.i0)
+            r.v1 = gathered_point(turns.velocity, i.i1)
+            r.v2 = gathered_point(turns.velocity, i.i2)
+            r.v3 = gathered_point(turns.velocity, i.i3)
         of_a = gathered_number(turns.slack, i.i0)
         of_b = simd.greatest(gathered_number(turns.slack, i.i2), gathered_number(turns.slack, i.i3))
         of_second = gathered_number(turns.slack, i.i1)

@@ -55,22 +55,30 @@ def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> 
 
 @wp.struct
 class Tangents:
-    """Two times around one, at which points would be that went straight on as they move then."""
+    """Both ends of straight motion on which points are at one time where they are on arcs, and move as they do then."""
 
     a: Points
     b: Points
+    t: wp.float64  # the time between these ends
+    slack: wp.float64  # by how much rounding may bring the two primitives closer
 
 
 @wp.func
 def tangents_of_arcs(
     kind: int, first: wp.vec3i, second: wp.vec3i, a: Points, b: Points, t: wp.float64, options: Options
 ) -> Tangents:
-    """Where a pair is and how it moves at a time of the step: in the middle of two straight ends."""
+    """Where a pair is and how it moves at a time of the step."""
     turning = arcs_of_pair(kind, first, second, options.turns)
-    at = in_slice(t, turning.t_begin, turning.t_length)
-    x = points_at(kind, a, b, turning, at)
-    v = arcs.velocities_at(kind, a, b, turning, at)
     r = Tangents()
+    r.a = a
+    r.b = b
+    r.t = in_slice(t, turning.t_begin, turning.t_length)
+    r.slack = turning.slack
+    if wp.max(wp.abs(turning.spin_a)) == zero and wp.max(wp.abs(turning.spin_b)) == zero:
+        return r
+    x = points_at(kind, a, b, turning, r.t)
+    v = arcs.velocities_at(kind, a, b, turning, r.t)
+    r.t = half
     r.a.p0 = x.p0 - half * v.p0
     r.a.p1 = x.p1 - half * v.p1
     r.a.p2 = x.p2 - half * v.p2
@@ -100,7 +108,7 @@ def solve_on_arcs(
     """
     turning = arcs_of_pair(kind, first, second, options.turns)
     amplitudes = arcs.amplitude(kind, turning)
-    error = arcs.error_of(a, b, turning)
+    error = arcs.error_of(a, b, turning.slack, amplitudes)
     of_window = options
     of_window.t_end = real(1.0)
     of_window.t_max = one

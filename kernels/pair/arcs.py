@@ -58,7 +58,7 @@ motion_error = wp.constant(wp.float64(ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 class Arcs:
     """How the points of a pair turn in a slice."""
 
-    v0: simd.Vec3  # velocities of the points that turn with their bodies
+    v0: simd.Vec3  # velocities of the points that turn with their bodies; of bodies that do not turn they are not used
     v1: simd.Vec3
     v2: simd.Vec3
     v3: simd.Vec3
@@ -208,15 +208,8 @@ def largest_difference(a: Points, b: Points) -> simd.Lanes:
 
 
 @simd.func
-def motion_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
-    """Largest coordinate of the motions of the points over the slice, and of their velocities that turn."""
-    v = simd.greatest(simd.magnitude(arcs.v0), simd.magnitude(arcs.v1))
-    v = simd.greatest(v, simd.greatest(simd.magnitude(arcs.v2), simd.magnitude(arcs.v3)))
-    return simd.greatest(largest_difference(a, b), simd.greatest_of(v))
-
-
-@simd.func
-def error_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
+def error_of(a: Points, b: Points, slack: simd.Lanes, amplitude: simd.Vec3) -> simd.Lanes:
     """By how much the rounding of all points may bring a pair closer, along any axis (rounding, step 17)."""
     size = simd.greatest(largest_coordinate(a), largest_coordinate(b))
-    return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))
+    motion = largest_difference(a, b) + simd.greatest_of(amplitude)
+    return slack + (point_error * size + motion_error * motion)
