@@ -233,9 +233,13 @@ def advance_on_arcs(
                     s = greatest(s, turned)
                     is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & is_near)
                     free = still & is_less(end, s)
-            contact = still & is_near & opposite(moving) & opposite(free)
+            # on the chord alone, as far as rounding goes, a contact is one of the arcs
+            is_sharp = is_within((four * s * (one - s)) * bow, slack + n.error)
+            is_begin = is_at_most(t, zero)
+            contact = still & is_near & opposite(moving) & opposite(free) & (is_sharp | is_begin)
             if bits_of(contact) != _NONE:
-                stays = is_at_most(t, zero) & is_close(near.d, floor, separation)
+                stays = is_begin & is_close(near.d, floor, separation)
+                contact = contact & (is_sharp | stays)
                 at = select(stays, t, s)
                 c = corners_at(n.t0, n.t1, at)
                 point = point_at(c, near.u, near.v, is_face)

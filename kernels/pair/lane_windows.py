@@ -164,11 +164,10 @@ def advance_to_meeting(
         is_free = simd.mask_of(of_window.free)
         off_chord = (four * of_window.t * (one - of_window.t)) * simd.greatest_of(chords)
         t = reached(window, ends.end, is_free, of_window.t)
-        touches = of_window.contact & simd.bits_of(simd.is_at_most(off_chord, sharp))
         gap = of_window.gap + two * (excess + off_chord)
         gap = simd.select(is_corotating, longest_turned * gap, gap)
-        is_contact = simd.mask_of(touches)
-        answer.contact = answer.contact | touches
+        is_contact = simd.mask_of(of_window.contact)
+        answer.contact = answer.contact | of_window.contact
         answer.free = answer.free | (open & of_window.free & simd.bits_of(simd.is_at_most(one, ends.end)))
         answer.u = simd.select(is_contact, of_window.u, answer.u)
         answer.v = simd.select(is_contact, of_window.v, answer.v)
