@@ -17,14 +17,12 @@ from .lane_solver import LaneAnswer
 from .meeting import meeting
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
-from .query import Options
 from .rounding import PROJECTION_ROOT, START_DISTANCE_ERRORS, UNIT_ROUNDOFF
 from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
 Vec3 = simd.Vec3
-all_lanes = wp.constant(wp.uint32((1 << width) - 1))
 
 # Rounds of a window; of all windows that end where a pair seems to meet; of those that shrink by themselves as well.
 _ROUNDS = wp.constant(2)
@@ -70,21 +68,20 @@ def enlarged(a: Vec3, by: Lanes) -> Vec3:
     return simd.vec(a.x + by, a.y + by, a.z + by)
 
 
-@(simd.rare if width > 1 else simd.func)
+@simd.func
 def advance_to_meeting(
     kind: int,
     a: Points,
     b: Points,
     lane_options: LaneOptions,
-    options: Options,
     lanes: wp.uint32,
     t_start: Lanes,
     used: Lanes,
-    fewest: int,
+    is_first: bool,
     cap: int,
     bound: wp.float64,
 ) -> LaneAnswer:
-    """Advance the given lanes as long as there are more of them than the fewest, through windows of few rounds.
+    """Advance the given lanes through windows of few rounds; in a first call, as long as most of them are open.
 
     The first window of a pair is all of the slice, the others end where it seems to meet. What a window does depends on
     the time that the pair has reached and on the iterations that it has used alone, so a pair gets the same answer in
@@ -106,7 +103,10 @@ def advance_to_meeting(
     rounds = wp.min(cap, _ROUNDS)
     most = wp.float64(wp.max(wp.min(cap, _MOST_ROUNDS) - _ROUNDS, 0))
     limit = most
-    if fewest == 0:
+    fewest = int(0)
+    if is_first:
+        fewest = _FEWEST
+    else:
         limit = wp.float64(wp.max(wp.min(cap, _ALL_ROUNDS) - _ROUNDS, 0))
     answer = LaneAnswer()
     answer.iterations = used
@@ -192,30 +192,3 @@ def advance_to_meeting(
         open = open & simd.bits_of(simd.is_less(answer.t, bound))
         starts = False
     return answer
-
-
-@wp.func
-def first_windows(
-    kind: int, a: Points, b: Points, lane_options: LaneOptions, options: Options, cap: int, bound: wp.float64
-) -> LaneAnswer:
-    """Advance the pairs of all lanes from the begin of the slice until most are settled."""
-    t = lane_options.arcs.t_begin
-    used = simd.spread(zero)
-    return advance_to_meeting(kind, a, b, lane_options, options, all_lanes, t, used, _FEWEST, cap, bound)
-
-
-@wp.func
-def later_windows(
-    kind: int,
-    a: Points,
-    b: Points,
-    lane_options: LaneOptions,
-    options: Options,
-    lanes: wp.uint32,
-    t_start: Lanes,
-    used: Lanes,
-    cap: int,
-    bound: wp.float64,
-) -> LaneAnswer:
-    """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
-    return advance_to_meeting(kind, a, b, lane_options, options, lanes, t_start, used, 0, cap, bound)
