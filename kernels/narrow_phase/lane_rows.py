@@ -13,6 +13,7 @@ from ..pair.points import Points
 from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, width
+from ..search.lane_points import gather
 from ..step.pair_list import PairList
 from ..template import specialised
 
@@ -22,25 +23,14 @@ Index: Any = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else wp.
 most_pending = 2 * width if width > 1 else 1
 Rows: Any = wp.types.vector(length=most_pending, dtype=wp.int32)
 Numbers: Any = wp.types.vector(length=most_pending, dtype=wp.float64)
+if width > 1:
+    from ..search.lane_points import Rows as Coordinates
+    from ..search.lane_points import row
 # of the C++ below
 index_of = "i" if width == 1 else "i[k]"
 out64 = "double r[1]" if width == 1 else f"wp::vec_t<{width}, double> r"
 out_index = "int r[1]" if width == 1 else f"wp::vec_t<{width}, wp::int32> r"
 returned = "r[0]" if width == 1 else "r"
-
-gathered_snippet = f"""
-    {out64};
-    for (int k = 0; k < {width}; ++k)
-        r[k] = ((const double*)x.data)[3LL * {index_of} + axis];
-    return {returned};
-"""
-
-
-@wp.func_native(gathered_snippet)
-def gathered(x: wp.array[wp.vec3d], i: Index, axis: int) -> simd.Lanes:
-    """A coordinate of a point for each lane."""
-    ...
-
 
 gathered_row_snippet = f"""
     {out64};
@@ -167,10 +157,25 @@ def put_vec2(x: wp.array[wp.vec2d], i: Index, a: simd.Lanes, b: simd.Lanes, coun
     ...
 
 
-@wp.func
-def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
-    """A point for each lane."""
-    return simd.vec(gathered(x, i, 0), gathered(x, i, 1), gathered(x, i, 2))
+if width > 1:
+
+    @wp.func_native(gather(width, "vertices[k]"))
+    def gathered(x: wp.array[wp.vec3d], vertices: Index) -> Coordinates:
+        """The coordinates of a point for each lane, as rows."""
+        ...
+
+    @wp.func
+    def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
+        """A point for each lane."""
+        rows = gathered(x, i)
+        return simd.vec(row(rows, 0), row(rows, 1), row(rows, 2))
+
+else:
+
+    @wp.func
+    def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
+        """A point for each lane."""
+        return x[i]
 
 
 @wp.func
