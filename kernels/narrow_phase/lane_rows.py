@@ -234,7 +234,9 @@ def points_of_pairs(pairs: PairList, rows: Index):
 
 
 if has_arcs(norm):
-    Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
+    arcs = specialised("pair.arcs", norm=norm, width=width)
+    Arcs = arcs.Arcs
+    turns_anywhere = arcs.turns_anywhere
 
     @simd.func
     def arcs_of_pairs(pairs: PairList, rows: Index, turns: Turns) -> Arcs:
@@ -246,8 +248,7 @@ if has_arcs(norm):
         r.t_length = gathered_number(turns.t_end, body) - r.t_begin
         r.spin_a = r.t_length * gathered_point(turns.omega, body)
         r.spin_b = r.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
-        spin = simd.greatest_of(simd.greatest(simd.magnitude(r.spin_a), simd.magnitude(r.spin_b)))
-        if simd.bits_of(simd.is_less(wp.float64(0.0), spin)) != wp.uint32(0):
+        if turns_anywhere(r):
             r.v0 = gathered_point(turns.velocity, i.i0)
             r.v1 = gathered_point(turns.velocity, i.i1)
             r.v2 = gathered_point(turns.velocity, i.i2)

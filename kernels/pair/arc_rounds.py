@@ -114,7 +114,7 @@ def bow_reach(f: Volume, separation: Vec3, sagitta: Vec3) -> Volume:
 
 
 @simd.func
-def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
+def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, bends: bool, t: Lanes) -> Lanes:
     """Share up to which one corner stays beyond ``off`` and a parabola, 2 if until the end; -1 if it is not at ``t``.
 
     a and b are d·W at both ends, the parabola is bow·s(1 − s) (rounding, step 19).
@@ -127,10 +127,15 @@ def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
     first = select(is_beyond_t0, x, y)
     last = select(is_beyond_t0, y, x)
     fall = ((first - last) + bow) + root_error * (first + magnitude(last) + bow)
-    square = fall * fall
-    rest = (square + square_underflow) - (four * round_down) * (first * bow)
-    stays = is_at_most(fall, zero) | is_less(rest, minus_one * square_error * square)
-    root = square_root(greatest(rest, zero) + square_error * square)
+    stays = is_at_most(fall, zero)
+    root = fall
+    if bends:
+        square = fall * fall
+        rest = (square + square_underflow) - (four * round_down) * (first * bow)
+        has_none = is_less(rest, minus_one * square_error * square)
+        is_bent = is_less(zero, bow)
+        stays = stays | (is_bent & has_none)
+        root = select(is_bent, square_root(greatest(rest, zero) + square_error * square), root)
     s = ((first + first) / (fall + root)) * round_down
     has_entered = is_less((one - s) * round_up, t)
     s = select(is_beyond_t0, select(stays, two, least(two, s)), minus_one)
@@ -140,11 +145,12 @@ def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
 @simd.func
 def clip_bow(d: Vec3, off: Lanes, bow: Lanes, t: Lanes, n: LanePair, is_triangle: bool) -> Lanes:
     """Share s >= t such that d·W stays above ``off`` and the parabola on [t, s); 2 if it does to the end."""
-    s = clip_corner(dot(d, n.t0.w00), dot(d, n.t1.w00), off, bow, t)
-    s = least(s, clip_corner(dot(d, n.t0.w01), dot(d, n.t1.w01), off, bow, t))
-    s = least(s, clip_corner(dot(d, n.t0.w10), dot(d, n.t1.w10), off, bow, t))
+    bends = bits_of(is_less(zero, bow)) != _NONE
+    s = clip_corner(dot(d, n.t0.w00), dot(d, n.t1.w00), off, bow, bends, t)
+    s = least(s, clip_corner(dot(d, n.t0.w01), dot(d, n.t1.w01), off, bow, bends, t))
+    s = least(s, clip_corner(dot(d, n.t0.w10), dot(d, n.t1.w10), off, bow, bends, t))
     if not is_triangle:
-        s = least(s, clip_corner(dot(d, n.t0.w11), dot(d, n.t1.w11), off, bow, t))
+        s = least(s, clip_corner(dot(d, n.t0.w11), dot(d, n.t1.w11), off, bow, bends, t))
     can_prove = is_at_most(tiny_direction, greatest_of(magnitude(d)))
     return select(can_prove & is_less(t, s), s, t)
 

@@ -74,7 +74,7 @@ def tangents_of_arcs(
     r.b = b
     r.t = in_slice(t, turning.t_begin, turning.t_length)
     r.slack = turning.slack
-    if wp.max(wp.abs(turning.spin_a)) == zero and wp.max(wp.abs(turning.spin_b)) == zero:
+    if not arcs.turns_anywhere(turning):
         return r
     x = points_at(kind, a, b, turning, r.t)
     v = arcs.velocities_at(kind, a, b, turning, r.t)

@@ -34,6 +34,7 @@ is_euclidean = is_ball(norm)
 # Largest turn of a slice, in radians.
 LARGEST_TURN = 0.25
 
+zero = wp.constant(wp.float64(0.0))
 half = wp.constant(wp.float64(0.5))
 one = wp.constant(wp.float64(1.0))
 sine_1 = wp.constant(wp.float64(-1.0 / 6.0))
@@ -174,8 +175,18 @@ def across_axes(spin: simd.Vec3) -> simd.Vec3:
 
 
 @simd.func
+def turns_anywhere(arcs: Arcs) -> bool:
+    """Whether a body of any pair turns."""
+    spin = simd.greatest_of(simd.greatest(simd.magnitude(arcs.spin_a), simd.magnitude(arcs.spin_b)))
+    return simd.bits_of(simd.is_less(zero, spin)) != wp.uint32(0)
+
+
+@simd.func
 def amplitude(kind: int, arcs: Arcs) -> simd.Vec3:
     """Upper bound of |x''| of the first primitive and of the second, together, along each axis."""
+    r = simd.vec(simd.spread(zero), simd.spread(zero), simd.spread(zero))
+    if not turns_anywhere(arcs):
+        return r
     of_a = squared(arcs.v0)
     of_b = simd.greatest(squared(arcs.v2), squared(arcs.v3))
     if kind == EDGE_EDGE:
