@@ -13,19 +13,16 @@ from ..pair.points import Points
 from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, width
-from ..search.lane_points import gather
 from ..step.pair_list import PairList
 from ..template import specialised
 
 simd = specialised("pair.simd", width=width)
+lane_points = specialised("search.lane_points", width=width)
 Index: Any = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else wp.int32
 # lists in which pairs wait until they fill the lanes
 most_pending = 2 * width if width > 1 else 1
 Rows: Any = wp.types.vector(length=most_pending, dtype=wp.int32)
 Numbers: Any = wp.types.vector(length=most_pending, dtype=wp.float64)
-if width > 1:
-    from ..search.lane_points import Rows as Coordinates
-    from ..search.lane_points import row
 # of the C++ below
 index_of = "i" if width == 1 else "i[k]"
 out64 = "double r[1]" if width == 1 else f"wp::vec_t<{width}, double> r"
@@ -158,9 +155,10 @@ def put_vec2(x: wp.array[wp.vec2d], i: Index, a: simd.Lanes, b: simd.Lanes, coun
 
 
 if width > 1:
+    row = lane_points.row
 
-    @wp.func_native(gather(width, "vertices[k]"))
-    def gathered(x: wp.array[wp.vec3d], vertices: Index) -> Coordinates:
+    @wp.func_native(lane_points.gather(width, "vertices[k]"))
+    def gathered(x: wp.array[wp.vec3d], vertices: Index) -> lane_points.Rows:
         """The coordinates of a point for each lane, as rows."""
         ...
 
