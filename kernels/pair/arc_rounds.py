@@ -227,10 +227,12 @@ def advance_on_arcs(
             if wp.static(not is_euclidean):
                 # as on straight paths, with the sagitta of all of the window, where the others gain little
                 has_box = opposite(is_within(n.separation, two * slack + box_errors * n.error))
-                slow = has_box & is_less(s - begin, quarter)
-                if rounds > 0:
-                    slow = slow | volume.is_flat
-                turns = still & slow & opposite(is_near) & opposite(free)
+                slow = has_box & opposite(is_near) & is_less(s - begin, quarter)
+                touches = is_close(near.d, near_errors * n.error, n.separation)
+                flat = volume.is_flat & opposite(touches)
+                if rounds == 0:
+                    flat = flat & is_less(zero, greatest_of(bow))
+                turns = still & (flat | slow) & opposite(free)
                 if bits_of(turns) != _NONE:
                     facet = widest_facet(c, separation, n.error, is_face, near_errors)
                     whole = n.separation + bow

@@ -9,7 +9,9 @@ of `rounding`), so it is off by at most 4.1 u·M_k. The computed gap is a convex
 differences, products and sums add 10 u·M_k. So it is the gap of two true points to within 15 u·|M|. A gap longer than
 NOISE = 32 u·|M| is therefore certain to be one, with a direction less than 30 degrees from theirs; a shorter one counts
 as none. Measured, against rational arithmetic, the sine of the angle to the direction of the exact gap is at most
-1.2 u·|M| / gap for every family of hard cases.
+1.2 u·|M| / gap for every family of hard cases. On arcs the points themselves are rounded, and may bring two primitives
+closer by less than 2.75 times their slack on each axis (steps 17 and 18): a gap is certain where its square is above
+those of 32 u·|M| and of ARC_NOISE = 30 slacks together.
 
 The gap is orthogonal to every side within which a closest point lies. Removing the rest of it along these sides, or
 taking their cross product, makes the direction as accurate as the sides are, however small the gap is beside them.
@@ -30,7 +32,7 @@ from .contacts import position
 
 # Roundings of the largest corners up to which a gap counts as zero.
 NOISE = 32.0
-# How many times as far as rounding may bring two primitives closer on arcs.
+# Slacks of two primitives on arcs up to which a gap counts as zero, beside its own rounding.
 ARC_NOISE = 30.0
 # Sine below which two sides count as parallel, so that their cross product is not used as a direction.
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
