@@ -35,21 +35,22 @@ eighth = wp.constant(wp.float64(0.125))
 def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> arcs.Arcs:
     """How the points of a pair of primitives turn, given by their vertices."""
     r = arcs.Arcs()
-    r.v0 = turns.velocity[first[0]]
-    if kind == EDGE_EDGE:
-        r.v1 = turns.velocity[first[1]]
-        r.v2 = turns.velocity[second[0]]
-        r.v3 = turns.velocity[second[1]]
-    else:
-        r.v1 = turns.velocity[second[0]]
-        r.v2 = turns.velocity[second[1]]
-        r.v3 = turns.velocity[second[2]]
     body = turns.vertex_body[first[0]]
     r.t_begin = turns.t_begin[body]
     r.t_length = turns.t_end[body] - r.t_begin
     r.spin_a = r.t_length * turns.omega[body]
     r.spin_b = r.t_length * turns.omega[turns.vertex_body[second[0]]]
     r.slack = radius_of(turns.slack, first) + radius_of(turns.slack, second)
+    if arcs.turns_anywhere(r):
+        r.v0 = turns.velocity[first[0]]
+        if kind == EDGE_EDGE:
+            r.v1 = turns.velocity[first[1]]
+            r.v2 = turns.velocity[second[0]]
+            r.v3 = turns.velocity[second[1]]
+        else:
+            r.v1 = turns.velocity[second[0]]
+            r.v2 = turns.velocity[second[1]]
+            r.v3 = turns.velocity[second[2]]
     return r
 
 
