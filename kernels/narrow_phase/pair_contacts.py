@@ -113,8 +113,8 @@ def place_at(
     b = points_of(kind, vertices.first, vertices.second, x_t1)
     if wp.static(on_arcs):
         tangents = tangents_of_arcs(kind, vertices.first, vertices.second, a, b, t, options)
-        return contact_at(kind, tangents.a, tangents.b, wp.float64(0.5), uv)
-    return contact_at(kind, a, b, t, uv)
+        return contact_at(kind, tangents.a, tangents.b, tangents.t, uv, tangents.slack)
+    return contact_at(kind, a, b, t, uv, wp.float64(0.0))
 
 
 @wp.func(inline=False)

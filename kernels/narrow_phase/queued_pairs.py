@@ -243,12 +243,10 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 bound = unbounded
                 if wp.static(is_bound):
                     bound = wp.cast(least.bits[0], wp.float64)
-                answer = LaneAnswer()
-                if wp.static(is_initial):
-                    answer = lane_answers.first_answer(pairs, k, a, b, options, cap, bound)
-                else:
-                    used = wp.float64(pair.used)
-                    answer = lane_answers.later_answer(pairs, k, a, b, options, _ONE, pair.t, used, cap, bound)
+                used = wp.float64(pair.used)
+                answer = lane_answers.answer_of(
+                    pairs, k, a, b, options, wp.static(is_initial), _ONE, pair.t, used, cap, bound
+                )
                 if is_needed and is_open(answer, bound):
                     used_now = wp.int32(answer.iterations)
                     if wp.static(is_initial):

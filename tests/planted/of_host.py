@@ -49,7 +49,7 @@ PLANTED = [
           "return simd.square_root(of_a) * across_axes(arcs.spin_a) + simd", "return simd",
           ("laws/test_bodies_that_turn.py::test_random_pairs",)),
     Fault("vertices on arcs without rounding", "kernels/pair/arcs.py",
-          "return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))",
+          "return slack + (point_error * size + motion_error * motion)",
           "return point_error * size", ("laws/test_bodies_that_turn.py::test_hostile_pairs",)),
     Fault("a parabola that is no part of the volume", "kernels/pair/arc_rounds.py",
           "r.b1 = r.b1 + four_thirds_up * greatest(support(sagitta, f.normal_t0), mid)", "r.b1 = r.b1",
