@@ -1,6 +1,7 @@
 """A step on the device in which bodies turn, or a line search: all slices one after another, in one recording."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +21,8 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, Times
 from ccd_warp._rigid.mesh_paths import MeshPaths, slices_of
 from ccd_warp._rigid.motion import RigidMotion
+from ccd_warp._rigid.parts.near_slices import reach_of
+from ccd_warp._rigid.parts.whole_bodies import WholeBodies
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.rigid import shorten_paths as kernels
 
@@ -46,7 +49,8 @@ class DeviceArcStep(DeviceLineSearch):
         radii = arcs.radius, arcs.box_radius
         searched = search_options(1.0, arrays["inflation"], separation, self.norm, self._flag, radii)
         mesh, device = self._mesh, topology.device
-        self._times: dict[int, list[Times]] = {}  # of the slices of each recording, by their number
+        self._of_slices: dict[int, tuple[list[Times], Any]] = {}  # for each recording, by the number of its slices
+        self._bodies: WholeBodies | None = None
         self._least: wp.array = self._empty(mesh.num_bodies, wp.int64)
         self._whole = self._arcs.new_paths("omega", "velocity", "turning")
         self._rows_kept: wp.array = wp.array((mesh.kinematic | mesh.rigid).astype(np.int32), device=device)
@@ -103,29 +107,43 @@ class DeviceArcStep(DeviceLineSearch):
     ) -> Stages:
         """Record all launches of a step, or of a pass, slice by slice; returns the stages of the first slice."""
         slots = self._input.slots(form)
-        slices, times = Slices(form.num_slices, self._options.t_max).all(), self._times_of(form)
+        slices, (times, near) = Slices(form.num_slices, self._options.t_max).all(), self._slices_of(form)
         of_slices = [self._stages_of(of_slice) for of_slice in times]
-        for part, of_slice, stages in zip(slices, times, of_slices, strict=True):
-            begins = part is slices[0]
-            if begins:
-                self._input.record(recording, form, stages.between(*slots), is_first)
-                if is_first:
-                    stages.reset_vertices(recording)
-            else:
-                counts = self._no_count, self._flag.array
-                self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
-            self._arcs.place(of_slice, recording, *slots)
-            if begins and is_first and self.static_trees:
-                stages.fill_vertex_aabbs(recording, self.topology.static_vertices, self._active)
-                stages.fill_boxes(recording, self.static_trees)
-            self._record_search(recording, stages, active)
-            gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
-            self._record_narrow_phase(recording, adapt(stages), active, gaps_moved=gaps, **solved)
-        return of_slices[0]
+        first = of_slices[0]
+        self._input.record(recording, form, first.between(*slots), is_first)
+        if is_first:
+            first.reset_vertices(recording)
+        self._arcs.place(times[0], recording, *slots)
+        if is_first and self.static_trees:
+            first.fill_vertex_aabbs(recording, self.topology.static_vertices, self._active)
+            first.fill_boxes(recording, self.static_trees)
+        if near is not None:
+            self._record_near(recording, near, slots if is_first else None, active)
+        for number, (part, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
+            of_bodies = active if near is None else near.marks[number]
+            with nullcontext() if near is None else recording.only_if(near.is_any[number : number + 1]):
+                if number > 0:
+                    counts = self._no_count, self._flag.array
+                    self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
+                    self._arcs.place(of_slice, recording, *slots)
+                self._record_search(recording, stages, of_bodies)
+                gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
+                self._record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
+        return first
+
+    def _record_near(self, recording: Recording, near: Any, rows: Any, active: Any) -> None:
+        """Record the launches that mark what is near in each slice; ``rows`` of both ends where they are others."""
+        assert self._bodies is not None
+        if rows is not None:
+            self._bodies.record_bounds(recording, *rows)
+        reach = reach_of(self._options, self._length_scale)
+        self._bodies.record_near(
+            recording, self._arcs.paths, self._options.t_max, reach, active, self._flag.array, near
+        )
 
     def _record_start(self, recording: Recording, form: Form) -> None:
         """Record what places all vertices at the start again, where a pass has moved them."""
-        self._arcs.place(self._times_of(form)[0], recording, *self._input.slots(form))
+        self._arcs.place(self._slices_of(form)[0][0], recording, *self._input.slots(form))
 
     def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
         """Record the launches that shorten the motion of what touches."""
@@ -140,15 +158,22 @@ class DeviceArcStep(DeviceLineSearch):
         """Bodies whose rows a line search does not write, int32, shape [B]: they stand in the bodies' own frames."""
         return self._rows_kept
 
-    def _times_of(self, form: Form) -> list[Times]:
-        """The begins and ends of slices for each body, which recorded launches read; of recordings that stay alone."""
+    def _slices_of(self, form: Form) -> tuple[list[Times], Any]:
+        """The begins and ends of slices for each body, and what is near in each, None where that is not looked for.
+
+        Recorded launches read them; those of recordings that stay are kept.
+        """
         count = form.num_slices
-        if count not in self._times:
+        if count not in self._of_slices:
             kept = {other.num_slices for other in self._recordings}
-            self._times = {number: times for number, times in self._times.items() if number in kept}
-            slices = Slices(count, self._options.t_max).all()
-            self._times[count] = [self._arcs.new_times(part) for part in slices]
-        return self._times[count]
+            self._of_slices = {number: arrays for number, arrays in self._of_slices.items() if number in kept}
+            times = [self._arcs.new_times(part) for part in Slices(count, self._options.t_max).all()]
+            near = None
+            if WholeBodies.are_few(self._mesh):
+                self._bodies = self._bodies or WholeBodies(self.topology, self._both_radii[0])
+                near = self._bodies.new_marks(count)
+            self._of_slices[count] = times, near
+        return self._of_slices[count]
 
     def _stages_of(self, times: Times) -> Stages:
         """The stages of a slice."""

@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._runtime.launch import Execution, Recording
-from ccd_warp._runtime.repeated import RepeatedLaunches
+from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
 _COLUMNS, _OF_ENDS = dtypes_of(kernels.BodyPaths), dtypes_of(kernels.BodyEnds)
+_PLACE, _ENDS = "place", ("start", "end")
+_MOST_PLACING = 4  # recordings
 Times = tuple[wp.array, wp.array]
 
 
@@ -88,8 +89,9 @@ class Arcs(Motion):
         self.paths = self._paths.table
         ends = {name: wp.zeros(mesh.num_bodies, dtype=x, device=device) for name, x in _OF_ENDS.items()}
         self._body_ends = struct_of(kernels.BodyEnds, ends)
-        self._ends: list[wp.array] = []
-        self._placing: RepeatedLaunches | None = None
+        self._no_ends: list[wp.array] = 2 * [wp.empty(0, dtype=wp.vec3d, device=device)]
+        self._ends = self._no_ends
+        self._placing: list[Recording] = []  # of the last goals
         self._places = (self.start.numpy(), self.end.numpy()) if device.is_cpu else None
         self._turns = self.turns_at(self._times)
 
@@ -107,35 +109,47 @@ class Arcs(Motion):
         times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
         return times[0], times[1]
 
-    def place(self, times: Times, launcher: RepeatedLaunches | Recording, start: Any, end: Any) -> None:
-        """Place bodies and vertices at both ends of a slice, given positions at both ends of the step."""
+    def place(self, times: Times, recording: Recording, start: Any, end: Any) -> None:
+        """Record what places bodies and vertices at both ends of a slice, given positions at those of the step."""
         topology = self._topology
         inputs = [*times, self.paths]
-        launcher.launch(kernels.place_bodies, topology.mesh.num_bodies, inputs=inputs, outputs=[self._body_ends])
+        recording.launch(kernels.place_bodies, topology.mesh.num_bodies, inputs=inputs, outputs=[self._body_ends])
         inputs = [*times, topology.vertex_body, self.paths, self._body_ends, start, end, *self._radii]
         outputs = [self.start, self.end, self._velocity, self._slack, self.radius, self.box_radius]
-        launcher.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
+        recording.launch(kernels.place_vertices, topology.mesh.num_vertices, inputs=inputs, outputs=outputs)
 
-    def begin_on_host(self, paths: BodyPaths, slices: list[Slice], positions: Positions) -> Motion:
-        """Begin a step on the host along these paths, given positions at both ends in the bodies' own frames."""
-        self.begin(paths)
+    def begin_on_host(self, slices: list[Slice], positions: Positions) -> Motion:
+        """Begin a step on the host along paths that are known, given positions at both ends in the bodies' frames."""
         self.slices = slices
         device = self._topology.device
-        self._ends = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
+        start, end = positions
+        first: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
+        self._ends = [first, first if end is start else wp.array(end, dtype=wp.vec3d, device=device, copy=False)]
         return self
 
     def placed(self, part: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
         for written, t in zip(self._written, part[:2], strict=True):
             written.write(np.asarray(t))
-        if self._placing is None or self._placing.execution is not execution:
-            self._placing = RepeatedLaunches(execution)
-        self.place(self._times, self._placing, *self._ends)
+        placing = next((known for known in self._placing if known.execution is execution), None)
+        if placing is None:
+            placing = Recording(execution, dict(zip(_ENDS, self._ends, strict=True)))
+            with placing.section(_PLACE):
+                self.place(self._times, placing, *map(Slot, _ENDS))
+            self._placing = [placing, *self._placing[: _MOST_PLACING - 1]]
+        self._bind(placing)
+        placing.play(_PLACE)
         return self._places or (self.start.numpy(), self.end.numpy())
+
+    def _bind(self, placing: Recording) -> None:
+        for name, array in zip(_ENDS, self._ends, strict=True):
+            placing.bind(name, array)
 
     def release(self) -> None:
         """Do not keep the caller's arrays alive."""
-        self._ends.clear()
+        self._ends = self._no_ends
+        for placing in self._placing:
+            self._bind(placing)
 
     def turns(self, part: Slice) -> Any:
         """How the vertices turn in the slice in which they have last been placed on the host."""

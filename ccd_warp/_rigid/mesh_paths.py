@@ -32,10 +32,12 @@ class MeshPaths(BodyPaths):
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
         searched: The slices that are searched; None for all of the step, cut by the largest turn of a body.
+        divides: Whether bodies may be divided into parts to see which those are.
     """
 
     is_rigid: NDArray[np.bool_]
     searched: list[Slice] | None = None
+    divides: bool = True
     is_of_worlds: ClassVar[bool] = False
 
     @classmethod
@@ -72,21 +74,33 @@ class MeshPaths(BodyPaths):
         if Arcs not in workspace.motions:
             workspace.motions[Arcs] = Arcs(workspace.topology)
         arcs: Arcs = workspace.motions[Arcs]
-        near = self._near_slices(workspace, positions, options) if for_impacts and self.searched is None else None
-        return arcs.begin_on_host(self, near or self.slices(options.t_max), positions)
+        arcs.begin(self)
+        near = None
+        if for_impacts and self.searched is None:
+            near = self._near_slices(workspace, positions, options, arcs.paths)
+        return arcs.begin_on_host(near or self.slices(options.t_max), positions)
 
-    def _near_slices(self, workspace: Workspace, positions: Positions, options: Options) -> list[Slice] | None:
-        """The slices in which anything is near; None where that is not looked for."""
+    def _near_slices(
+        self, workspace: Workspace, positions: Positions, options: Options, table: Any
+    ) -> list[Slice] | None:
+        """The slices in which anything is near, given the paths on the device; None where that is not looked for."""
         from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
+        from ccd_warp._rigid.parts.whole_bodies import NearBodies
 
         topology, slices = workspace.topology, slices_of(self, options.t_max)
         mesh = topology.mesh
         start, end = (x[:, : mesh.dimension] for x in positions)
-        parts = body_parts(mesh, topology, (start, start if positions[0] is positions[1] else end), slices.num_slices)
-        if parts is None:
-            return None
+        ends = start, start if positions[0] is positions[1] else end
+        parts = body_parts(mesh, topology, ends, slices.num_slices) if self.divides else None
         reach = reach_of(options, length_scale_of(mesh, options))
         execution = Execution(topology.device, options.threads)
+        if parts is None:
+            if not NearBodies.are_found(mesh):
+                return None
+            if NearBodies not in workspace.motions:
+                workspace.motions[NearBodies] = NearBodies(topology)
+            bodies: NearBodies = workspace.motions[NearBodies]
+            return bodies.slices(table, positions, slices, reach, execution)
         of_rigid = self.rows(np.flatnonzero(self.is_rigid))
         near = parts.near(of_rigid, slices, reach, execution, any_suffices=True)
         return searched_slices(parts, near, slices)
@@ -258,6 +272,8 @@ def _check_static_bodies(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: B
     Raises:
         ValueError: If one moves.
     """
+    if not mesh.static[bodies].any():
+        return
     num_worlds = len(paths) // len(bodies)
     is_static = np.tile(mesh.static[bodies], num_worlds)
     for row in np.flatnonzero(is_static & (paths.excess > 0.0))[:1].tolist():

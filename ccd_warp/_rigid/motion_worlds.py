@@ -40,6 +40,7 @@ from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
 from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
 from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
 from ccd_warp._rigid.parts.trees import distinct
+from ccd_warp._rigid.parts.whole_bodies import NearBodies
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
 from ccd_warp._rigid.world_results import in_one_world, result_of, sizes_of
 from ccd_warp._runtime.launch import Execution
@@ -249,7 +250,7 @@ class MotionWorlds:
                 return copies.mesh, copies._contacts(*step, is_ordered=False)
 
             for worlds, (copies, result) in self._in_batches(of_copies, world_toi):
-                yield worlds, result, in_one_world(result.contacts, copies, mesh, worlds, self._of_copies(copies))
+                yield worlds, result, in_one_world(result.contacts, copies, mesh, worlds)
             return
         of_step = partial(ContactStep.contacts, is_ordered=False, is_placed=False)
         for worlds, of_parts, result in self._parts.search(self._on_parts(ContactStep, of_step)):
@@ -274,6 +275,8 @@ class MotionWorlds:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
+        if self._near is None and NearBodies.are_found(self._mesh):
+            return True
         num_near = self._slices.num_slices if self._near is None else len(np.unique(self._near.slice))
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
@@ -281,7 +284,8 @@ class MotionWorlds:
         """The paths of the one world that there is, with the slices in which anything is near, and what."""
         near, parts = self._near, self._body_parts
         searched = None if near is None or parts is None else searched_slices(parts, near, self._slices)
-        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched)
+        divides = parts is not None
+        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched, divides=divides)
 
     @lazy_property
     def _parts(self) -> WorldsOfParts:
@@ -324,14 +328,6 @@ class MotionWorlds:
             return result
 
         return on_parts
-
-    def _of_copies(self, copies: CollisionMesh) -> dict[str, NDArray[np.intp]]:
-        """What the primitives of copies are in the mesh of one world."""
-        mesh, is_shared = self._mesh, self._mesh.planes.vertices < 0
-        sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
-        numbers = {name: np.tile(np.arange(n), copies.num_worlds) for name, n in sizes.items()}
-        planes = np.tile(np.flatnonzero(~is_shared), copies.num_worlds)
-        return numbers | {"plane": np.append(planes, np.flatnonzero(is_shared))}
 
 
 def _by_turns(world: NDArray[np.int64]) -> tuple[NDArray[np.intp], int]:

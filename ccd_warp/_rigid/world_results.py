@@ -117,11 +117,12 @@ def in_one_world(
     of_worlds: CollisionMesh,
     mesh: CollisionMesh,
     worlds: NDArray[np.intp],
-    numbers: dict[str, NDArray[np.intp]],
+    numbers: dict[str, NDArray[np.intp]] | None = None,
 ) -> Contacts:
     """Contacts in a mesh of worlds as those of a mesh of one, given what its worlds are there, and its primitives.
 
-    Edges are found by their vertices, and half-spaces are the same, where their ``numbers`` are not given.
+    Edges are found by their vertices, and half-spaces are the same, where their ``numbers`` are not given. Without any
+    the worlds are copies of the mesh.
     """
     if len(contacts) == 0:
         return contacts
@@ -134,12 +135,25 @@ def in_one_world(
             if column == 0:  # no half-space
                 vertex = corners[name][index, 0] if name in corners else index
                 world[rows] = worlds[of_worlds.vertex_world[vertex]]
-            if name in numbers:
+            if numbers is None:
+                primitives[rows, column] = _in_copy(mesh, name, index, of_worlds.num_worlds)
+            elif name in numbers:
                 primitives[rows, column] = numbers[name][index]
             elif name == "edge":
                 primitives[rows, column] = _edges(mesh, numbers["vertex"][of_worlds.edges[index]])
     place = ContactPlace(mesh, world=world.astype(np.int32))
     return replace(contacts, primitives=primitives)._of(place)
+
+
+def _in_copy(mesh: CollisionMesh, name: str, index: NDArray[np.integer], num_copies: int) -> NDArray[np.integer]:
+    """What primitives of copies are in the mesh; the copies of its half-spaces come before those that all share."""
+    sizes = {"vertex": mesh.num_vertices, "edge": mesh.num_edges, "face": mesh.num_faces}
+    if name in sizes:
+        return index % sizes[name]
+    is_shared = mesh.planes.vertices < 0
+    own = np.flatnonzero(~is_shared)
+    numbers: NDArray[np.intp] = np.append(np.tile(own, num_copies), np.flatnonzero(is_shared))
+    return numbers[index]
 
 
 def _edges(mesh: CollisionMesh, ends: NDArray[np.intp]) -> NDArray[np.intp]:

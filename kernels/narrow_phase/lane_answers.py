@@ -17,41 +17,34 @@ from .lane_rows import Index
 
 on_arcs = has_arcs(norm)
 if on_arcs:
-    from ..pair.lane_windows import first_windows, later_windows
+    from ..pair.lane_windows import advance_to_meeting
     from .lane_rows import arcs_of_pairs
 simd64 = specialised("pair.simd", width=width)
 
 
 @wp.func
-def first_answer(
-    pairs: PairList, rows: Index, a: Points, b: Points, options: Options, cap: int, least: wp.float64
-) -> LaneAnswer:
-    """Make the first rounds of the pairs in all lanes, of which none skips them."""
-    lane_options = options_of_rows(options, pairs, rows)
-    if wp.static(on_arcs):
-        lane_options.arcs = arcs_of_pairs(pairs, rows, options.turns)
-        return first_windows(pairs.kind, a, b, lane_options, options, cap, least)
-    else:
-        return first_rounds(pairs.kind, a, b, lane_options, cap, least)
-
-
-@wp.func
-def later_answer(
+def answer_of(
     pairs: PairList,
     rows: Index,
     a: Points,
     b: Points,
     options: Options,
-    open: wp.uint32,
+    is_first: bool,
+    lanes: wp.uint32,
     t: simd64.Lanes,
     used: simd64.Lanes,
     cap: int,
     least: wp.float64,
 ) -> LaneAnswer:
-    """Make the later rounds of the open lanes, from the times that they have reached after ``used`` iterations each."""
+    """Make the first rounds of the pairs in all lanes, or the later ones of those given.
+
+    The later rounds go on from the times that the pairs have reached after ``used`` iterations each.
+    """
     lane_options = options_of_rows(options, pairs, rows)
     if wp.static(on_arcs):
         lane_options.arcs = arcs_of_pairs(pairs, rows, options.turns)
-        return later_windows(pairs.kind, a, b, lane_options, options, open, t, used, cap, least)
+        return advance_to_meeting(pairs.kind, a, b, lane_options, lanes, t, used, is_first, cap, least)
     else:
-        return later_rounds(pairs.kind, a, b, lane_options, open, t, used, cap, least)
+        if is_first:
+            return first_rounds(pairs.kind, a, b, lane_options, cap, least)
+        return later_rounds(pairs.kind, a, b, lane_options, lanes, t, used, cap, least)

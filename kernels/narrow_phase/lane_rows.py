@@ -17,6 +17,7 @@ from ..step.pair_list import PairList
 from ..template import specialised
 
 simd = specialised("pair.simd", width=width)
+lane_points = specialised("search.lane_points", width=width)
 Index: Any = wp.types.vector(length=width, dtype=wp.int32) if width > 1 else wp.int32
 # lists in which pairs wait until they fill the lanes
 most_pending = 2 * width if width > 1 else 1
@@ -27,20 +28,6 @@ index_of = "i" if width == 1 else "i[k]"
 out64 = "double r[1]" if width == 1 else f"wp::vec_t<{width}, double> r"
 out_index = "int r[1]" if width == 1 else f"wp::vec_t<{width}, wp::int32> r"
 returned = "r[0]" if width == 1 else "r"
-
-gathered_snippet = f"""
-    {out64};
-    for (int k = 0; k < {width}; ++k)
-        r[k] = ((const double*)x.data)[3LL * {index_of} + axis];
-    return {returned};
-"""
-
-
-@wp.func_native(gathered_snippet)
-def gathered(x: wp.array[wp.vec3d], i: Index, axis: int) -> simd.Lanes:
-    """A coordinate of a point for each lane."""
-    ...
-
 
 gathered_row_snippet = f"""
     {out64};
@@ -167,10 +154,26 @@ def put_vec2(x: wp.array[wp.vec2d], i: Index, a: simd.Lanes, b: simd.Lanes, coun
     ...
 
 
-@wp.func
-def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
-    """A point for each lane."""
-    return simd.vec(gathered(x, i, 0), gathered(x, i, 1), gathered(x, i, 2))
+if width > 1:
+    row = lane_points.row
+
+    @wp.func_native(lane_points.gather(width, "vertices[k]"))
+    def gathered(x: wp.array[wp.vec3d], vertices: Index) -> lane_points.Rows:
+        """The coordinates of a point for each lane, as rows."""
+        ...
+
+    @wp.func
+    def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
+        """A point for each lane."""
+        rows = gathered(x, i)
+        return simd.vec(row(rows, 0), row(rows, 1), row(rows, 2))
+
+else:
+
+    @wp.func
+    def gathered_point(x: wp.array[wp.vec3d], i: Index) -> simd.Vec3:
+        """A point for each lane."""
+        return x[i]
 
 
 @wp.func
@@ -229,22 +232,25 @@ def points_of_pairs(pairs: PairList, rows: Index):
 
 
 if has_arcs(norm):
-    Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
+    arcs = specialised("pair.arcs", norm=norm, width=width)
+    Arcs = arcs.Arcs
+    turns_anywhere = arcs.turns_anywhere
 
     @simd.func
     def arcs_of_pairs(pairs: PairList, rows: Index, turns: Turns) -> Arcs:
         """How the points of a pair of primitives of a mesh turn, for each lane."""
         i = vertices_of_pairs(pairs, rows)
         r = Arcs()
-        r.v0 = gathered_point(turns.velocity, i.i0)
-        r.v1 = gathered_point(turns.velocity, i.i1)
-        r.v2 = gathered_point(turns.velocity, i.i2)
-        r.v3 = gathered_point(turns.velocity, i.i3)
         body = of_vertex(turns.vertex_body, i.i0)
         r.t_begin = gathered_number(turns.t_begin, body)
         r.t_length = gathered_number(turns.t_end, body) - r.t_begin
         r.spin_a = r.t_length * gathered_point(turns.omega, body)
         r.spin_b = r.t_length * gathered_point(turns.omega, of_vertex(turns.vertex_body, i.i3))
+        if turns_anywhere(r):
+            r.v0 = gathered_point(turns.velocity, i.i0)
+            r.v1 = gathered_point(turns.velocity, i.i1)
+            r.v2 = gathered_point(turns.velocity, i.i2)
+            r.v3 = gathered_point(turns.velocity, i.i3)
         of_a = gathered_number(turns.slack, i.i0)
         of_b = simd.greatest(gathered_number(turns.slack, i.i2), gathered_number(turns.slack, i.i3))
         of_second = gathered_number(turns.slack, i.i1)

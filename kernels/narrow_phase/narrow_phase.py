@@ -23,7 +23,7 @@ from ..step.pair_list import LeastToi, PairList, Round, num_found, vertices_of_p
 from ..step.step import ContactList
 from ..template import specialised
 from . import lane_rows
-from .lane_answers import first_answer, later_answer
+from .lane_answers import answer_of
 from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, rows_from, rows_of
 from .pair_contacts import is_left_open, leave_open, record_contact, settle_least, stays_in_place
 from .pair_outcome import (
@@ -202,18 +202,14 @@ def solve_pairs(
             b = points_of_rows(table.points_t1, rows)
         else:
             a, b = points_of_pairs(pairs, rows)
-        answer = LaneAnswer()
         left = first_lanes(size)
         is_later = is_waiting or skips_first
-        if is_later:
-            t = simd64.spread(wp.float64(0.0))
-            used = t
-            if is_waiting:
-                t = numbers_of(pending.t, pending.count, size)
-                used = numbers_of(pending.used, pending.count, size)
-            answer = later_answer(pairs, rows, a, b, options, left, t, used, cap, bound)
-        else:
-            answer = first_answer(pairs, rows, a, b, options, cap, bound)
+        t = simd64.spread(wp.float64(0.0))
+        used = t
+        if is_waiting:
+            t = numbers_of(pending.t, pending.count, size)
+            used = numbers_of(pending.used, pending.count, size)
+        answer = answer_of(pairs, rows, a, b, options, not is_later, left, t, used, cap, bound)
         if sink == TABLE:
             # what is written of the lanes that are left is overwritten
             write(rows, size, answer, options.t_max, table)

@@ -145,12 +145,14 @@ def record_contact(
         contacts.gap[n] = outcome.gap
         contacts.width[n] = outcome.width
         t = outcome.toi
+        slack = wp.float64(0.0)
         if wp.static(on_arcs):
             tangents = tangents_of_arcs(pairs.kind, first, second, a, b, t, options)
             a = tangents.a
             b = tangents.b
-            t = wp.float64(0.5)
-        at_toi = contact_at(pairs.kind, a, b, t, outcome.parameters)
+            t = tangents.t
+            slack = tangents.slack
+        at_toi = contact_at(pairs.kind, a, b, t, outcome.parameters, slack)
         contacts.parameters[n] = at_toi.parameters
         contacts.normal[n] = at_toi.direction
     else:

@@ -227,12 +227,10 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 bound = unbounded
                 if wp.static(is_bound):
                     bound = wp.cast(least.bits[0], wp.float64)
-                answer = LaneAnswer()
-                if wp.static(is_initial):
-                    answer = lane_answers.first_answer(of_kind, k, a, b, options, cap, bound)
-                else:
-                    used = wp.float64(pair.used)
-                    answer = lane_answers.later_answer(of_kind, k, a, b, options, _ONE, pair.t, used, cap, bound)
+                used = wp.float64(pair.used)
+                answer = lane_answers.answer_of(
+                    of_kind, k, a, b, options, wp.static(is_initial), _ONE, pair.t, used, cap, bound
+                )
                 if is_needed and is_open(answer, bound):
                     pair.t = answer.t
                     pair.used = wp.int32(answer.iterations)

@@ -114,7 +114,7 @@ def bow_reach(f: Volume, separation: Vec3, sagitta: Vec3) -> Volume:
 
 
 @simd.func
-def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
+def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, bends: bool, t: Lanes) -> Lanes:
     """Share up to which one corner stays beyond ``off`` and a parabola, 2 if until the end; -1 if it is not at ``t``.
 
     a and b are d·W at both ends, the parabola is bow·s(1 − s) (rounding, step 19).
@@ -127,10 +127,15 @@ def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
     first = select(is_beyond_t0, x, y)
     last = select(is_beyond_t0, y, x)
     fall = ((first - last) + bow) + root_error * (first + magnitude(last) + bow)
-    square = fall * fall
-    rest = (square + square_underflow) - (four * round_down) * (first * bow)
-    stays = is_at_most(fall, zero) | is_less(rest, minus_one * square_error * square)
-    root = square_root(greatest(rest, zero) + square_error * square)
+    stays = is_at_most(fall, zero)
+    root = fall
+    if bends:
+        square = fall * fall
+        rest = (square + square_underflow) - (four * round_down) * (first * bow)
+        has_none = is_less(rest, minus_one * square_error * square)
+        is_bent = is_less(zero, bow)
+        stays = stays | (is_bent & has_none)
+        root = select(is_bent, square_root(greatest(rest, zero) + square_error * square), root)
     s = ((first + first) / (fall + root)) * round_down
     has_entered = is_less((one - s) * round_up, t)
     s = select(is_beyond_t0, select(stays, two, least(two, s)), minus_one)
@@ -140,11 +145,12 @@ def clip_corner(a: Lanes, b: Lanes, off: Lanes, bow: Lanes, t: Lanes) -> Lanes:
 @simd.func
 def clip_bow(d: Vec3, off: Lanes, bow: Lanes, t: Lanes, n: LanePair, is_triangle: bool) -> Lanes:
     """Share s >= t such that d·W stays above ``off`` and the parabola on [t, s); 2 if it does to the end."""
-    s = clip_corner(dot(d, n.t0.w00), dot(d, n.t1.w00), off, bow, t)
-    s = least(s, clip_corner(dot(d, n.t0.w01), dot(d, n.t1.w01), off, bow, t))
-    s = least(s, clip_corner(dot(d, n.t0.w10), dot(d, n.t1.w10), off, bow, t))
+    bends = bits_of(is_less(zero, bow)) != _NONE
+    s = clip_corner(dot(d, n.t0.w00), dot(d, n.t1.w00), off, bow, bends, t)
+    s = least(s, clip_corner(dot(d, n.t0.w01), dot(d, n.t1.w01), off, bow, bends, t))
+    s = least(s, clip_corner(dot(d, n.t0.w10), dot(d, n.t1.w10), off, bow, bends, t))
     if not is_triangle:
-        s = least(s, clip_corner(dot(d, n.t0.w11), dot(d, n.t1.w11), off, bow, t))
+        s = least(s, clip_corner(dot(d, n.t0.w11), dot(d, n.t1.w11), off, bow, bends, t))
     can_prove = is_at_most(tiny_direction, greatest_of(magnitude(d)))
     return select(can_prove & is_less(t, s), s, t)
 
@@ -222,7 +228,11 @@ def advance_on_arcs(
                 # as on straight paths, with the sagitta of all of the window, where the others gain little
                 has_box = opposite(is_within(n.separation, two * slack + box_errors * n.error))
                 slow = has_box & opposite(is_near) & is_less(s - begin, quarter)
-                turns = still & (volume.is_flat | slow)
+                touches = is_close(near.d, near_errors * n.error, n.separation)
+                flat = volume.is_flat & opposite(touches)
+                if rounds == 0:
+                    flat = flat & is_less(zero, greatest_of(bow))
+                turns = still & (flat | slow) & opposite(free)
                 if bits_of(turns) != _NONE:
                     facet = widest_facet(c, separation, n.error, is_face, near_errors)
                     whole = n.separation + bow
@@ -231,9 +241,13 @@ def advance_on_arcs(
                     s = greatest(s, turned)
                     is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & is_near)
                     free = still & is_less(end, s)
-            contact = still & is_near & opposite(moving) & opposite(free)
+            # on the chord alone, as far as rounding goes, a contact is one of the arcs
+            is_sharp = is_within((four * s * (one - s)) * bow, slack + n.error)
+            is_begin = is_at_most(t, zero)
+            contact = still & is_near & opposite(moving) & opposite(free) & (is_sharp | is_begin)
             if bits_of(contact) != _NONE:
-                stays = is_at_most(t, zero) & is_close(near.d, floor, separation)
+                stays = is_begin & is_close(near.d, floor, separation)
+                contact = contact & (is_sharp | stays)
                 at = select(stays, t, s)
                 c = corners_at(n.t0, n.t1, at)
                 point = point_at(c, near.u, near.v, is_face)

@@ -35,42 +35,51 @@ eighth = wp.constant(wp.float64(0.125))
 def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> arcs.Arcs:
     """How the points of a pair of primitives turn, given by their vertices."""
     r = arcs.Arcs()
-    r.v0 = turns.velocity[first[0]]
-    if kind == EDGE_EDGE:
-        r.v1 = turns.velocity[first[1]]
-        r.v2 = turns.velocity[second[0]]
-        r.v3 = turns.velocity[second[1]]
-    else:
-        r.v1 = turns.velocity[second[0]]
-        r.v2 = turns.velocity[second[1]]
-        r.v3 = turns.velocity[second[2]]
     body = turns.vertex_body[first[0]]
     r.t_begin = turns.t_begin[body]
     r.t_length = turns.t_end[body] - r.t_begin
     r.spin_a = r.t_length * turns.omega[body]
     r.spin_b = r.t_length * turns.omega[turns.vertex_body[second[0]]]
     r.slack = radius_of(turns.slack, first) + radius_of(turns.slack, second)
+    if arcs.turns_anywhere(r):
+        r.v0 = turns.velocity[first[0]]
+        if kind == EDGE_EDGE:
+            r.v1 = turns.velocity[first[1]]
+            r.v2 = turns.velocity[second[0]]
+            r.v3 = turns.velocity[second[1]]
+        else:
+            r.v1 = turns.velocity[second[0]]
+            r.v2 = turns.velocity[second[1]]
+            r.v3 = turns.velocity[second[2]]
     return r
 
 
 @wp.struct
 class Tangents:
-    """Two times around one, at which points would be that went straight on as they move then."""
+    """Both ends of straight motion on which points are at one time where they are on arcs, and move as they do then."""
 
     a: Points
     b: Points
+    t: wp.float64  # the time between these ends
+    slack: wp.float64  # by how much rounding may bring the two primitives closer
 
 
 @wp.func
 def tangents_of_arcs(
     kind: int, first: wp.vec3i, second: wp.vec3i, a: Points, b: Points, t: wp.float64, options: Options
 ) -> Tangents:
-    """Where a pair is and how it moves at a time of the step: in the middle of two straight ends."""
+    """Where a pair is and how it moves at a time of the step."""
     turning = arcs_of_pair(kind, first, second, options.turns)
-    at = in_slice(t, turning.t_begin, turning.t_length)
-    x = points_at(kind, a, b, turning, at)
-    v = arcs.velocities_at(kind, a, b, turning, at)
     r = Tangents()
+    r.a = a
+    r.b = b
+    r.t = in_slice(t, turning.t_begin, turning.t_length)
+    r.slack = turning.slack
+    if not arcs.turns_anywhere(turning):
+        return r
+    x = points_at(kind, a, b, turning, r.t)
+    v = arcs.velocities_at(kind, a, b, turning, r.t)
+    r.t = half
     r.a.p0 = x.p0 - half * v.p0
     r.a.p1 = x.p1 - half * v.p1
     r.a.p2 = x.p2 - half * v.p2
@@ -100,7 +109,7 @@ def solve_on_arcs(
     """
     turning = arcs_of_pair(kind, first, second, options.turns)
     amplitudes = arcs.amplitude(kind, turning)
-    error = arcs.error_of(a, b, turning)
+    error = arcs.error_of(a, b, turning.slack, amplitudes)
     of_window = options
     of_window.t_end = real(1.0)
     of_window.t_max = one

@@ -34,6 +34,7 @@ is_euclidean = is_ball(norm)
 # Largest turn of a slice, in radians.
 LARGEST_TURN = 0.25
 
+zero = wp.constant(wp.float64(0.0))
 half = wp.constant(wp.float64(0.5))
 one = wp.constant(wp.float64(1.0))
 sine_1 = wp.constant(wp.float64(-1.0 / 6.0))
@@ -58,7 +59,7 @@ motion_error = wp.constant(wp.float64(ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 class Arcs:
     """How the points of a pair turn in a slice."""
 
-    v0: simd.Vec3  # velocities of the points that turn with their bodies
+    v0: simd.Vec3  # velocities of the points that turn with their bodies; of bodies that do not turn they are not used
     v1: simd.Vec3
     v2: simd.Vec3
     v3: simd.Vec3
@@ -174,8 +175,18 @@ def across_axes(spin: simd.Vec3) -> simd.Vec3:
 
 
 @simd.func
+def turns_anywhere(arcs: Arcs) -> bool:
+    """Whether a body of any pair turns."""
+    spin = simd.greatest_of(simd.greatest(simd.magnitude(arcs.spin_a), simd.magnitude(arcs.spin_b)))
+    return simd.bits_of(simd.is_less(zero, spin)) != wp.uint32(0)
+
+
+@simd.func
 def amplitude(kind: int, arcs: Arcs) -> simd.Vec3:
     """Upper bound of |x''| of the first primitive and of the second, together, along each axis."""
+    r = simd.vec(simd.spread(zero), simd.spread(zero), simd.spread(zero))
+    if not turns_anywhere(arcs):
+        return r
     of_a = squared(arcs.v0)
     of_b = simd.greatest(squared(arcs.v2), squared(arcs.v3))
     if kind == EDGE_EDGE:
@@ -208,15 +219,8 @@ def largest_difference(a: Points, b: Points) -> simd.Lanes:
 
 
 @simd.func
-def motion_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
-    """Largest coordinate of the motions of the points over the slice, and of their velocities that turn."""
-    v = simd.greatest(simd.magnitude(arcs.v0), simd.magnitude(arcs.v1))
-    v = simd.greatest(v, simd.greatest(simd.magnitude(arcs.v2), simd.magnitude(arcs.v3)))
-    return simd.greatest(largest_difference(a, b), simd.greatest_of(v))
-
-
-@simd.func
-def error_of(a: Points, b: Points, arcs: Arcs) -> simd.Lanes:
+def error_of(a: Points, b: Points, slack: simd.Lanes, amplitude: simd.Vec3) -> simd.Lanes:
     """By how much the rounding of all points may bring a pair closer, along any axis (rounding, step 17)."""
     size = simd.greatest(largest_coordinate(a), largest_coordinate(b))
-    return arcs.slack + (point_error * size + motion_error * motion_of(a, b, arcs))
+    motion = largest_difference(a, b) + simd.greatest_of(amplitude)
+    return slack + (point_error * size + motion_error * motion)

@@ -17,14 +17,12 @@ from .lane_solver import LaneAnswer
 from .meeting import meeting
 from .pair_options import LaneOptions
 from .points import Points, corners, largest
-from .query import Options
 from .rounding import PROJECTION_ROOT, START_DISTANCE_ERRORS, UNIT_ROUNDOFF
 from .windows import Window, in_slice, in_step, next_window, reached
 
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
 Vec3 = simd.Vec3
-all_lanes = wp.constant(wp.uint32((1 << width) - 1))
 
 # Rounds of a window; of all windows that end where a pair seems to meet; of those that shrink by themselves as well.
 _ROUNDS = wp.constant(2)
@@ -46,6 +44,17 @@ start_distance_errors = wp.constant(wp.float64(START_DISTANCE_ERRORS))
 corner_error = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 
 
+@wp.struct
+class Ends:
+    """Both ends of the window of each lane, and the gap at its begin, where it has been looked for."""
+
+    begin: Lanes
+    end: Lanes
+    at_begin: Points
+    at_end: Points
+    gap: Lanes
+
+
 @simd.func
 def sharpness(error: Lanes, kind: int, p: Points) -> Lanes:
     """The sagitta below which a contact of chords is one of arcs, but for rounding."""
@@ -59,28 +68,28 @@ def enlarged(a: Vec3, by: Lanes) -> Vec3:
     return simd.vec(a.x + by, a.y + by, a.z + by)
 
 
-@(simd.rare if width > 1 else simd.func)
+@simd.func
 def advance_to_meeting(
     kind: int,
     a: Points,
     b: Points,
     lane_options: LaneOptions,
-    options: Options,
     lanes: wp.uint32,
     t_start: Lanes,
     used: Lanes,
-    fewest: int,
+    is_first: bool,
     cap: int,
     bound: wp.float64,
 ) -> LaneAnswer:
-    """Advance the given lanes as long as there are more of them than the fewest, through windows of few rounds.
+    """Advance the given lanes through windows of few rounds; in a first call, as long as most of them are open.
 
     The first window of a pair is all of the slice, the others end where it seems to meet. What a window does depends on
     the time that the pair has reached and on the iterations that it has used alone, so a pair gets the same answer in
     whatever company it is.
     """
-    amplitudes = amplitude(kind, lane_options.arcs)
-    error = error_of(a, b, lane_options.arcs)
+    arcs = lane_options.arcs
+    amplitudes = amplitude(kind, arcs)
+    error = error_of(a, b, arcs.slack, amplitudes)
     nothing = simd.spread(zero)
     if lane_options.keeps_start_distance != _NONE:
         # what starts at the distance that it keeps has the error of its arcs to begin with
@@ -89,112 +98,97 @@ def advance_to_meeting(
             simd.mask_of(lane_options.keeps_start_distance), kept, lane_options.minimum_separation
         )
     none = simd.mask_of(_NONE)
-    shared = simd.bits_of(are_alike(lane_options.arcs) & may_turn(lane_options.minimum_separation))
-    t_begin = lane_options.arcs.t_begin
-    t_length = lane_options.arcs.t_length
+    shared = simd.bits_of(are_alike(arcs) & may_turn(lane_options.minimum_separation))
     lane_options.t_end = real(1.0)
     rounds = wp.min(cap, _ROUNDS)
     most = wp.float64(wp.max(wp.min(cap, _MOST_ROUNDS) - _ROUNDS, 0))
     limit = most
-    if fewest == 0:
+    fewest = int(0)
+    if is_first:
+        fewest = _FEWEST
+    else:
         limit = wp.float64(wp.max(wp.min(cap, _ALL_ROUNDS) - _ROUNDS, 0))
     answer = LaneAnswer()
     answer.iterations = used
     answer.t = t_start
     window = Window()
-    window.begin = in_slice(t_start, t_begin, t_length)
-    window.h = eighth * (one - window.begin)
+    window.h = eighth * (one - in_slice(t_start, arcs.t_begin, arcs.t_length))
     window.last = nothing
     open = lanes & simd.bits_of(simd.is_at_most(used, limit))
-    is_first = bool(True)
-    while open != _NONE and (is_first or number_of_bits(open) > fewest):
-        is_first = False
-        begin = in_slice(answer.t, t_begin, t_length)
-        starts = simd.is_at_most(answer.iterations, zero)
-        shrinks = simd.is_less(most, answer.iterations)
-        at_begin = points_at(kind, a, b, lane_options.arcs, begin)
-        sharp = sharpness(error, kind, at_begin)
-        seeking = open & ~simd.bits_of(starts | shrinks)
-        met = meeting(kind, a, b, lane_options.arcs, lane_options.minimum_separation, begin, seeking)
-        # beyond the time of meeting the window goes on until the sagitta there is of the size of rounding errors
-        ahead = simd.least(met.t - begin, one - begin) + tiny_time
-        beyond = simd.least(sharp / (simd.greatest_of(amplitudes) * ahead), ahead)
-        beyond = simd.greatest(beyond, four * sharp / simd.magnitude(met.speed))
-        # nor is it longer than it takes for the sagitta to be as large as the gap
-        fits = simd.square_root(eight * simd.greatest(met.gap, zero) / simd.greatest_of(amplitudes)) + beyond
-        fits = simd.select(simd.mask_of(shared), two, fits)
-        end = simd.least(met.t + beyond, begin + fits)
-        end = simd.select(shrinks, begin + window.h, end)
-        end = simd.select(starts, one, simd.least(end, one))
-        h = end - begin
-        at_end = points_at(kind, a, b, lane_options.arcs, end)
-        chords = sagitta(amplitudes, h)
+    # no pair of a call has been here before, or all of them have
+    starts = (open & simd.bits_of(simd.is_at_most(used, zero))) != _NONE
+    shrinks = none
+    ends = Ends()
+    ends.gap = nothing
+    while open != _NONE and (starts or number_of_bits(open) > fewest):
+        if starts:
+            ends.begin = nothing
+            ends.end = simd.spread(one)
+            ends.at_begin = a
+            ends.at_end = b
+        else:
+            ends.begin = in_slice(answer.t, arcs.t_begin, arcs.t_length)
+            ends.at_begin = points_at(kind, a, b, arcs, ends.begin)
+        sharp = sharpness(error, kind, ends.at_begin)
+        if not starts:
+            shrinks = simd.is_less(most, answer.iterations)
+            seeking = open & ~simd.bits_of(shrinks)
+            met = meeting(kind, a, b, arcs, lane_options.minimum_separation, ends.begin, seeking)
+            # beyond the time of meeting the window goes on until the sagitta there is of the size of rounding errors
+            ahead = simd.least(met.t - ends.begin, one - ends.begin) + tiny_time
+            beyond = simd.least(sharp / (simd.greatest_of(amplitudes) * ahead), ahead)
+            beyond = simd.greatest(beyond, four * sharp / simd.magnitude(met.speed))
+            # nor is it longer than it takes for the sagitta to be as large as the gap
+            fits = simd.square_root(eight * simd.greatest(met.gap, zero) / simd.greatest_of(amplitudes)) + beyond
+            fits = simd.select(simd.mask_of(shared), two, fits)
+            end = simd.least(met.t + beyond, ends.begin + fits)
+            end = simd.least(simd.select(shrinks, ends.begin + window.h, end), one)
+            ends.gap = met.gap
+            ends.end = end
+            ends.at_end = points_at(kind, a, b, arcs, end)
+        window.begin = ends.begin
+        window.h = ends.end - ends.begin
+        chords = sagitta(amplitudes, window.h)
         excess = error
         is_corotating = none
         if open & shared != _NONE:
-            of_body = corotating_window(kind, a, b, lane_options.arcs, at_begin, at_end, begin, h)
+            of_body = corotating_window(kind, a, b, arcs, ends.at_begin, ends.at_end, ends.begin, window.h)
             all_of_body = of_body.sagitta + of_body.error
             is_corotating = simd.mask_of(shared) & simd.is_less(all_of_body, simd.greatest_of(chords))
-            at_end = selected(is_corotating, of_body.at_end, at_end)
+            ends.at_end = selected(is_corotating, of_body.at_end, ends.at_end)
             chords = simd.select(is_corotating, simd.vec(of_body.sagitta, of_body.sagitta, of_body.sagitta), chords)
             excess = simd.select(is_corotating, error + of_body.error, error)
         lane_options.sagitta = simd.vec(excess, excess, excess)
-        of_window = advance_on_arcs(kind, at_begin, at_end, lane_options, chords, open, rounds)
+        of_window = advance_on_arcs(kind, ends.at_begin, ends.at_end, lane_options, chords, open, rounds)
         is_open = simd.mask_of(open)
         is_free = simd.mask_of(of_window.free)
         off_chord = (four * of_window.t * (one - of_window.t)) * simd.greatest_of(chords)
-        window.begin = begin
-        window.h = h
-        t = reached(window, end, is_free, of_window.t)
-        touches = of_window.contact & simd.bits_of(simd.is_at_most(off_chord, sharp))
+        t = reached(window, ends.end, is_free, of_window.t)
         gap = of_window.gap + two * (excess + off_chord)
         gap = simd.select(is_corotating, longest_turned * gap, gap)
-        is_contact = simd.mask_of(touches)
-        answer.contact = answer.contact | touches
-        answer.free = answer.free | (open & of_window.free & simd.bits_of(simd.is_at_most(one, end)))
+        is_contact = simd.mask_of(of_window.contact)
+        answer.contact = answer.contact | of_window.contact
+        answer.free = answer.free | (open & of_window.free & simd.bits_of(simd.is_at_most(one, ends.end)))
         answer.u = simd.select(is_contact, of_window.u, answer.u)
         answer.v = simd.select(is_contact, of_window.v, answer.v)
         answer.gap = simd.select(is_contact, gap, answer.gap)
         iterations = answer.iterations + simd.greatest(of_window.iterations, one)
         # what gains nothing, or is within its separation as far as its closest points show, goes on in windows that
         # shrink by themselves
-        gains = shrinks | (simd.is_less(begin, t) & (starts | simd.is_less(zero, met.gap)))
+        gains = simd.is_less(ends.begin, t)
+        if not starts:
+            gains = shrinks | (gains & simd.is_less(zero, ends.gap))
         iterations = simd.select(gains, iterations, simd.greatest(iterations, most + one))
         answer.iterations = simd.select(is_open, iterations, answer.iterations)
-        answer.t = simd.select(is_open, in_step(simd.least(t, one), t_begin, t_length), answer.t)
+        answer.t = simd.select(is_open, in_step(simd.least(t, one), arcs.t_begin, arcs.t_length), answer.t)
         following = next_window(window, t, is_free)
-        window.h = simd.select(shrinks, following.h, eighth * (one - in_slice(answer.t, t_begin, t_length)))
+        first_of_all = eighth * (one - in_slice(answer.t, arcs.t_begin, arcs.t_length))
+        window.h = simd.select(shrinks, following.h, first_of_all)
         window.last = simd.select(shrinks, following.last, nothing)
         # a lane that is sharp and has neither a contact nor a free window needs other tools
         is_sharp = shrinks & simd.is_at_most(simd.greatest_of(chords), sharp)
         settled = answer.free | answer.contact | (simd.bits_of(is_sharp) & ~of_window.free)
         open = open & ~settled & simd.bits_of(simd.is_at_most(answer.iterations, limit))
         open = open & simd.bits_of(simd.is_less(answer.t, bound))
+        starts = False
     return answer
-
-
-@wp.func
-def first_windows(
-    kind: int, a: Points, b: Points, lane_options: LaneOptions, options: Options, cap: int, bound: wp.float64
-) -> LaneAnswer:
-    """Advance the pairs of all lanes from the begin of the slice until most are settled."""
-    t = lane_options.arcs.t_begin
-    used = simd.spread(zero)
-    return advance_to_meeting(kind, a, b, lane_options, options, all_lanes, t, used, _FEWEST, cap, bound)
-
-
-@wp.func
-def later_windows(
-    kind: int,
-    a: Points,
-    b: Points,
-    lane_options: LaneOptions,
-    options: Options,
-    lanes: wp.uint32,
-    t_start: Lanes,
-    used: Lanes,
-    cap: int,
-    bound: wp.float64,
-) -> LaneAnswer:
-    """Advance the given lanes on from a time through shorter windows, after ``used`` iterations each."""
-    return advance_to_meeting(kind, a, b, lane_options, options, lanes, t_start, used, 0, cap, bound)

@@ -94,20 +94,23 @@ below are in the normalised units of step 2.
    once, and the factor 1 - 8u covers it and itself. The half is exact but for a result that is subnormal, from which
    2^-1070 is subtracted.
 17. **Points on arcs** (`arcs`). Let M be the largest coordinate of the points at both ends of the slice, D that of
-   their motions b - a and of the velocities V, and turns at most 1/4: the series of f1 lies below 1/90 and is summed
-   within 1/15 u, f2 below 1/8 and within 3u; ω×V is below D/2 and off by 3u of that. So their part of a coordinate is
-   off by less than u·D. The straight part rounds a difference, a product and a sum, 3u·D with the bend, and the last
-   sum u·M. The two points of a corner are off by less than 2u·M + 8u·D, at either end of a chord and so between them;
-   the separation grows by ARC_POINTS = 4 and ARC_MOTION = 12 of them, which covers the sums of the bound and the
-   products of errors. What V and ω are off by themselves is part of the slack (step 18), since both factors are below
-   1. The amplitude is made of two roots of sums, a product and a sum, the sagitta of three products more, 10u; V grows
-   by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that underflows is below
-   SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta is less than u² of
-   the velocity. A time in a slice is that of the step less the begin of the slice, over its length, and is rounded down
-   by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`corotating`) the difference of
-   two points is turned: products with factors below 1, cross products and sums, 12u of it, and a sum of u·M:
-   FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS. A gap
-   beyond the separation of chords gets twice what was added to that: it was not asked for, and arcs may bend away.
+   their motions b - a, and turns at most 1/4. f1 is a difference of two series below |ω|²/6, each within 9u of itself,
+   so it is off by less than 2.7u·|ω|², and below |ω|²/15; f2 is below 1/8 and off by less than 2.2u, and ω×V by 2u of
+   |ω||V|. So their part of a coordinate is off by less than 3.5u·|ω||V|, and vanishes with ω, whatever V is. The
+   straight part rounds a difference, a product and a sum, 3u·D with the bend, and the last sum u·M. The amplitude A of
+   both primitives, on the axis on which it is largest, is at least two thirds of the sum of both |ω||V|, as the
+   lengths of ω across three axes are 2|ω| together or more. So the two points of a corner are off by less than 2u·M +
+   6u·D + 6u·A, at either end of a chord and so between them; the separation grows by ARC_POINTS = 4 of M and
+   ARC_MOTION = 12 of D + A, which covers the sums of the bound and the products of errors. At both ends of the slice
+   the points are those that were placed. What V and ω are off by themselves is part of the slack (step 18), since both
+   factors are below 1. The amplitude is made of two roots of sums, a product and a sum, the sagitta of three products
+   more, 10u; V grows by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that
+   underflows is below SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta
+   is less than u² of the velocity. A time in a slice is that of the step less the begin of the slice, over its length,
+   and is rounded down by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`corotating`)
+   the difference of two points is turned: products with factors below 1, cross products and sums, 12u of it, and a sum
+   of u·M: FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS. A
+   gap beyond the separation of chords gets twice what was added to that: it was not asked for, and arcs may bend away.
 18. **Bodies on arcs** (`kernels.rigid.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
    begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
    `BodyPaths` states for p is 2u·P; on all axes 6·√3 u·P, PLACE_POSITION = 24 with v of a linear path, which is off by
@@ -120,20 +123,19 @@ below are in the normalised units of step 2.
    of a vertex, some thirty of them here and in step 17, lose 2^-1075 each at most where they underflow: the slack gets
    2^-1068.
 19. **Off a chord by a parabola** (`arc_rounds`). At a share s of a window both points of a corner together are off
-    their chords by at most s(1 - s)/2·h²·|x''| = 4s(1 - s)·σ, σ the sagitta of step 17, along any axis; in
-    normalised units σ is raised by SLACK·u, which covers its rounding to the precision of the iteration. The
-    volume: the product of 4s(1 - s) and Σ B_i(s)·n_i, n_i the supports of σ along the Bernstein coefficients of
-    Q×R, has those of degree four (0, n_0, 4/3 n_1, n_2, 0), and the cubic of (0, 4/3 max(n_0, n_1), 4/3 max(n_1,
-    n_2), 0), raised to degree four, is above it. It is added to the cubic of the separation in step 9, one rounding
-    more, and 2σ is to the separation in the bound there. A direction: with a and b the projections at both ends, a
-    for the one at which the corner is beyond the offset (else time runs backward), x = a - off, y = b - off and c =
-    4·support(σ), rounded up, the corner is beyond while x - p·s + c·s² > 0, p = x - y + c. That falls as p grows: x
-    and y are off by u of themselves and p by two roundings, so p gets RELATIVE·u·(|x| + |y| + c). It is beyond up
-    to 2x/(p + √(p² - 4xc)), which falls as p and the root grow: under it p² and the difference lose 2u·p², and 4xc,
-    with the u of x, is lowered by RELATIVE·u, so 2·RELATIVE·u·p² is added, and without a root where the difference
-    is as far below zero. Products that underflow lose less than SQUARE_UNDERFLOW, added as well. x, the root, sum
-    and quotient lose 4u: times (1 - 8u), as the difference of it from one, for time that ran backward, times (1 +
-    8u).
+    their chords by at most s(1 - s)/2·h²·|x''| = 4s(1 - s)·σ, σ the sagitta of step 17, along any axis; in normalised
+    units σ is raised by SLACK·u, which covers its rounding to the precision of the iteration. The volume: the product
+    of 4s(1 - s) and Σ B_i(s)·n_i, n_i the supports of σ along the Bernstein coefficients of Q×R, has those of degree
+    four (0, n_0, 4/3 n_1, n_2, 0), and the cubic of (0, 4/3 max(n_0, n_1), 4/3 max(n_1, n_2), 0), raised to degree
+    four, is above it. It is added to the cubic of the separation in step 9, one rounding more, and 2σ is to the
+    separation in the bound there. A direction: with a and b the projections at both ends, a for the one at which the
+    corner is beyond the offset (else time runs backward), x = a - off, y = b - off and c = 4·support(σ), rounded up,
+    the corner is beyond while x - p·s + c·s² > 0, p = x - y + c. That falls as p grows: x and y are off by u of
+    themselves and p by two roundings, so p gets RELATIVE·u·(|x| + |y| + c). It is beyond up to 2x/(p + √(p² - 4xc)),
+    which falls as p and the root grow: under it p² and the difference lose 2u·p², and 4xc, with the u of x, is lowered
+    by RELATIVE·u, so 2·RELATIVE·u·p² is added, and without a root where the difference is as far below zero. Where c is
+    0 the root is p itself. Products that underflow lose less than SQUARE_UNDERFLOW, added as well. x, the root, sum and
+    quotient lose 4u: times (1 - 8u), as the difference of it from one, for time that ran backward, times (1 + 8u).
 
 Constants are in units of u.
 """

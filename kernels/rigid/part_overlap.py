@@ -21,6 +21,8 @@ of both: its centre is at D, which changes by D' in the middle, and is off by at
 with ω of the observer, ρ and u of the other, and P between their pivots. So two bodies that share a spin are at rest.
 Directions are those of the centres, of the sides of both boxes and of both axes. What they do not separate is divided,
 the times where motion takes more than the nodes do, and otherwise the larger node, down to parts in slices.
+
+Where rows stand on the device and are not known beforehand, the tree of a body is its root, made in each step.
 """
 
 import warp as wp
@@ -48,6 +50,8 @@ _PLACE_POSITION = wp.constant(wp.float64(4.0 * PLACE_POSITION * UNIT_ROUNDOFF[wp
 _PLACE = wp.constant(wp.float64(4.0 * PLACE * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154; a smaller turn has no axis.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
+# Of half sides and radii.
+_UP = wp.constant(wp.float64(1.0 + 64.0 * UNIT_ROUNDOFF[wp.float64]))
 # No distance whose square overflows is less.
 _OVERFLOW = wp.constant(wp.float64(1e154))
 
@@ -75,7 +79,8 @@ class PartTrees:
 class PartPairs:
     """Pairs of parts that may touch in a slice of a world, in no order; more than the capacity are only counted.
 
-    A part that may touch a half-space is in a pair with itself.
+    A part that may touch a half-space is in a pair with itself. Where there is an array for them, the bodies of these
+    pairs are marked, and no pair is listed.
     """
 
     count: wp.array2d[wp.int64]  # [1, 1]
@@ -83,6 +88,8 @@ class PartPairs:
     slice: wp.array[wp.int32]
     a: wp.array[wp.int32]
     b: wp.array[wp.int32]
+    marks: wp.array2d[wp.int32]  # [S, B], 1 for a body that may touch another in a slice
+    is_any: wp.array[wp.int32]  # [S], 1 for a slice in which one may
 
 
 @wp.struct
@@ -357,6 +364,102 @@ def separation_from_plane(
 
 
 @wp.kernel
+def bound_rows(
+    begin: int,
+    # in
+    vertices: wp.array[wp.int32],
+    first: wp.array[wp.int32],
+    body: wp.array[wp.int32],  # of each run of them
+    links: wp.array[wp.int32],  # of each body: -1 of one whose vertices go straight
+    start: wp.array[wp.vec3d],
+    end: wp.array[wp.vec3d],
+    radius: wp.array[wp.float64],  # empty where there is none
+    # out
+    lower: wp.array[wp.vec3d],
+    upper: wp.array[wp.vec3d],
+    thickness: wp.array[wp.float64],
+):
+    """Box and largest radius of each run of vertices of a body, over all of a straight motion.
+
+    Of a coordinate that is no number the radius is none.
+    """
+    run = begin + wp.tid()
+    goes_straight = links[body[run]] < 0
+    low = start[vertices[first[run]]]
+    high = low
+    thick = _ZERO
+    odd = _ZERO
+    for k in range(first[run], first[run + 1]):
+        v = vertices[k]
+        x = start[v]
+        y = x
+        if goes_straight:
+            y = end[v]
+        low = wp.min(low, wp.min(x, y))
+        high = wp.max(high, wp.max(x, y))
+        for axis in range(3):
+            odd += (x[axis] - x[axis]) + (y[axis] - y[axis])
+        if radius.shape[0] > 0:
+            thick = wp.max(thick, radius[v])
+            odd += radius[v] - radius[v]
+    lower[run] = low
+    upper[run] = high
+    thickness[run] = thick + odd
+
+
+@wp.kernel
+def bound_bodies(
+    begin: int,
+    # in
+    first: wp.array[wp.int32],  # run of each body
+    lower: wp.array[wp.vec3d],
+    upper: wp.array[wp.vec3d],
+    thickness: wp.array[wp.float64],
+    # out
+    trees: PartTrees,
+):
+    """Let the tree of each body be one node around its runs of vertices."""
+    i = begin + wp.tid()
+    if first[i] == first[i + 1]:
+        return
+    low = lower[first[i]]
+    high = upper[first[i]]
+    thick = _ZERO
+    odd = _ZERO
+    for run in range(first[i], first[i + 1]):
+        low = wp.min(low, lower[run])
+        high = wp.max(high, upper[run])
+        thick = wp.max(thick, thickness[run])
+        odd += thickness[run] - thickness[run]
+    centre = _HALF * low + _HALF * high
+    half = wp.max(high - centre, centre - low) * _UP
+    trees.centre[i] = centre
+    trees.half[i] = half
+    trees.radius[i] = wp.length(half) * _UP + _UNDERFLOW
+    trees.thickness[i] = thick + odd
+
+
+@wp.kernel
+def clear_marks(
+    begin: int,
+    # in
+    always: wp.array[wp.int32],  # bodies that are searched in every slice
+    is_any: int,  # whether there are such
+    active: wp.array[wp.int32],  # bodies that are searched at all
+    # out
+    found: PartPairs,
+):
+    """Mark in each slice the bodies that are searched in every one."""
+    item = begin + wp.tid()
+    num_bodies = always.shape[0]
+    k = item / num_bodies
+    i = item % num_bodies
+    found.marks[k, i] = always[i] * active[i]
+    if i == 0:
+        found.is_any[k] = is_any
+
+
+@wp.kernel
 def sweep_bodies(
     begin: int,
     # in
@@ -419,6 +522,7 @@ def find_overlapping_parts(
     t_max: wp.float64,
     reach: wp.float64,
     any_suffices: bool,
+    active: wp.array[wp.int32],  # bodies of which one of each pair is; empty, all are
     stop: wp.array[wp.int32],
     # out
     pairs: PartPairs,
@@ -437,6 +541,9 @@ def find_overlapping_parts(
     i = bodies[0]
     is_plane = bodies[1] < 0
     j = wp.where(is_plane, i, bodies[1])
+    if active.shape[0] > 0:
+        if active[i] == 0 and active[j] == 0:
+            return
     if not is_plane and (are_apart(lower[world, i], upper[world, j]) or are_apart(lower[world, j], upper[world, i])):
         return
     link_a = trees.link[i]
@@ -451,6 +558,8 @@ def find_overlapping_parts(
     nodes_b = Stack()
     begins[0] = wp.int32(wp.int64(number) * wp.int64(num_slices) / wp.int64(num_begins))
     ends[0] = wp.int32(wp.int64(number + 1) * wp.int64(num_slices) / wp.int64(num_begins))
+    if begins[0] == ends[0]:
+        return  # of fewer slices than items
     first_of_item = begins[0]
     found = wp.uint64(0)  # of the first slices of the item
     size = wp.int32(1)
@@ -526,7 +635,13 @@ def find_overlapping_parts(
         else:
             if first_slice - first_of_item < _BITS:
                 found |= wp.uint64(1) << wp.uint64(first_slice - first_of_item)
-            place = claim(pairs.count, 0, 0, 1)
+            place = wp.int64(pairs.a.shape[0])
+            if pairs.marks.shape[0] > 0:
+                pairs.marks[first_slice, i] = 1
+                pairs.marks[first_slice, j] = 1
+                pairs.is_any[first_slice] = 1
+            else:
+                place = claim(pairs.count, 0, 0, 1)
             if place < wp.int64(pairs.a.shape[0]):
                 k = wp.int32(place)
                 pairs.world[k] = world

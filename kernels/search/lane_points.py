@@ -9,8 +9,8 @@ from ..pair.simd import Lanes, Vec3, header, vec
 from ..parameters import width
 
 
-def _gather(width: int) -> str:
-    """C++ that loads a point for each lane, as rows of x, y and z.
+def gather(width: int, vertex: str) -> str:
+    """C++ that loads the point of a vertex, an expression in k, for each lane, as rows of x, y and z.
 
     x and y are loaded together and then sorted into rows, which takes fewer instructions than to insert each number; a
     load of four numbers would reach beyond the last vertex.
@@ -28,7 +28,7 @@ def _gather(width: int) -> str:
         + f"""
     typedef double Two __attribute__((ext_vector_type(2)));
     typedef double Loaded __attribute__((ext_vector_type(2), aligned(8)));
-    const auto at = [&](int k) {{ return (const double*)x.data + 3LL * vertices.data[first + k]; }};
+    const auto at = [&](int k) {{ return (const double*)x.data + 3LL * {vertex}; }};
     const auto load = [&](int k) {{ return (Two)*(const Loaded*)at(k); }};
     const Lanes even = {even[0]};
     const Lanes odd = {odd[0]};
@@ -54,7 +54,7 @@ _ROW = """
 if width > 1:
     Rows: Any = wp.types.vector(length=3 * width, dtype=wp.float64)
 
-    @wp.func_native(_gather(width))
+    @wp.func_native(gather(width, "vertices.data[first + k]"))
     def gathered(x: wp.array[wp.vec3d], vertices: wp.array[wp.int32], first: int) -> Rows:
         """The coordinates of the points of all lanes, as rows."""
         ...

@@ -9,7 +9,9 @@ of `rounding`), so it is off by at most 4.1 u·M_k. The computed gap is a convex
 differences, products and sums add 10 u·M_k. So it is the gap of two true points to within 15 u·|M|. A gap longer than
 NOISE = 32 u·|M| is therefore certain to be one, with a direction less than 30 degrees from theirs; a shorter one counts
 as none. Measured, against rational arithmetic, the sine of the angle to the direction of the exact gap is at most
-1.2 u·|M| / gap for every family of hard cases.
+1.2 u·|M| / gap for every family of hard cases. On arcs the points themselves are rounded, and may bring two primitives
+closer by less than 2.75 times their slack on each axis (steps 17 and 18): a gap is certain where its square is above
+those of 32 u·|M| and of ARC_NOISE = 30 slacks together.
 
 The gap is orthogonal to every side within which a closest point lies. Removing the rest of it along these sides, or
 taking their cross product, makes the direction as accurate as the sides are, however small the gap is beside them.
@@ -30,11 +32,14 @@ from .contacts import position
 
 # Roundings of the largest corners up to which a gap counts as zero.
 NOISE = 32.0
+# Slacks of two primitives on arcs up to which a gap counts as zero, beside its own rounding.
+ARC_NOISE = 30.0
 # Sine below which two sides count as parallel, so that their cross product is not used as a direction.
 _PARALLEL = wp.constant(wp.float64(1.0e-12))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _LEAST_SQUARE = wp.constant(wp.float64((NOISE * UNIT_ROUNDOFF[wp.float64]) ** 2))
+_LEAST_SQUARE_OF_ARCS = wp.constant(wp.float64(ARC_NOISE**2))
 # Weights whose sum is off from 1 by their rounding only.
 _SUM = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
 
@@ -91,9 +96,12 @@ def across_sides(gap: vec3d, q: vec3d, r: vec3d) -> vec3d:
 
 
 @wp.func
-def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, uv: wp.vec2d) -> ContactGap:
+def contact_gap(
+    kind: int, points_t0: Points, points_t1: Points, t: wp.float64, uv: wp.vec2d, slack: wp.float64
+) -> ContactGap:
     """The gap of a pair at time t; (u, v) are points that the narrow phase has found, mostly the closest already.
 
+    The slack is by how much rounding of the points themselves may bring the two closer, on each axis.
     Most contacts without a separation leave no gap beyond rounding: if even these points do not, that is all.
     """
     contact = ContactGap()
@@ -103,7 +111,7 @@ def contact_gap(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, 
     size = wp.max(largest(c0), largest(c1))
     unit = inverse_power_of_two(wp.max(size))
     size = unit * size
-    noise = _LEAST_SQUARE * wp.dot(size, size)
+    noise = _LEAST_SQUARE * wp.dot(size, size) + _LEAST_SQUARE_OF_ARCS * (unit * slack) * (unit * slack)
     c = corners_at(c0, c1, t)
     c.w00 = unit * c.w00
     c.w01 = unit * c.w01
@@ -209,12 +217,14 @@ def normal_without_gap(kind: int, x0: Points, x1: Points, t: wp.float64, uv: wp.
 
 
 @wp.func
-def contact_at(kind: int, points_t0: Points, points_t1: Points, t: wp.float64, uv: wp.vec2d) -> ContactGap:
+def contact_at(
+    kind: int, points_t0: Points, points_t1: Points, t: wp.float64, uv: wp.vec2d, slack: wp.float64
+) -> ContactGap:
     """Normal and closest points of a contact of two primitives, given by their points at both ends of a motion.
 
     Where there is no gap beyond rounding, the parameters are those that the narrow phase has found.
     """
-    contact = contact_gap(kind, points_t0, points_t1, t, uv)
+    contact = contact_gap(kind, points_t0, points_t1, t, uv, slack)
     if not contact.is_gap:
         contact.direction = normal_without_gap(kind, points_t0, points_t1, t, uv)
     return contact

@@ -357,6 +357,46 @@ def test_twice_the_pairs_of_any_slice_is_enough():
         assert call().flags == 0
 
 
+def toothed_plate(z, teeth=150):
+    """A ring in a plane, with teeth outside."""
+    k, angles = np.arange(2 * teeth), np.pi * np.arange(2 * teeth) / teeth
+    ring = np.column_stack([np.cos(angles), np.sin(angles)])
+    outer, after = ring * (1.0 + 0.1 * (k % 2))[:, None], (k + 1) % len(k)
+    faces = np.concatenate([np.stack([k, after, k + len(k)], 1), np.stack([after, after + len(k), k + len(k)], 1)])
+    return np.column_stack([np.concatenate([outer, 0.3 * ring]), np.full(2 * len(k), z)]), faces
+
+
+@pytest.mark.parametrize("turn", [0.1, 1.0])
+def test_plates_that_turn_in_planes_side_by_side_form_no_pair(turn):
+    mesh = ccd.CollisionMesh.from_arrays([toothed_plate(0.0), toothed_plate(1e-3)], rigid=[0, 1])
+    pipeline, motion = ccd.CollisionPipeline(mesh), spins(np.array([AT_REST, AT_REST]), turn, -turn)
+    for shift in (0.0, 0.25):  # rows that the pipeline does not know beforehand
+        rows = mesh.vertices + shift
+        found = [pipeline.launch(rows, rows, motion=motion).to_host(), pipeline.mesh_ccd(rows, rows, motion=motion)]
+        assert [x.toi for x in found] == [np.inf, np.inf] and not any(found[0].num_pairs.values())
+        assert not any(found[1].counts.num_candidates.values())
+
+
+@pytest.mark.parametrize("call", ["launch", "mesh_ccd"])
+def test_a_sheet_that_flies_to_a_body_that_turns_is_near_when_it_comes(call):
+    """The body turns far away, but for what the sheet does; a second sheet falls on a third."""
+    sheet = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.1]])
+    bodies = [
+        (BOX.vertices, BOX.faces),
+        (sheet + [10, 0, 0], FACE),
+        (sheet + [0, 20, 0], FACE),
+        (sheet + [0, 20, 1], FACE),
+    ]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0])
+    end = mesh.vertices.copy()
+    end[8:11] -= [10, 0, 0]
+    end[14:] -= [0, 0, 2]
+    motion = ccd.RigidMotion([AT_REST], twist=[[0, 0, 0, 2.0, 1.0, 1.5]])
+    found = getattr(ccd.CollisionPipeline(mesh), call)(mesh.vertices, end, motion=motion)
+    found = found.to_host() if call == "launch" else found
+    assert 0.9 < found.body_toi[0] < 1.0 and found.body_toi[2] == pytest.approx(0.5, abs=1e-9)
+
+
 # --- bad use ---
 
 

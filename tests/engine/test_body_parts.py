@@ -7,9 +7,13 @@ import warp as wp
 from laws.turning import turned, unit
 
 import ccd_warp as ccd
+from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.motion import Slices
-from ccd_warp._rigid.parts import near_search, overlap
+from ccd_warp._rigid.arcs import Arcs
+from ccd_warp._rigid.mesh_paths import MeshPaths
+from ccd_warp._rigid.parts import near_search, overlap, whole_bodies
 from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.whole_bodies import NearBodies
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.threads import StopFlag
 
@@ -20,6 +24,19 @@ MANY = 1500
 def near(parts, motion, num_slices=SLICES, reach=0.0, t_max=T_MAX, **how):
     execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
     return parts.near(motion._body_paths, Slices(num_slices, t_max), reach, execution, **how)
+
+
+def near_bodies(mesh, motion, reach, vertices):
+    """Which whole bodies are near in each slice of each world, bool, shape [W, S, B]."""
+    topology = Topology.of(mesh, wp.get_device("cpu"))
+    arcs, bodies, execution = Arcs(topology), NearBodies(topology), Execution(topology.device, 2)
+    is_near = np.zeros((WORLDS, SLICES, mesh.num_bodies), dtype=bool)
+    slices = Slices(SLICES, T_MAX)
+    for world, of_world in enumerate(is_near):
+        arcs.begin(MeshPaths.of_checked(mesh, motion._of_worlds(np.array([world]))))
+        for part in bodies.slices(arcs.paths, (vertices, vertices), slices, reach, execution):
+            of_world[round(part.t_begin * SLICES / T_MAX)] = part.active
+    return is_near
 
 
 def placed(motion, corners, t):
@@ -58,6 +75,7 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
     # worlds in several launches, and more pairs than the capacity at first
     monkeypatch.setattr(overlap, "_MOST_ITEMS", 4 * len(parts.pairs))
     monkeypatch.setattr(near_search, "_CAPACITY", 16)
+    monkeypatch.setattr(whole_bodies, "_RUN", 8)
     is_near = np.zeros((WORLDS, SLICES, *2 * [len(parts.body)]), dtype=bool)
     is_near[near(parts, motion, reach=reach)] = True
     # where any pair suffices, the same bodies in the same slices
@@ -71,6 +89,8 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
     for x, y in parts.pairs:
         may |= (parts.body[:, None] == x) & (parts.body == y) if y >= 0 else np.diag(parts.body == x)
     assert not is_near[..., ~may].any() and is_near.sum() < 0.2 * may.sum() * WORLDS * SLICES
+    whole = near_bodies(mesh, motion, reach, mesh.vertices)
+    assert not whole[..., :BODIES].all()
     part, vertex = np.unique(
         np.column_stack([
             np.repeat(np.arange(len(parts.body)), 3 * np.diff(parts.begins)),
@@ -92,6 +112,7 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
             lies = part[(height <= most - radius) & (body < BODIES)]
             meets = may[first, second] & (first != second)
             assert is_near[world, k, first[meets], second[meets]].all() and is_near[world, k, lies, lies].all()
+            assert all(whole[world, k, parts.body[x]].all() for x in (first[meets], second[meets], lies))
             num_near += meets.sum() + len(lies)
     assert num_near > 1000
 
@@ -106,6 +127,7 @@ def test_parts_with_coordinates_that_are_no_numbers_are_near_everything():
     partners = {y for pair in parts.pairs.tolist() if 0 in pair for y in pair if y > 0}
     _, _, a, b = near(parts, motion)
     assert len(wrong) > 0
+    assert near_bodies(mesh, motion, 0.0, vertices)[..., [0, *partners]].all()
     for part in wrong:
         found = {*b[a == part].tolist(), *a[b == part].tolist()}
         assert found - {part} == set(np.flatnonzero(np.isin(parts.body, list(partners))).tolist())

@@ -373,8 +373,8 @@ CPU_ALONE += " split_segments"
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
-# Of bodies with so many edges that their scene is marked long, and of parts of large bodies.
-_LIKE_OTHERS += ("body_frames", "part_overlap")
+# Of bodies with so many edges that their scene is marked long.
+_LIKE_OTHERS += ("body_frames",)
 
 
 @pytest.mark.emulated

@@ -86,11 +86,11 @@ class ImpactStep(Step):
             self._note_distance()
             if self.far_distance is not None:
                 return None
+        near = self._bodies_near()
         if self._step_before is shared and plan.is_repeatable:
-            plan.fill_boxes_again(self.positions)
+            plan.fill_boxes_again(self.positions, self.workspace.active(near))
         else:
             plan.set_positions(self.positions)
-            near = self._bodies_near()
             if near is not None and not near.any():
                 plan.skip_boxes()
             else:
@@ -102,7 +102,7 @@ class ImpactStep(Step):
         batch = plan.search(shared.most_pairs)
         if batch is not None:
             self.survivors |= batch.num_pairs
-            self.workspace.last_step = shared
+            self.workspace.last_step = None if plan.is_idle else shared
             self.timings |= {"boxes": boxes_end - begin, "pairs": time.perf_counter() - boxes_end, "narrow phase": 0.0}
         return batch
 

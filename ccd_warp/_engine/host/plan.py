@@ -199,14 +199,15 @@ class HostPlan(Plan):
     def is_repeatable(self) -> bool:
         """Whether nothing but the quantization follows from the positions, in a step on the CPU without spatial hashes.
 
-        All bodies are searched then, none of which is static, and no tree is sorted.
+        No body is static then, none is looked at before the boxes, and no tree is sorted.
         """
         is_fixed = not (self.static_trees or self.slender_trees or self._kept_in_order)
         is_whole = not self.topology.may_have_inactive_bodies and self._are_copied and len(self.trees) > 0
         return is_fixed and is_whole and not self.trees[0].is_sorted_when_filled
 
-    def fill_boxes_again(self, positions: Positions) -> None:
+    def fill_boxes_again(self, positions: Positions, active: wp.array) -> None:
         """Compute the boxes where the last step of the workspace was one of this plan, with the same options."""
+        self._active = active
         for name, values in zip(_POSITIONS, positions, strict=True):
             self._workspace.positions(name, values)
         self._boxes.begin_again(positions)

@@ -15,7 +15,15 @@ from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
-from ccd_warp._engine.mesh.worlds import WorldPlaces, inner_part, lattice_bits, place_worlds, world_lattice
+from ccd_warp._engine.mesh.worlds import (
+    WorldPlaces,
+    in_unit,
+    inner_part,
+    lattice_bits,
+    middle_of,
+    place_worlds,
+    world_lattice,
+)
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind, primitives_of
@@ -254,9 +262,24 @@ class Topology:
         for values, at_end in zip(positions, taken, strict=True):
             values.take(places, out=at_end, mode="clip")  # which NumPy writes in place; there is nothing to clip
         if self.world_places.has_origins:
-            world = self.mesh.vertex_world[places[0] // 3]
-            taken = np.moveaxis(self.world_places.seen(np.moveaxis(taken, 1, -1), world, positions[0]), -1, 1).copy()
+            anchors, origins, unit = self._sampled_worlds
+            with np.errstate(over="ignore", under="ignore"):
+                taken -= middle_of(positions[0].take(anchors, mode="clip") + origins)
+                in_unit(taken, unit)
         return taken
+
+    @lazy_property
+    def _sampled_worlds(self) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Of the worlds of the samples the places of their anchors in an array of positions, origins and units.
+
+        The first two have the shape [3, 3, 1 + k, n]: anchors, axes, vertices of samples, samples.
+        """
+        places, world = self.world_places, self.mesh.vertex_world[self._sampled_places[0] // 3]
+        anchors = 3 * places.anchor[world].astype(np.intp)[..., None] + np.arange(3)
+        anchors, origins = (
+            np.ascontiguousarray(np.moveaxis(x, (2, 3), (0, 1))) for x in (anchors, places.origin[world])
+        )
+        return anchors, origins, places.unit[world]
 
     @lazy_property
     def _sampled_places(self) -> NDArray[np.intp]:

@@ -50,10 +50,21 @@ class WorldPlaces(NamedTuple):
         if not self.has_origins:
             return positions
         with np.errstate(over="ignore", under="ignore"):
-            origin = np.sort(self.origin[world] + start[self.anchor[world]], axis=-2)[..., _ANCHORS // 2, :]
-            seen = (positions - origin) * self.unit[world][..., None]
-        largest = np.finfo(np.float64).max
-        return np.clip(seen, -largest, largest, out=seen)
+            origin = middle_of(np.moveaxis(self.origin[world] + start[self.anchor[world]], -2, 0))
+            return in_unit(positions - origin, self.unit[world][..., None])
+
+
+def middle_of(three: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The middle one of three numbers along the first axis, of those that are numbers."""
+    a, b, c = three
+    return np.fmax(np.fmin(a, b), np.fmin(np.fmax(a, b), c))
+
+
+def in_unit(lengths: NDArray[np.float64], unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lengths in a unit, none of them infinite, in place."""
+    largest = np.finfo(np.float64).max
+    lengths *= unit
+    return np.clip(lengths, -largest, largest, out=lengths)
 
 
 def plain_places(num_worlds: int) -> WorldPlaces:

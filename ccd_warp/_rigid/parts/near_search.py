@@ -8,12 +8,11 @@ import warp as wp
 from ccd_warp._engine.motion import Slices
 from ccd_warp._rigid.arcs import PathTable
 from ccd_warp._rigid.body_paths import BodyPaths
+from ccd_warp._rigid.parts.walk import record_walk
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.rigid import part_overlap as kernels
 
-_LONG = 1 << 12  # items, or slices, from which an interrupt would have to wait
-_FEW = 64  # pairs of bodies below which the slices of one are divided among threads
 _CAPACITY = 1 << 12  # pairs of parts at first
 # Columns of what is found.
 _COLUMNS = ("world", "slice", "a", "b")
@@ -24,40 +23,17 @@ class NearSearch:
 
     def __init__(self, trees: Any, pairs: wp.array, num_links: int, num_worlds: int, device: Any, threads: int) -> None:
         """Record the launches for the pairs of bodies of each world, with so many rows of the motion."""
-        self._flag = StopFlag(device)
-        self._execution = Execution(device, threads, self._flag)
+        flag = StopFlag(device)
+        self._execution = Execution(device, threads, flag)
         self._paths = PathTable(num_worlds * num_links, device)
-        num_bodies = len(trees.first)
-        self._boxes = [wp.empty((num_worlds, num_bodies), dtype=wp.vec3d, device=device) for _ in range(2)]
         self._count = wp.zeros((1, 1), dtype=wp.int64, device=device)
-        num_pairs = num_worlds * len(pairs)
-        num_begins = max(1, _FEW // num_pairs)
+        every = wp.empty(0, dtype=wp.int32, device=device)
         values = {"slices": 1, "t_max": 1.0, "reach": 0.0, "any": False, "found": self._new_list(_CAPACITY)}
         self._recording = recording = Recording(self._execution, values)
-        shared = [trees, self._paths.table, num_links]
+        slots = map(Slot, ("slices", "t_max", "reach", "any"))
         with recording.section("near"):
-            inputs = [*shared, Slot("t_max"), Slot("reach")]
-            recording.launch(kernels.sweep_bodies, num_worlds * num_bodies, inputs=inputs, outputs=self._boxes)
-            inputs = [
-                pairs,
-                *shared,
-                *self._boxes,
-                Slot("slices"),
-                num_begins,
-                Slot("t_max"),
-                Slot("reach"),
-                Slot("any"),
-            ]
-            num_items = num_pairs * num_begins
-            recording.launch(
-                kernels.find_overlapping_parts,
-                num_items,
-                inputs=[*inputs, self._flag.array],
-                outputs=[Slot("found")],
-                grain=_FEW,
-                parts_per_thread=8,
-                is_long=lambda: max(num_items, recording.values["slices"]) > _LONG,
-            )
+            of_worlds = self._paths.table, num_links, num_worlds
+            record_walk(recording, trees, pairs, *of_worlds, Slot("found"), every, flag.array, *slots)
 
     def _new_list(self, capacity: int) -> Any:
         """A list for so many pairs of parts."""

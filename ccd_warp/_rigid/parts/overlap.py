@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.motion import Slices
 from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._rigid.parts.trees import PartTrees, distinct
+from ccd_warp._rigid.parts.trees import PartTrees, distinct, ranges
 from ccd_warp._rigid.rotations import in_space
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.half_space import unit_normals
@@ -72,10 +72,7 @@ class BodyParts:
         self._first_row = self.begins[self._first_part]  # of each body
         self.row_of = np.cumsum(mesh.rigid) - 1
         self._rigid = np.flatnonzero(mesh.rigid)
-        pairs = _pairs(mesh)
-        planes = np.stack(np.meshgrid(self._rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
-        self.pairs = np.concatenate([pairs[counts[pairs[:, 1]] > 0], planes.reshape(-1, 2)])
-        self.pairs = self.pairs[counts[self.pairs[:, 0]] > 0]
+        self.pairs = pairs_of(mesh, counts > 0)
         self._on_device: dict[str, tuple[Any, wp.array]] = {}
         self._idle: dict[tuple[str, int, int], list[NearSearch]] = {}
 
@@ -171,16 +168,30 @@ class BodyParts:
         return self._on_device[str(device)]
 
 
-def _pairs(mesh: CollisionMesh) -> NDArray[np.intp]:
-    """Pairs of bodies that may collide, of which the first is rigid; some rigid bodies stand where they are."""
-    may = np.triu(np.ones((mesh.num_bodies, mesh.num_bodies), dtype=bool), 1)
+def pairs_of(mesh: CollisionMesh, is_filled: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Pairs of bodies with primitives that may collide, the first rigid, the second -1 - k of half-space k.
+
+    Some rigid bodies stand where they are.
+    """
+    order, counts = partners_of(mesh)
+    first = np.repeat(np.arange(len(order)), counts)
+    a, b = order[first], order[ranges(np.arange(1, len(order) + 1), counts)]
+    may = is_filled[a] & is_filled[b] & (mesh.rigid[a] | mesh.rigid[b]) & ~(mesh.static[a] & mesh.static[b])
     if mesh.body_pairs is not None:
-        may &= mesh.body_pairs
-    may &= ~(mesh.static & mesh.static[:, None])
-    if mesh.num_worlds > 1:
-        first, last = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
-        may &= (first <= last[:, None]) & (first[:, None] <= last)
-    pairs = np.argwhere(may)
+        may &= mesh.body_pairs[a, b]
+    pairs = np.column_stack([a[may], b[may]])
     swapped = ~mesh.rigid[pairs[:, 0]]
     pairs[swapped] = pairs[swapped][:, ::-1]
-    return pairs
+    rigid = np.flatnonzero(mesh.rigid & is_filled)
+    planes = np.stack(np.meshgrid(rigid, -1 - np.arange(len(mesh.planes)), indexing="ij"), axis=-1)
+    return np.concatenate([pairs, planes.reshape(-1, 2)])
+
+
+def partners_of(mesh: CollisionMesh) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Bodies in an order, and how many of those that follow each may be in a world with it, shape [B] each."""
+    world = np.zeros(mesh.num_bodies, dtype=np.intp)
+    if mesh.num_worlds > 1:
+        first, last = worlds_of_bodies(mesh.vertex_body, mesh.vertex_world, mesh.num_bodies)
+        world = first if (first >= last).all() else world
+    order = np.argsort(world, kind="stable")
+    return order, np.searchsorted(world[order], world[order], side="right") - 1 - np.arange(len(order))
