@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
@@ -198,6 +199,26 @@ def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
             truth[k] += (truth[k][0], truth[k][0], *[getattr(shortened, name)(*step)] * 2, truth[k][0])
             found[k] += tuple(once)
     assert different(outputs_of(found), outputs_of(truth)) == []
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_motions_of_many_worlds_one_after_another_change_no_bit(seed):
+    """Of each step other worlds come near, some none, and copies and trees stay from one to the next."""
+    rng, count = np.random.default_rng([7, seed]), 40
+    shape = trimesh.convex.convex_hull(rng.normal(size=(4 + 4 * (seed % 2), 3)))
+    one = ccd.CollisionMesh.from_trimesh([shape] * 2, rigid=[0, 1], radius=[0.0, 0.02] if seed == 4 else None)
+    mesh, axes = (one.replicate(count), (-1,)) if seed > 2 else (one, (count, 2))
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=1 << 16, max_contacts=1 << 16)
+    reach = np.repeat([0.4, 0.03], 3)  # all in one slice
+    for k, call in enumerate((*["mesh_ccd"] * 5, *["collision_free_step"] * 3, "launch", "launch")):
+        spread = np.append(np.full(3, (4.0, 3.0, 2.0)[k % 3]), np.ones(4))
+        poses, twist = rng.normal(size=(count, 2, 7)) * spread, rng.normal(size=(count, 2, 6)) * reach
+        motion = ccd.RigidMotion(poses.reshape(*axes, 7), twist=twist.reshape(*axes, 6))
+        alone = ccd.CollisionPipeline(pickle.loads(pickle.dumps(mesh)), max_pairs=1 << 16, max_contacts=1 << 16)
+        found = [
+            outputs_of(getattr(each, call)(mesh.vertices, mesh.vertices, motion=motion)) for each in (pipeline, alone)
+        ]
+        assert [name for name in different(*found) if "counts" not in name] == []
 
 
 @pytest.mark.parametrize("scene", [*range(16), *LARGE])
