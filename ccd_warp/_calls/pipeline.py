@@ -250,8 +250,8 @@ class CollisionPipeline:
 
         Args:
             max_pairs: Capacity for the pairs of each kind that the cull leaves, 8 bytes each. On CUDA 40, with
-                the list of candidates, four for each pair, and 48 more for each of two kinds, whose queue others
-                share. Default: unchanged; initially one for each primitive, and at least 4,096.
+                the list of candidates, four for each pair, and 96 more for a queue that all kinds share. Default:
+                unchanged; initially one for each primitive, and at least 4,096.
             max_contacts: Capacity for contacts, 80 bytes each, and for what :meth:`launch_proximity` lists, 64 bytes
                 each. Default: unchanged; initially one for each vertex, and at least 4,096.
             vertices: Positions that are typical of the loop, shape [V, 3]. The trees are laid out for them, and static

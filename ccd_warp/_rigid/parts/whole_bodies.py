@@ -114,7 +114,10 @@ class WholeBodies:
 
 
 class NearBodies:
-    """The search for whole bodies that are near in steps on the host, of which all others than rigid ones stand."""
+    """The search for whole bodies that are near in steps on the host, of which all others than rigid ones stand.
+
+    It goes with its workspace, which no step uses again after an error or an interrupt: its stop flag is never cleared.
+    """
 
     @staticmethod
     def are_found(mesh: CollisionMesh) -> bool:
