@@ -39,7 +39,7 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     folder = os.path.join(str(wp.config.kernel_cache_dir), kernel.module.get_module_identifier(block_dim))
     if not os.path.isdir(folder):
         _say_once(device)
-        kernel.module.mark_modified()  # what is compiled is named by a hash of Warp's own
+        _forget(kernel.module, block_dim)  # what is compiled is named by a hash of Warp's own
     try:
         _load(kernel, device, block_dim)
         keep_in_cache(kernel.module, block_dim)
@@ -52,7 +52,7 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
             f"Warp's kernel cache is damaged in {folder} ({reason}); it is compiled again", RuntimeWarning, stacklevel=2
         )
         shutil.rmtree(folder, ignore_errors=True)
-        kernel.module.mark_modified()
+        _forget(kernel.module, block_dim)
         try:
             _load(kernel, device, block_dim)
             keep_in_cache(kernel.module, block_dim)
@@ -62,6 +62,25 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     if isinstance(failure, OSError) or os.path.isdir(folder):
         raise OSError(unwritable_cache(folder, failure)) from failure
     raise failure
+
+
+def is_current(module: Any, device: Any) -> bool:
+    """Whether a module that has been loaded on the CPU is as it was then.
+
+    A launch would load it again if not, with the flags of another device, and each of several threads would: Warp gives
+    what they load one name, and unloads the code of the one for that of another.
+    """
+    if device.is_cuda:
+        return True  # this thread alone launches
+    hasher, loaded = module.hashers.get(1), module.execs.get((device.context, 1))
+    return hasher is not None and loaded is not None and hasher.get_hash() == loaded.module_hash
+
+
+def _forget(module: Any, block_dim: int | None) -> None:
+    """Let Warp compute the hash of a module for a device, and compile it; what is loaded on others is not touched."""
+    for known in (module.hashers, module.resolved_options):
+        known.pop(block_dim, None)
+    module.failed_builds = {}
 
 
 def _say_once(device: Any) -> None:

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 import warp as wp
 
-from ccd_warp._runtime.kernel_cache import load_or_repair
+from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.quiet import quietly
@@ -42,7 +42,7 @@ def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = No
     How many of them are ready is told to ``progress``, which then goes on with its stage.
     """
     wanted = {(kernel.module, str(device)): kernel for kernel in kernels}
-    missing = {key: kernel for key, kernel in wanted.items() if key not in _loaded}
+    missing = {key: kernel for key, kernel in wanted.items() if key not in _loaded or not is_current(key[0], device)}
     if not missing:
         return
 

@@ -9,7 +9,7 @@ import warp as wp
 from shared_objects import SharedObjects
 from warp._src import build
 
-from ccd_warp._runtime.kernel_cache import load_or_repair
+from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.quiet import start_warp
 
 
@@ -82,3 +82,46 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
         _load_anew()
+
+
+def test_what_is_loaded_on_the_cpu_stays_where_it_is_compiled_for_a_gpu(cache, tmp_path, monkeypatch):
+    _load_anew()
+    module, cpu = fill.module, wp.get_device("cpu")
+    loaded = module.load(cpu, 1)
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))  # an empty one
+    monkeypatch.setattr(wp, "load_module", lambda **how: None)
+    load_or_repair(fill, SimpleNamespace(is_cpu=False, is_cuda=True, arch=90, context=None), 256)
+    assert module.load(cpu, 1) is loaded and is_current(module, cpu)
+
+
+CHANGED = """
+import gc
+
+import numpy as np
+import trimesh
+from warp._src.context import Module, ModuleExec
+
+import ccd_warp as ccd
+
+made, begin = [], ModuleExec.__init__
+ModuleExec.__init__ = lambda self, *given, **named: made.append(self) or begin(self, *given, **named)
+ball = trimesh.creation.icosphere(4)
+mesh = ccd.CollisionMesh.from_trimesh([ball, ball.copy().apply_translation([1.9, 0, 0])])
+x = mesh.vertices
+y = x - np.where(mesh.vertex_body[:, None] == 1, [0.5, 0, 0], 0.0)
+found = {len(ccd.find_candidates(mesh, x, y, num_threads=4).edge_edge)}
+count = len(made)
+modules = [module for module in gc.get_objects() if isinstance(module, Module) and module.execs]
+for _ in range(10):
+    for module in modules:
+        module.options["cpu_compiler_flags"] = None
+        module.mark_modified()
+    found.add(len(ccd.find_candidates(mesh, x, y, num_threads=4).edge_edge))
+print(len(modules) > 1, len(made) - count, len(found))
+"""
+
+
+def test_threads_do_not_load_what_has_changed_each_for_itself(tmp_path, python):
+    """Warp names what two threads load alike, and with the one unloads the other: the process crashes."""
+    (tmp_path / "changed.py").write_text(CHANGED, encoding="utf-8")
+    assert python(tmp_path, "changed.py")[:2] == (0, "True 0 1\n")
