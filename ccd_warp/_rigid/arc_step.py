@@ -21,7 +21,7 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, Times
 from ccd_warp._rigid.mesh_paths import MeshPaths, slices_of
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.near_slices import reach_of
+from ccd_warp._rigid.parts.near_search import reach_of
 from ccd_warp._rigid.parts.whole_bodies import WholeBodies
 from ccd_warp._runtime.launch import Recording
 from ccd_warp.kernels.rigid import shorten_paths as kernels
@@ -120,7 +120,7 @@ class DeviceArcStep(DeviceLineSearch):
         if near is not None:
             self._record_near(recording, near, slots if is_first else None, active)
         for number, (part, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
-            of_bodies = active if near is None else near.marks[number]
+            of_bodies = active if near is None else near.bodies[number]
             with nullcontext() if near is None else recording.only_if(near.is_any[number : number + 1]):
                 if number > 0:
                     counts = self._no_count, self._flag.array
@@ -136,7 +136,7 @@ class DeviceArcStep(DeviceLineSearch):
         assert self._bodies is not None
         if rows is not None:
             self._bodies.record_bounds(recording, *rows)
-        reach = reach_of(self._options, self._length_scale)
+        reach = reach_of(self._mesh, self._options)
         self._bodies.record_near(
             recording, self._arcs.paths, self._options.t_max, reach, active, self._flag.array, near
         )
@@ -171,7 +171,7 @@ class DeviceArcStep(DeviceLineSearch):
             near = None
             if WholeBodies.are_few(self._mesh):
                 self._bodies = self._bodies or WholeBodies(self.topology, self._both_radii[0])
-                near = self._bodies.new_marks(count)
+                near = WholeBodies.new_marks(self._mesh.num_bodies, count, self.topology.device)
             self._of_slices[count] = times, near
         return self._of_slices[count]
 

@@ -9,13 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice, Slices
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arc_factors, arcs, cross, in_space, rotated
 from ccd_warp._runtime.display import counted
-from ccd_warp._runtime.launch import Execution
 from ccd_warp._scene.input.names import body_label
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
@@ -32,12 +30,10 @@ class MeshPaths(BodyPaths):
     Attributes:
         is_rigid: Bodies on a path, bool, shape [B]; the rows of the others mean nothing.
         searched: The slices that are searched; None for all of the step, cut by the largest turn of a body.
-        divides: Whether bodies may be divided into parts to see which those are.
     """
 
     is_rigid: NDArray[np.bool_]
     searched: list[Slice] | None = None
-    divides: bool = True
     is_of_worlds: ClassVar[bool] = False
 
     @classmethod
@@ -75,39 +71,21 @@ class MeshPaths(BodyPaths):
             workspace.motions[Arcs] = Arcs(workspace.topology)
         arcs: Arcs = workspace.motions[Arcs]
         arcs.begin(self)
-        near = None
-        if for_impacts and self.searched is None:
-            near = self._near_slices(workspace, positions, options, arcs.paths)
-        return arcs.begin_on_host(near or self.slices(options.t_max), positions)
+        searched = self.searched
+        if for_impacts and searched is None:
+            searched = self._near_slices(workspace.topology, positions, options)
+        return arcs.begin_on_host(searched or slices_of(self, options.t_max).all(), positions)
 
-    def _near_slices(
-        self, workspace: Workspace, positions: Positions, options: Options, table: Any
-    ) -> list[Slice] | None:
-        """The slices in which anything is near, given the paths on the device; None where that is not looked for."""
-        from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
-        from ccd_warp._rigid.parts.whole_bodies import NearBodies
+    def _near_slices(self, topology: Topology, positions: Positions, options: Options) -> list[Slice] | None:
+        """The slices in which anything is near; None where that is not looked for."""
+        from ccd_warp._rigid.parts.near_search import body_parts, find_near, reach_of
 
-        topology, slices = workspace.topology, slices_of(self, options.t_max)
-        mesh = topology.mesh
-        start, end = (x[:, : mesh.dimension] for x in positions)
-        ends = start, start if positions[0] is positions[1] else end
-        parts = body_parts(mesh, topology, ends, slices.num_slices) if self.divides else None
-        reach = reach_of(options, length_scale_of(mesh, options))
-        execution = Execution(topology.device, options.threads)
-        if parts is None:
-            if not NearBodies.are_found(mesh):
-                return None
-            if NearBodies not in workspace.motions:
-                workspace.motions[NearBodies] = NearBodies(topology)
-            bodies: NearBodies = workspace.motions[NearBodies]
-            return bodies.slices(table, positions, slices, reach, execution)
-        of_rigid = self.rows(np.flatnonzero(self.is_rigid))
-        near = parts.near(of_rigid, slices, reach, execution, any_suffices=True)
-        return searched_slices(parts, near, slices)
-
-    def slices(self, t_max: float) -> list[Slice]:
-        """The slices of [0, t_max] that are searched."""
-        return self.searched or slices_of(self, t_max).all()
+        slices, dimension = slices_of(self, options.t_max), topology.mesh.dimension
+        start, end = (x[:, :dimension] for x in positions)
+        parts = body_parts(topology, (start, start if positions[0] is positions[1] else end))
+        of_step = self.rows(np.flatnonzero(self.is_rigid)), slices, reach_of(topology.mesh, options), options.threads
+        near = find_near(topology, parts, positions, *of_step)
+        return None if near is None else near.slices(slices)
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N], all of whose slices are searched."""

@@ -37,13 +37,11 @@ from ccd_warp._rigid.mesh_paths import (
 )
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import PartMesh, rows_within
-from ccd_warp._rigid.parts.near_slices import body_parts, reach_of, searched_slices
-from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
-from ccd_warp._rigid.parts.trees import distinct
-from ccd_warp._rigid.parts.whole_bodies import NearBodies
+from ccd_warp._rigid.parts.near_search import Near, body_parts, find_near, reach_of
+from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._rigid.parts.worlds import WorldsOfParts
+from ccd_warp._rigid.rotations import in_space
 from ccd_warp._rigid.world_results import in_one_world, result_of, sizes_of
-from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.options import Options
@@ -166,16 +164,11 @@ class MotionWorlds:
 
     def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
-        near, parts = self._near, self._body_parts
-        if near is None or parts is None:
+        if self._near is None:
             return np.arange(self._slices.num_slices * self.num_worlds), None
-        body = parts.body
-        keys = near.slice.astype(np.int64) * self.num_worlds + near.world
-        cells = distinct(keys.copy())
-        number = np.searchsorted(cells, keys)
-        bodies = np.zeros((len(cells), self._mesh.num_bodies), dtype=bool)
-        bodies[number, body[near.a]] = bodies[number, body[near.b]] = True
-        return cells, bodies
+        bodies = self._near.bodies.reshape(-1, self._mesh.num_bodies)
+        cells = np.flatnonzero(bodies.any(axis=1))
+        return cells, bodies[cells]
 
     @property
     def _num_copied(self) -> int:
@@ -275,17 +268,14 @@ class MotionWorlds:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
-        if self._near is None and NearBodies.are_found(self._mesh):
-            return True
-        num_near = self._slices.num_slices if self._near is None else len(np.unique(self._near.slice))
+        near = self._near
+        num_near = self._slices.num_slices if near is None else int(near.bodies.any(axis=(1, 2)).sum())
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:
         """The paths of the one world that there is, with the slices in which anything is near, and what."""
-        near, parts = self._near, self._body_parts
-        searched = None if near is None or parts is None else searched_slices(parts, near, self._slices)
-        divides = parts is not None
-        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched, divides=divides)
+        searched = None if self._near is None else self._near.slices(self._slices)
+        return MeshPaths.of_checked(self._mesh, self._motion._body_paths, searched=searched)
 
     @lazy_property
     def _parts(self) -> WorldsOfParts:
@@ -296,21 +286,18 @@ class MotionWorlds:
         return WorldsOfParts(parts, near, self._motion, self._slices, self._pipeline._options.memory_limit)
 
     @lazy_property
-    def _near(self) -> NearParts | None:
-        """The parts that may touch in each slice of each world; None where this is not looked for."""
-        parts, pipeline = self._body_parts, self._pipeline
-        if parts is None:
-            return None
-        options, device = pipeline._options, pipeline._topology.device
-        reach = reach_of(options, length_scale_of(self._mesh, options))
-        execution = Execution(device, options.threads)
-        any_suffices = not self._may_be_cut
-        return parts.near(self._motion._body_paths, self._slices, reach, execution, any_suffices=any_suffices)
+    def _near(self) -> Near | None:
+        """What may touch in each slice of each world; None where this is not looked for."""
+        start = in_space(self._ends[0])
+        ends = start, start if self._ends[0] is self._ends[1] else in_space(self._ends[1])
+        options = self._pipeline._options
+        of_step = ends, self._motion._body_paths, self._slices, reach_of(self._mesh, options), options.threads
+        return find_near(self._pipeline._topology, self._body_parts, *of_step, wants_parts=self._may_be_cut)
 
     @lazy_property
     def _body_parts(self) -> BodyParts | None:
         """The parts of the bodies of a world; None where they are not looked for."""
-        return body_parts(self._mesh, self._pipeline._topology, self._ends, self._slices.num_slices, self.num_worlds)
+        return body_parts(self._pipeline._topology, self._ends, self.num_worlds)
 
     def _on_parts(self, kind: type[_StepT], work: Callable[[_StepT], _T]) -> Callable[[PartMesh, MeshPaths], _T]:
         """Some work on a step of a kind of a mesh of parts."""

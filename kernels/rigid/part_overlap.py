@@ -27,7 +27,6 @@ Where rows stand on the device and are not known beforehand, the tree of a body 
 
 import warp as wp
 
-from ..atomics import claim
 from ..interrupts import is_stopped
 from ..pair.rounding import PLACE, PLACE_POSITION, UNIT_ROUNDOFF
 from .place_bodies import BodyPaths, Place, place_at, rotated
@@ -38,7 +37,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 # numbered in 31 bits, and times, no deeper than 23 as no body turns by more than a million radians.
 _STACK = 80
 _DIRECTIONS = wp.constant(9)
-_BITS = wp.constant(64)
 _ZERO = wp.constant(wp.float64(0.0))
 _HALF = wp.constant(wp.float64(0.5))
 _ONE = wp.constant(wp.float64(1.0))
@@ -76,20 +74,12 @@ class PartTrees:
 
 
 @wp.struct
-class PartPairs:
-    """Pairs of parts that may touch in a slice of a world, in no order; more than the capacity are only counted.
+class NearMarks:
+    """What may touch, 1 for each body or part that does; a part may also touch a half-space."""
 
-    A part that may touch a half-space is in a pair with itself. Where there is an array for them, the bodies of these
-    pairs are marked, and no pair is listed.
-    """
-
-    count: wp.array2d[wp.int64]  # [1, 1]
-    world: wp.array[wp.int32]
-    slice: wp.array[wp.int32]
-    a: wp.array[wp.int32]
-    b: wp.array[wp.int32]
-    marks: wp.array2d[wp.int32]  # [S, B], 1 for a body that may touch another in a slice
-    is_any: wp.array[wp.int32]  # [S], 1 for a slice in which one may
+    bodies: wp.array2d[wp.int32]  # in each slice, those of one world after those of another, [S, W * B]
+    is_any: wp.array[wp.int32]  # whether any does in a slice, [S]
+    parts: wp.array2d[wp.int32]  # of each world in any slice, [W, P]; empty where they are not asked for
 
 
 @wp.struct
@@ -447,16 +437,16 @@ def clear_marks(
     is_any: int,  # whether there are such
     active: wp.array[wp.int32],  # bodies that are searched at all
     # out
-    found: PartPairs,
+    near: NearMarks,
 ):
     """Mark in each slice the bodies that are searched in every one."""
     item = begin + wp.tid()
     num_bodies = always.shape[0]
     k = item / num_bodies
     i = item % num_bodies
-    found.marks[k, i] = always[i] * active[i]
+    near.bodies[k, i] = always[i] * active[i]
     if i == 0:
-        found.is_any[k] = is_any
+        near.is_any[k] = is_any
 
 
 @wp.kernel
@@ -499,16 +489,18 @@ def are_apart(lower: wp.vec3d, upper: wp.vec3d) -> bool:
 
 
 @wp.func
-def are_found(found: wp.uint64, begin: int, end: int) -> bool:
-    """Whether all bits from one to another are set."""
-    if end >= _BITS:
-        return False
-    bits = (wp.uint64(1) << wp.uint64(end)) - (wp.uint64(1) << wp.uint64(begin))
-    return (found & bits) == bits
+def are_known(near: NearMarks, i: int, j: int, begin: int, end: int) -> bool:
+    """Whether both of two bodies are marked in all slices from one to another."""
+    k = begin
+    while k < end:
+        if near.bodies[k, i] == 0 or near.bodies[k, j] == 0:
+            return False
+        k += 1
+    return True
 
 
 @wp.kernel
-def find_overlapping_parts(
+def mark_near(
     begin: int,
     # in
     body_pairs: wp.array[wp.vec2i],  # the first is a link; the second is -1 - k of half-space k
@@ -521,16 +513,15 @@ def find_overlapping_parts(
     num_begins: int,
     t_max: wp.float64,
     reach: wp.float64,
-    any_suffices: bool,
     active: wp.array[wp.int32],  # bodies of which one of each pair is; empty, all are
     stop: wp.array[wp.int32],
     # out
-    pairs: PartPairs,
+    near: NearMarks,
 ):
-    """List the pairs of parts of a pair of bodies of a world that may come within ``reach``, of all slices.
+    """Mark what may come within ``reach``, of the parts of a pair of bodies of a world, in all slices.
 
-    The slices of a pair are divided among as many items as there are begins. Where any pair of parts suffices, those of
-    a slice in which one has been found are not looked for.
+    The slices of a pair are divided among as many items as there are begins. Where no parts are asked for, those of
+    two bodies that are marked in a slice are not looked at in it.
     """
     item = begin + wp.tid()
     number = item % num_begins
@@ -560,8 +551,7 @@ def find_overlapping_parts(
     ends[0] = wp.int32(wp.int64(number + 1) * wp.int64(num_slices) / wp.int64(num_begins))
     if begins[0] == ends[0]:
         return  # of fewer slices than items
-    first_of_item = begins[0]
-    found = wp.uint64(0)  # of the first slices of the item
+    first_body = world * trees.num_parts.shape[0]
     size = wp.int32(1)
     first_slice = wp.int32(-1)
     last_slice = wp.int32(-1)
@@ -572,7 +562,7 @@ def find_overlapping_parts(
         if is_stopped(stop):
             return
         size -= 1
-        if any_suffices and are_found(found, begins[size] - first_of_item, ends[size] - first_of_item):
+        if near.parts.shape[0] == 0 and are_known(near, first_body + i, first_body + j, begins[size], ends[size]):
             continue
         if begins[size] != first_slice or ends[size] != last_slice:
             first_slice = begins[size]
@@ -633,18 +623,10 @@ def find_overlapping_parts(
                 nodes_b[size] = 2 * v + 2 - k
                 size += 1
         else:
-            if first_slice - first_of_item < _BITS:
-                found |= wp.uint64(1) << wp.uint64(first_slice - first_of_item)
-            place = wp.int64(pairs.a.shape[0])
-            if pairs.marks.shape[0] > 0:
-                pairs.marks[first_slice, i] = 1
-                pairs.marks[first_slice, j] = 1
-                pairs.is_any[first_slice] = 1
-            else:
-                place = claim(pairs.count, 0, 0, 1)
-            if place < wp.int64(pairs.a.shape[0]):
-                k = wp.int32(place)
-                pairs.world[k] = world
-                pairs.slice[k] = first_slice
-                pairs.a[k] = trees.first_part[i] + u - inner_a
-                pairs.b[k] = wp.where(is_plane, pairs.a[k], trees.first_part[j] + v - inner_b)
+            near.bodies[first_slice, first_body + i] = 1
+            near.bodies[first_slice, first_body + j] = 1
+            near.is_any[first_slice] = 1
+            if near.parts.shape[0] > 0:
+                near.parts[world, trees.first_part[i] + u - inner_a] = 1
+                if not is_plane:
+                    near.parts[world, trees.first_part[j] + v - inner_b] = 1

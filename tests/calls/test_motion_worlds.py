@@ -9,7 +9,7 @@ from laws.outputs import different, outputs_of
 import ccd_warp as ccd
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.parts import mesh as parts_mesh
-from ccd_warp._rigid.parts import near_slices
+from ccd_warp._rigid.parts import whole_bodies
 from ccd_warp._rigid.parts import worlds as parts_worlds
 from ccd_warp._rigid.parts.trees import PartTrees
 
@@ -98,10 +98,10 @@ def throw(spacing):
 
 @pytest.fixture
 def parts_alone(monkeypatch):
-    """Whether parts are looked for, in small scenes, too; which is to be compared with what whole bodies find."""
+    """Whether what is near is looked for, by parts of small scenes, too; to be compared with a search of all slices."""
 
     def look(wanted):
-        monkeypatch.setattr(near_slices, "_MOST_BODIES", 1 << 11 if wanted else -1)
+        monkeypatch.setattr(whole_bodies, "_MOST_PAIRS", 1 << 11 if wanted else -1)
         monkeypatch.setattr(motion_worlds, "_LARGE_ALONE", 1)
 
     return look

@@ -7,7 +7,7 @@ import trimesh
 import ccd_warp as ccd
 from ccd_warp._calls.rigid_tois import RigidTois
 from ccd_warp._rigid import motion_worlds
-from ccd_warp._rigid.parts import near_slices
+from ccd_warp._rigid.parts import whole_bodies
 
 BOX = trimesh.creation.box((1, 1, 1))
 FLOOR = trimesh.creation.box((40, 40, 1)).apply_translation([0, 0, -3])
@@ -37,7 +37,7 @@ def throws(count, turn):
 @pytest.mark.parametrize("count", [1, 150])
 def test_of_each_world_the_first_contact_is_found_and_little_more(count, changed, options, monkeypatch):
     for name, value in changed.items():
-        monkeypatch.setattr(near_slices if name.startswith("_MOST") else motion_worlds, name, value)
+        monkeypatch.setattr(whole_bodies if name.startswith("_MOST") else motion_worlds, name, value)
     mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX, FLOOR], rigid=[0, 1], static=[2])
     pipeline, x, (poses, twist) = ccd.CollisionPipeline(mesh, **options), mesh.vertices, throws(count, 5.0)
     motion = ccd.RigidMotion(poses, twist=twist)

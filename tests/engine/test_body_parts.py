@@ -1,5 +1,7 @@
 """Which parts of bodies come near each other in slices of a motion, against their places at many times."""
 
+import copy
+
 import numpy as np
 import pytest
 import trimesh
@@ -9,34 +11,19 @@ from laws.turning import turned, unit
 import ccd_warp as ccd
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.motion import Slices
-from ccd_warp._rigid.arcs import Arcs
-from ccd_warp._rigid.mesh_paths import MeshPaths
-from ccd_warp._rigid.parts import near_search, overlap, whole_bodies
+from ccd_warp._rigid.parts import near_search, whole_bodies
+from ccd_warp._rigid.parts.near_search import find_near
 from ccd_warp._rigid.parts.overlap import BodyParts
-from ccd_warp._rigid.parts.whole_bodies import NearBodies
-from ccd_warp._runtime.launch import Execution
-from ccd_warp._runtime.threads import StopFlag
 
 WORLDS, SLICES, T_MAX, BODIES = 4, 2, 0.8, 6
 MANY = 1500
 
 
-def near(parts, motion, num_slices=SLICES, reach=0.0, t_max=T_MAX, **how):
-    execution = Execution(wp.get_device("cpu"), 2, StopFlag(wp.get_device("cpu")))
-    return parts.near(motion._body_paths, Slices(num_slices, t_max), reach, execution, **how)
-
-
-def near_bodies(mesh, motion, reach, vertices):
-    """Which whole bodies are near in each slice of each world, bool, shape [W, S, B]."""
-    topology = Topology.of(mesh, wp.get_device("cpu"))
-    arcs, bodies, execution = Arcs(topology), NearBodies(topology), Execution(topology.device, 2)
-    is_near = np.zeros((WORLDS, SLICES, mesh.num_bodies), dtype=bool)
-    slices = Slices(SLICES, T_MAX)
-    for world, of_world in enumerate(is_near):
-        arcs.begin(MeshPaths.of_checked(mesh, motion._of_worlds(np.array([world]))))
-        for part in bodies.slices(arcs.paths, (vertices, vertices), slices, reach, execution):
-            of_world[round(part.t_begin * SLICES / T_MAX)] = part.active
-    return is_near
+def near(mesh, motion, parts=None, vertices=None, *, num_slices=SLICES, reach=0.0, t_max=T_MAX, wants_parts=False):
+    """Which bodies, whole or by their parts, are near in each slice of each world, [S, W, B], and parts, [W, P]."""
+    vertices = mesh.vertices if vertices is None else vertices
+    of_step = (vertices, vertices), motion._body_paths, Slices(num_slices, t_max), reach, 2
+    return find_near(Topology.of(mesh, wp.get_device("cpu")), parts, *of_step, wants_parts=wants_parts)
 
 
 def placed(motion, corners, t):
@@ -72,25 +59,25 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
     mesh, motion = scene(radius)
     parts = BodyParts(mesh, mesh.vertices)
     assert np.bincount(parts.body)[0] > 8  # so that there is a tree of them
-    # worlds in several launches, and more pairs than the capacity at first
-    monkeypatch.setattr(overlap, "_MOST_ITEMS", 4 * len(parts.pairs))
-    monkeypatch.setattr(near_search, "_CAPACITY", 16)
+    monkeypatch.setattr(near_search, "_MOST_ITEMS", 4 * len(parts.pairs))  # worlds in several searches
     monkeypatch.setattr(whole_bodies, "_RUN", 8)
-    is_near = np.zeros((WORLDS, SLICES, *2 * [len(parts.body)]), dtype=bool)
-    is_near[near(parts, motion, reach=reach)] = True
-    # where any pair suffices, the same bodies in the same slices
-    every, some = (near(parts, motion, reach=reach, any_suffices=any_suffices) for any_suffices in (False, True))
-    of_bodies = [
-        {*zip(x.world.tolist(), x.slice.tolist(), parts.body[x.a].tolist(), parts.body[x.b].tolist(), strict=True)}
-        for x in (every, some)
-    ]
-    assert of_bodies[0] == of_bodies[1] and len(some.a) < 0.5 * len(every.a)
-    may = np.zeros(is_near.shape[2:], dtype=bool)
-    for x, y in parts.pairs:
-        may |= (parts.body[:, None] == x) & (parts.body == y) if y >= 0 else np.diag(parts.body == x)
-    assert not is_near[..., ~may].any() and is_near.sum() < 0.2 * may.sum() * WORLDS * SLICES
-    whole = near_bodies(mesh, motion, reach, mesh.vertices)
-    assert not whole[..., :BODIES].all()
+    by_parts, every, whole = (
+        near(mesh, motion, *how, reach=reach, wants_parts=len(how) == 2)
+        for how in ((parts,), (parts, mesh.vertices), ())
+    )
+    np.testing.assert_array_equal(by_parts.bodies, every.bodies)
+    assert not by_parts.parts.size and not whole.parts.size and every.parts.shape == (WORLDS, len(parts.body))
+    assert not whole.bodies[..., :BODIES].all()
+    # the parts of each pair of bodies, and those of which the pair is
+    of_pairs, number = [], np.full((len(parts.body), len(parts.body)), -1)
+    for k, (x, y) in enumerate(parts.pairs):
+        one = copy.copy(parts)
+        one.pairs, one.idle, one._on_device = parts.pairs[k : k + 1], {}, {}
+        of_pairs.append(near(mesh, motion, one, reach=reach, wants_parts=True).parts)
+        is_pair = (parts.body[:, None] == x) & (parts.body == y) if y >= 0 else np.diag(parts.body == x)
+        number[is_pair | is_pair.T] = k
+    is_near = np.stack(of_pairs, axis=1)
+    assert is_near.mean() < 0.1
     part, vertex = np.unique(
         np.column_stack([
             np.repeat(np.arange(len(parts.body)), 3 * np.diff(parts.begins)),
@@ -110,10 +97,12 @@ def test_parts_that_come_near_in_a_slice_are_found_and_most_others_are_not(reach
             first, second = part[np.argwhere(apart <= (most[:, None] + within[world, body]) ** 2).T]
             height = (x - mesh.planes.points[0]) @ mesh.planes.normals[0] / np.linalg.norm(mesh.planes.normals[0])
             lies = part[(height <= most - radius) & (body < BODIES)]
-            meets = may[first, second] & (first != second)
-            assert is_near[world, k, first[meets], second[meets]].all() and is_near[world, k, lies, lies].all()
-            assert all(whole[world, k, parts.body[x]].all() for x in (first[meets], second[meets], lies))
-            num_near += meets.sum() + len(lies)
+            meets = (number[first, second] >= 0) & (first != second)
+            first, second = np.append(first[meets], lies), np.append(second[meets], lies)
+            for y in (first, second):
+                assert is_near[world, number[first, second], y].all() and every.parts[world, y].all()
+                assert by_parts.bodies[k, world, parts.body[y]].all() and whole.bodies[k, world, parts.body[y]].all()
+            num_near += len(first)
     assert num_near > 1000
 
 
@@ -125,12 +114,11 @@ def test_parts_with_coordinates_that_are_no_numbers_are_near_everything():
     corners = parts.primitives(np.arange(parts.begins[-1]))[0]
     wrong = np.flatnonzero([np.isnan(vertices[x]).any() for x in np.split(corners, parts.begins[1:-1])])
     partners = {y for pair in parts.pairs.tolist() if 0 in pair for y in pair if y > 0}
-    _, _, a, b = near(parts, motion)
-    assert len(wrong) > 0
-    assert near_bodies(mesh, motion, 0.0, vertices)[..., [0, *partners]].all()
-    for part in wrong:
-        found = {*b[a == part].tolist(), *a[b == part].tolist()}
-        assert found - {part} == set(np.flatnonzero(np.isin(parts.body, list(partners))).tolist())
+    for found in (near(mesh, motion, parts, wants_parts=True), near(mesh, motion, vertices=vertices)):
+        assert found.bodies[..., [0, *partners]].all()
+    is_partner = np.isin(parts.body, list(partners))
+    near_parts = near(mesh, motion, parts, wants_parts=True).parts
+    assert len(wrong) > 0 and near_parts[:, wrong].all() and near_parts[:, is_partner].all()
 
 
 # --- two bodies of one part ---
@@ -151,8 +139,10 @@ def test_parts_are_near_at_the_distance_to_which_they_come(sides, path, kind):
     """Points, or corners of a box, which reach each other by the lengths that they may be beside their paths."""
     rng, no_faces = np.random.default_rng(7), np.zeros((0, 3), dtype=int)
     corners = [0.5 * np.array(sides) * rng.choice([-1, 1], (8, 3)) + arm for arm in ([0, 0, 0], [0.2, -0.5, 0.8])]
-    bodies = [*((x, no_faces) for x in corners), ccd.HalfSpace((0, 0, 0), (1, 2, 2))]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], static=[2], codimensional_points=True)
+    bodies, plane = [(x, no_faces) for x in corners], ccd.HalfSpace((0, 0, 0), (1, 2, 2))
+    of_points = {"codimensional_points": True}
+    both = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], **of_points)
+    by_plane = [ccd.CollisionMesh.from_arrays([x, plane], rigid=[0], static=[1], **of_points) for x in bodies]
     turn = 10.0 ** rng.uniform(-1.5, 1, MANY) * SLICES / T_MAX
     velocity = rng.choice([0.0, 0.1, 1.0], (MANY, 1, 1)) * turn[:, None, None] * rng.normal(size=(MANY, 2, 3))
     velocity[::3, 1] = velocity[::3, 0]
@@ -170,16 +160,17 @@ def test_parts_are_near_at_the_distance_to_which_they_come(sides, path, kind):
         x = placed(motion, corners, T_MAX * (slices + share) / SLICES)
         apart = np.minimum(apart, np.linalg.norm(x[0][:, :, None] - x[1][:, None], axis=3).min(axis=(1, 2)))
         height = np.minimum(height, np.stack([y @ [1, 2, 2] / 3 for y in x], axis=1).min(axis=2))
-    parts, beside = BodyParts(mesh, mesh.vertices), 0.5 * np.column_stack([apart, apart])
-    for lengths, pairs in ((beside, [(0, 1)]), (np.maximum(height, 0.0), [(0, 0), (1, 1)])):
+    beside, rows = 0.5 * np.column_stack([apart, apart]), np.arange(MANY)
+    for mesh, k, lengths in (
+        (both, slice(0, 2), beside),
+        *((mesh, slice(k, k + 1), np.maximum(height[:, k : k + 1], 0.0)) for k, mesh in enumerate(by_plane)),
+    ):
+        parts = BodyParts(mesh, mesh.vertices)
+        of_bodies = {name: x if name == "path" else x[:, k] for name, x in given.items()}
         for share in (1.0, 0.6):
-            found = near(parts, ccd.RigidMotion(poses, within=share * lengths + 1e-9, **given))
-            for a, b in pairs:
-                rows = (found.a == a) & (found.b == b)
-                is_near = np.zeros((MANY, SLICES), dtype=bool)
-                is_near[found.world[rows], found.slice[rows]] = True
-                share_near = is_near[np.arange(MANY), slices].mean()
-                assert share_near == 1.0 if share == 1.0 else share_near < 0.8
+            moved = ccd.RigidMotion(poses[:, k], within=share * lengths + 1e-9, **of_bodies)
+            is_near = near(mesh, moved, parts).bodies[slices, rows, 0]
+            assert is_near.mean() == 1.0 if share == 1.0 else is_near.mean() < 0.8
 
 
 def test_bodies_come_near_whose_distance_has_a_square_that_overflows():
@@ -189,4 +180,4 @@ def test_bodies_come_near_whose_distance_has_a_square_that_overflows():
     motion = ccd.RigidMotion(
         [[0, 0, 0, 0, 0, 0, 1], [0, 0, 0, 0, 0, 1, 0]], twist=[[0, 0, 0, 0, 0, x] for x in (2, -2)]
     )
-    assert len(near(BodyParts(mesh, mesh.vertices), motion, num_slices=1).a) == 1
+    assert near(mesh, motion, BodyParts(mesh, mesh.vertices), num_slices=1).bodies.all()

@@ -24,13 +24,11 @@ def rows_within(memory_limit: int | None, most: int) -> int:
 
 
 def parts_of(mesh: CollisionMesh, positions: NDArray[np.float64]) -> BodyParts | None:
-    """The parts of the bodies of a mesh of one world with vertices at these positions.
+    """The parts of the bodies of a mesh of one world, of rigid bodies and others that stand, at these positions.
 
-    None where a mesh has more than rigid bodies that move and bodies that stand. A particle that is no codimensional
-    point meets faces and half-spaces as others do, and is in no part.
+    None where a vertex that may collide is of no primitive: it is in no part, and meets faces and half-spaces.
     """
-    is_other = (~mesh.static & ~mesh.rigid).any() or (mesh.planes.vertices >= 0).any() or _has_lone_vertices(mesh)
-    if is_other or not mesh.rigid.any():
+    if _has_lone_vertices(mesh):
         return None
     # a mesh of parts knows the pairs of bodies that are excluded, and no others
     if mesh.kinematic.any() or {*mesh.exclude_pairs} - {"bodies"}:

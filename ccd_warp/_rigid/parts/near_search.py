@@ -1,60 +1,205 @@
-"""The search for parts that are near, for so many worlds: its arrays and its launches, which are made once."""
+"""In which slices of a step bodies come near each other: what else there is need not be searched."""
 
-from typing import Any
+from contextlib import suppress
+from typing import NamedTuple
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from ccd_warp._engine.motion import Slices
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
+from ccd_warp._engine.mesh.scene import length_scale_of
+from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.arcs import PathTable
 from ccd_warp._rigid.body_paths import BodyPaths
-from ccd_warp._rigid.parts.walk import record_walk
+from ccd_warp._rigid.parts.mesh import parts_of
+from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.whole_bodies import WholeBodies, record_walk
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp.kernels.rigid import part_overlap as kernels
+from ccd_warp._scene.input.options import Options
+from ccd_warp._scene.mesh import CollisionMesh
 
-_CAPACITY = 1 << 12  # pairs of parts at first
-# Columns of what is found.
-_COLUMNS = ("world", "slice", "a", "b")
+_MOST_BODIES = 1 << 11  # that are divided
+_FEW_FACES = 1 << 12  # of a world, which are divided in no more time than a step may take
+# Tests and marks of a search, and the numbers of worlds and slices for which one stays.
+_MOST_ITEMS, _MOST_IDLE = 1 << 24, 8
 
 
-class NearSearch:
-    """A search among the bodies of a number of worlds, by one thread at a time."""
+class Near(NamedTuple):
+    """What may touch in a step, in worlds of a mesh of one.
 
-    def __init__(self, trees: Any, pairs: wp.array, num_links: int, num_worlds: int, device: Any, threads: int) -> None:
-        """Record the launches for the pairs of bodies of each world, with so many rows of the motion."""
-        flag = StopFlag(device)
-        self._execution = Execution(device, threads, flag)
+    Attributes:
+        bodies: Bodies that may touch another in each slice of each world, bool, shape [S, W, B].
+        parts: Parts of bodies that may in any slice of each world, bool, shape [W, P]; empty where they are not wanted.
+    """
+
+    bodies: NDArray[np.bool_]
+    parts: NDArray[np.bool_]
+
+    def slices(self, slices: Slices) -> list[Slice]:
+        """The slices of a single world in which anything is near, with the bodies that are; at least one."""
+        of_slices = self.bodies[:, 0]
+        near = np.flatnonzero(of_slices.any(axis=1)).tolist() or [0]
+        return [slices.slice(number)._replace(active=of_slices[number]) for number in near]
+
+
+def body_parts(topology: Topology, ends: Positions, num_worlds: int = 1) -> BodyParts | None:
+    """The parts of the bodies of a mesh with positions at both ends of a step, of rigid bodies in their own frames.
+
+    They stay for later calls. A motion of one world may be that of a mesh that has many itself.
+
+    Returns:
+        None where bodies are searched for as wholes: many of them, or others than rigid ones and those that stand, and
+        where it may take more time to divide them: in a first step of many faces, or with other rows than the last.
+    """
+    mesh, (start, end) = topology.mesh, ends
+    # radii may be others on the device than those of the mesh
+    is_plain = mesh.radius is None or np.array_equal(topology.radius.numpy(), mesh.radius)
+    are_few = mesh.num_bodies <= _MOST_BODIES and WholeBodies.are_found(mesh, num_worlds)
+    if not (are_few and is_plain and _are_same(start, end)):
+        return None
+    kept = MeshCache.of(mesh).parts
+    positions, parts = kept.get("parts", (None, None))
+    if _are_same(positions, start):
+        return parts
+    if not _are_same(kept.get("last"), start):
+        kept["last"] = start if start is mesh.vertices else start.copy()
+        is_cheap = num_worlds > 1 or mesh.num_faces <= _FEW_FACES or mesh._is_of_instances
+        if positions is not None or not is_cheap:
+            return None
+    parts = parts_of(mesh, start)
+    kept["parts"] = kept["last"], parts
+    return parts
+
+
+def _are_same(positions: NDArray[np.float64] | None, start: NDArray[np.float64]) -> bool:
+    """Whether these are known positions."""
+    return positions is start or (positions is not None and np.array_equal(positions, start))
+
+
+def reach_of(mesh: CollisionMesh, options: Options) -> float:
+    """A Euclidean distance beyond which bodies do not come within the separation of a pair, besides their radii."""
+    return 2.0 * options.separation(length_scale_of(mesh, options))
+
+
+def find_near(
+    topology: Topology,
+    parts: BodyParts | None,
+    ends: Positions,
+    paths: BodyPaths,
+    slices: Slices,
+    reach: float,
+    threads: int,
+    *,
+    wants_parts: bool = False,
+) -> Near | None:
+    """What may touch in a step.
+
+    Args:
+        topology: Of the mesh.
+        parts: Those of its bodies; None for whole bodies, given their positions.
+        ends: Positions at both ends in space, of rigid bodies in their own frames.
+        paths: Those of the rigid bodies, of one world after another.
+        slices: The slices of the step.
+        reach: A Euclidean distance, besides the radii of the vertices.
+        threads: Threads on the CPU.
+        wants_parts: Whether parts are told, and not bodies alone.
+
+    Returns:
+        None where it is not looked for: others than rigid bodies move, or there are too many pairs of bodies.
+
+    Guarantee: two bodies, or parts of two, that may collide, with points which come within the distance at some time
+    of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers, are among
+    what is near; and a body, or part, that comes so near to a half-space.
+    """
+    mesh, device = topology.mesh, topology.device
+    num_links = int(mesh.rigid.sum())
+    num_worlds = len(paths) // num_links
+    if parts is None and not WholeBodies.are_found(mesh, num_worlds):
+        return None
+    idle = MeshCache.of(mesh).parts.setdefault("idle", {}) if parts is None else parts.idle
+    num_pairs = WholeBodies.num_pairs(mesh) if parts is None else len(parts.pairs)
+    num_parts = len(parts.body) if parts is not None and wants_parts else 0
+    of_world = max(num_pairs, slices.num_slices * mesh.num_bodies, num_parts)
+    at_once = max(1, _MOST_ITEMS // max(of_world, 1))
+    found = []
+    for first in range(0, num_worlds, at_once):
+        last = min(first + at_once, num_worlds)
+        some = paths
+        if last - first < num_worlds:
+            some = paths.rows(np.arange(first * num_links, last * num_links))
+        most_slices = 1 << (slices.num_slices - 1).bit_length()
+        key = str(device), threads, last - first, most_slices, num_parts
+        while len(idle) >= _MOST_IDLE and key not in idle:
+            with suppress(KeyError):  # another thread may do the same
+                idle.popitem()
+        searches = idle.setdefault(key, [])
+        try:
+            search = searches.pop()
+        except IndexError:
+            search = _NearSearch(topology, parts, num_links, *key[1:])
+        found.append(search.find(ends, some, slices, reach))
+        searches.append(search)
+    if len(found) == 1:
+        return found[0]
+    return Near(*(np.concatenate(x, axis=axis) for x, axis in zip(zip(*found, strict=True), (1, 0), strict=True)))
+
+
+class _NearSearch:
+    """The arrays and launches of a search in so many worlds, by one thread at a time.
+
+    No call uses it again after an error or an interrupt: its stop flag is never cleared.
+    """
+
+    def __init__(
+        self,
+        topology: Topology,
+        parts: BodyParts | None,
+        num_links: int,
+        threads: int,
+        num_worlds: int,
+        most_slices: int,
+        num_parts: int,
+    ) -> None:
+        mesh, device = topology.mesh, topology.device
+        self._num_worlds, flag = num_worlds, StopFlag(device)
         self._paths = PathTable(num_worlds * num_links, device)
-        self._count = wp.zeros((1, 1), dtype=wp.int64, device=device)
+        self._near = near = WholeBodies.new_marks(num_worlds * mesh.num_bodies, most_slices, device)
+        near.parts = wp.zeros((num_worlds if num_parts else 0, num_parts), dtype=wp.int32, device=device)
+        self._no_rows: wp.array = wp.empty(0, dtype=wp.vec3d, device=device)
         every = wp.empty(0, dtype=wp.int32, device=device)
-        values = {"slices": 1, "t_max": 1.0, "reach": 0.0, "any": False, "found": self._new_list(_CAPACITY)}
-        self._recording = recording = Recording(self._execution, values)
-        slots = map(Slot, ("slices", "t_max", "reach", "any"))
+        values = {"start": self._no_rows, "end": self._no_rows, "slices": 1, "t_max": 1.0, "reach": 0.0}
+        self._recording = recording = Recording(Execution(device, threads, flag), values)
+        self._is_whole = parts is None
         with recording.section("near"):
+            if parts is None:
+                bodies = WholeBodies(topology, topology.radius, np.cumsum(mesh.rigid) - 1)
+                bodies.record_bounds(recording, Slot("start"), Slot("end"))
+                trees, pairs = bodies.trees, bodies.pairs
+            else:
+                trees, pairs = parts.on_device(device)
             of_worlds = self._paths.table, num_links, num_worlds
-            record_walk(recording, trees, pairs, *of_worlds, Slot("found"), every, flag.array, *slots)
+            of_step = Slot("slices"), Slot("t_max"), Slot("reach")
+            record_walk(recording, trees, pairs, *of_worlds, near, every, flag.array, *of_step)
 
-    def _new_list(self, capacity: int) -> Any:
-        """A list for so many pairs of parts."""
-        pairs, device = kernels.PartPairs(), self._execution.device
-        pairs.count = self._count
-        self._lists = [wp.empty(capacity, dtype=wp.int32, device=device) for _ in _COLUMNS]
-        for name, array in zip(_COLUMNS, self._lists, strict=True):
-            setattr(pairs, name, array)
-        return pairs
-
-    def find(self, paths: BodyPaths, slices: Slices, reach: float, *, any_suffices: bool) -> list[Any]:
-        """The columns of the pairs of parts that are near, each int32; any of two bodies in a slice may suffice."""
-        recording = self._recording
+    def find(self, ends: Positions, paths: BodyPaths, slices: Slices, reach: float) -> Near:
+        """What is near on these paths."""
+        recording, near = self._recording, self._near
         self._paths.assign(paths)
-        values = {"slices": slices.num_slices, "t_max": slices.t_max, "reach": reach, "any": any_suffices}
-        for name, value in values.items():
+        near.bodies.zero_()
+        near.parts.zero_()
+        if self._is_whole:
+            self._bind_rows(*(wp.array(x, dtype=wp.vec3d, device=recording.device, copy=False) for x in ends))
+        for name, value in (("slices", slices.num_slices), ("t_max", slices.t_max), ("reach", reach)):
             recording.bind(name, value)
-        while True:
-            self._count.zero_()
-            recording.play("near")
-            count = int(self._count.numpy()[0, 0])
-            if count <= len(self._lists[0]):
-                return [np.array(x.numpy()[:count]) for x in self._lists]
-            recording.bind("found", self._new_list(count + count // 8))
+        recording.play("near")
+        if self._is_whole:
+            self._bind_rows(self._no_rows, self._no_rows)  # not the caller's
+        bodies = near.bodies.numpy()[: slices.num_slices] != 0
+        return Near(bodies.reshape(slices.num_slices, self._num_worlds, -1), near.parts.numpy() != 0)
+
+    def _bind_rows(self, start: wp.array, end: wp.array) -> None:
+        self._recording.bind("start", start)
+        self._recording.bind("end", end)

@@ -15,9 +15,9 @@ from ccd_warp._engine.motion import Slice, Slices
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import MOST_BODIES, PartMesh, rows_within
-from ccd_warp._rigid.parts.near_slices import of_each
-from ccd_warp._rigid.parts.overlap import BodyParts, NearParts
-from ccd_warp._rigid.parts.trees import distinct, ranges
+from ccd_warp._rigid.parts.near_search import Near
+from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.trees import ranges
 
 _T = TypeVar("_T")
 _MOST_ROWS = 1 << 19  # primitives of a mesh of parts
@@ -34,7 +34,7 @@ class WorldsOfParts:
     def __init__(
         self,
         parts: BodyParts,
-        near: NearParts,
+        near: Near,
         motion: RigidMotion,
         slices: Slices,
         memory_limit: int | None = None,
@@ -42,9 +42,8 @@ class WorldsOfParts:
         """Those that are near in slices of the step."""
         self._motion, self._slices, self.parts = motion, slices, parts
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
-        self._near = near._replace(world=near.world.astype(np.intp))
-        of_pair, count = self._near.world * len(parts.body), len(parts.body)
-        self._world, self._part = np.divmod(distinct(np.concatenate([of_pair + near.a, of_pair + near.b])), count)
+        self._near = near.bodies
+        self._world, self._part = np.nonzero(near.parts)
         self._sizes = np.diff(self.parts.begins)[self._part]
         self.num_primitives = int(self._sizes.sum())
 
@@ -74,14 +73,7 @@ class WorldsOfParts:
 
     def _searched(self, batch: NDArray[np.intp], parts: PartMesh) -> list[Slice]:
         """The slices in which anything is near in some worlds, with the bodies of their mesh that are."""
-        near, body, count = self._near, self.parts.body, self.parts.mesh.num_bodies
-        number = np.minimum(np.searchsorted(batch, near.world), len(batch) - 1)
-        rows = np.flatnonzero(batch[number] == near.world)
-        searched = []
-        for k, of_rows in of_each(near.slice[rows]):
-            of_slice = rows[of_rows]
-            active = np.zeros(parts.mesh.num_bodies, dtype=bool)
-            for part in (near.a[of_slice], near.b[of_slice]):
-                active[np.searchsorted(parts.body, number[of_slice] * count + body[part])] = True
-            searched.append(self._slices.slice(k)._replace(active=active))
-        return searched
+        near = self._near[:, batch].reshape(len(self._near), -1)[:, parts.body]
+        active = np.zeros((len(near), parts.mesh.num_bodies), dtype=bool)
+        active[:, : len(parts.body)] = near
+        return [self._slices.slice(k)._replace(active=active[k]) for k in np.flatnonzero(near.any(axis=1)).tolist()]
