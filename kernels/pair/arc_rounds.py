@@ -15,7 +15,7 @@ from ..template import specialised
 from . import simd
 from .lane_advance import near_errors, point_at, settled
 from .lane_closest import closest
-from .lane_pair import LanePair, narrowed, normalise, widened
+from .lane_pair import LanePair, narrowed, normalise, volume_of, widened
 from .lane_solver import LaneAnswer, gap_at
 from .norm import is_ball
 from .pair_options import LaneOptions
@@ -43,7 +43,7 @@ from .simd import (
     vec,
 )
 from .support import support
-from .volume import clip_with_reach, reach_of, volume_of
+from .volume import clip_with_reach, reach_of
 
 _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round, at most.
@@ -183,7 +183,7 @@ def advance_on_arcs(
     slack64 = in_units(options.sagitta, n.unit)
     slack = vec(narrowed(slack64.x), narrowed(slack64.y), narrowed(slack64.z))
     bow = sagitta_up * vec(narrowed(bow64.x), narrowed(bow64.y), narrowed(bow64.z))
-    volume = volume_of(n.t0, n.t1, n.separation + (bow + bow), True)
+    volume = volume_of(kind, at_begin, at_end, n, n.separation + (bow + bow), True)
     reach = bow_reach(volume, n.separation, bow)
     t = spread(zero)
     end = spread(one)

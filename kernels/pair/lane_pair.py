@@ -13,10 +13,11 @@ from . import simd
 from .lane_scale import inverse_power_of_two
 from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
-from .patch import Corners
+from .patch import Corners, Volume
 from .points import Points, corners, largest, longest_side, total
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
 from .simd import Lanes, Vec3, spread, vec
+from .volume import bounded
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
@@ -27,6 +28,7 @@ simd64 = specialised("pair.simd", width=width)
 if by_pair:
     from .pair_options import lanes_at_start_distance, without_margin
 Corners64 = specialised("pair.patch", width=width).Corners
+coefficients_of = specialised("pair.volume", width=width).coefficients_of
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 tiny = wp.constant(real(TINY[real]))
@@ -125,6 +127,46 @@ def normalised(c: Corners64, s: simd64.Vec3) -> Corners:
     r.q = narrowed(simd64.scaled(c.q, s))
     r.r = narrowed(simd64.scaled(c.r, s))
     return r
+
+
+if real == wp.float64:
+
+    @wp.func
+    def volume_of(
+        kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
+    ) -> Volume:
+        """The volume of a pair, beyond a separation."""
+        return bounded(coefficients_of(n.t0, n.t1), n.t0, n.t1, separation, has_separation)
+
+else:
+
+    @simd64.func
+    def sides_of(kind: int, p: Points, unit: simd64.Vec3) -> Corners64:
+        """A corner and the sides of the patch of some points, in normalised units and in float64."""
+        one = simd64.spread(wp.float64(1.0))
+        s = simd64.vec(one / unit.x, one / unit.y, one / unit.z)
+        c = corners(kind, p)
+        r = Corners64()
+        r.w00 = simd64.scaled(c.w00, s)
+        r.q = simd64.scaled(c.q, s)
+        r.r = simd64.scaled(c.r, s)
+        return r
+
+    @wp.func
+    def volume_of(
+        kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
+    ) -> Volume:
+        """The volume of a pair, beyond a separation."""
+        f = coefficients_of(sides_of(kind, points_t0, n.unit), sides_of(kind, points_t1, n.unit))
+        r = Volume()
+        r.b0 = narrowed(f.b0)
+        r.b1 = narrowed(f.b1)
+        r.b2 = narrowed(f.b2)
+        r.b3 = narrowed(f.b3)
+        r.normal_t0 = narrowed(f.normal_t0)
+        r.normal_mid = narrowed(f.normal_mid)
+        r.normal_t1 = narrowed(f.normal_t1)
+        return bounded(r, n.t0, n.t1, separation, has_separation)
 
 
 @simd64.func

@@ -11,14 +11,13 @@ from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
-from .lane_pair import LanePair, narrowed, normalise, widened
+from .lane_pair import LanePair, narrowed, normalise, volume_of, widened
 from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .points import Points
 from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
 from .simd import Lanes, Vec3, bits_of, greatest, is_less, least, magnitude, mask_of, select, spread
-from .volume import volume_of
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
 FIRST_ROUNDS = wp.constant(2)
@@ -116,7 +115,7 @@ def make_solve(with_facets: bool):
         if wp.static(with_facets and by_pair):
             if options.start_gap_fraction > wp.float64(0.0):
                 n = with_start_gap(n, kind == VERTEX_FACE, real(options.start_gap_fraction))
-        volume = volume_of(n.t0, n.t1, n.separation, wp.static(by_pair))
+        volume = volume_of(kind, points_t0, points_t1, n, n.separation, wp.static(by_pair))
         t = narrowed(t_start)
         if wp.static(with_facets and may_keep_start_distance):
             kept = lanes_at_start_distance(options) & open

@@ -39,14 +39,17 @@ below are in the normalised units of step 2.
    (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
    a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
    Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
-   of errors, and the roundings of T. A clip ends where the steepest line from the first control point, c_0, to another
-   falls to zero: at the fraction c_0 / max_j (c_0 - c_j)·3/j of the interval, which is no later than the first crossing
-   of the hull. Each control point is rounded once after the bounds above, when they are subtracted. Where c_j decides
-   and is positive, it is at most 2/3 c_0, so the difference loses 5u by that, and 2u by itself and its factor; c_0 and
-   the quotient 2u; the interval, its share and the factor below 3u: that fraction times (1 - 12u), and the sum with t
-   times (1 - 8u), is a lower bound. With a separation the Bernstein
-   coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products. Those on [0, 1]
-   are within 6u; a cubic above the support that is made of them and restricted with f is off by 9u more, 15u as well.
+   of errors, and the roundings of T. Of float32 the coefficients are those of float64, rounded: with B the largest of
+   them in magnitude u·B, and 9u·B by restriction. B is small beside T where corners come near the origin. RESTRICTION =
+   12 covers both and their products, and VOLUME times the unit roundoff of float64 T, as that is computed. A clip
+   ends where the steepest line from the first control point, c_0, to another falls to zero: at the fraction c_0 /
+   max_j (c_0 - c_j)·3/j of the interval, which is no later than the first crossing of the hull. Each control point
+   is rounded once after the bounds above, when they are subtracted. Where c_j decides and is positive, it is at most
+   2/3 c_0, so the difference loses 5u by that, and 2u by itself and its factor; c_0 and the quotient 2u; the
+   interval, its share and the factor below 3u: that fraction times (1 - 12u), and the sum with t times (1 - 8u), is
+   a lower bound. With a separation the Bernstein coefficients of Q×R enter in magnitude, each within 15u of the sum
+   of the magnitudes of its products. Those on [0, 1] are within 6u; a cubic above the support that is made of them
+   and restricted with f is off by 9u more, 15u as well.
 10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (which again
    approximate nothing). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of step
    8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k per unit of direction, at most MOVING = 2 times the E_k of
@@ -146,6 +149,7 @@ PROJECTION_ROOT = 4.25
 PROJECTION_PATCH = 8.25
 MOVING = 2.0
 VOLUME = 25.0
+RESTRICTION = 12.0
 RELATIVE = 8.0
 CROSSING = 12.0
 SIDES = 16.0

@@ -16,11 +16,14 @@ import warp as wp
 from ..parameters import real
 from . import simd
 from .patch import Corners, Volume
-from .rounding import CROSSING, RELATIVE, TINY, UNIT_ROUNDOFF, VOLUME
+from .rounding import CROSSING, RELATIVE, RESTRICTION, TINY, UNIT_ROUNDOFF, VOLUME
 from .simd import Lanes, Vec3, cross, dot, greatest, is_at_most, is_less, least, magnitude, minus, select, vec
 from .support import support
 
-unit_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
+# float32 rounds coefficients that are computed in float64, and restricts them.
+coefficient_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[wp.float64]))
+restriction_bound = wp.constant(real(RESTRICTION * UNIT_ROUNDOFF[real]))
+normal_bound = wp.constant(real(VOLUME * UNIT_ROUNDOFF[real]))
 tiny = wp.constant(real(TINY[real]))
 zero = wp.constant(real(0.0))
 half = wp.constant(real(0.5))
@@ -44,31 +47,42 @@ class Hull:
     c3: Lanes
 
 
+if real == wp.float64:
+
+    @simd.func
+    def coefficients_of(t0: Corners, t1: Corners) -> Volume:
+        """The Bernstein coefficients of f and of Q×R on [0, 1], which float32 takes from here, too."""
+        f = Volume()
+        n0 = cross(t0.q, t0.r)
+        n1 = cross(t1.q, t1.r)
+        nm = half * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
+        m0 = dot(t0.w00, nm)
+        m1 = dot(t1.w00, nm)
+        f.b0 = dot(t0.w00, n0)
+        f.b1 = third * (dot(t1.w00, n0) + m0 + m0)
+        f.b2 = third * (dot(t0.w00, n1) + m1 + m1)
+        f.b3 = dot(t1.w00, n1)
+        f.normal_t0 = n0
+        f.normal_mid = nm
+        f.normal_t1 = n1
+        return f
+
+
 @simd.func
-def volume_of(t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) -> Volume:
-    """The Bernstein coefficients of f on [0, 1], and the bound below which |f| proves nothing."""
-    r = Volume()
-    n0 = cross(t0.q, t0.r)
-    n1 = cross(t1.q, t1.r)
-    nm = half * (cross(t0.q, t1.r) + cross(t1.q, t0.r))
-    m0 = dot(t0.w00, nm)
-    m1 = dot(t1.w00, nm)
-    r.b0 = dot(t0.w00, n0)
-    r.b1 = third * (dot(t1.w00, n0) + m0 + m0)
-    r.b2 = third * (dot(t0.w00, n1) + m1 + m1)
-    r.b3 = dot(t1.w00, n1)
+def bounded(f: Volume, t0: Corners, t1: Corners, separation: Vec3, has_separation: bool) -> Volume:
+    """The volume of these coefficients, in float32 rounded ones, with the bound below which |f| proves nothing."""
+    r = f
     p = greatest(magnitude(t0.w00), magnitude(t1.w00))
     q = greatest(magnitude(t0.q), magnitude(t1.q))
     s = greatest(magnitude(t0.r), magnitude(t1.r))
     # the sums of the magnitudes of the products of Q×R, and of the determinant
     n = vec(q.y * s.z + q.z * s.y, q.z * s.x + q.x * s.z, q.x * s.y + q.y * s.x)
-    r.bound = unit_bound * dot(p, n) + tiny
-    if has_separation:
-        r.bound = r.bound + unit_bound * dot(separation, n)
-        r.normal_t0 = n0
-        r.normal_mid = nm
-        r.normal_t1 = n1
     largest = greatest(greatest(magnitude(r.b0), magnitude(r.b1)), greatest(magnitude(r.b2), magnitude(r.b3)))
+    r.bound = coefficient_bound * dot(p, n) + tiny
+    if wp.static(real == wp.float32):
+        r.bound = r.bound + restriction_bound * largest
+    if has_separation:
+        r.bound = r.bound + normal_bound * dot(separation, n)
     r.is_flat = is_at_most(largest, r.bound)
     return r
 

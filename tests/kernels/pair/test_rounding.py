@@ -15,7 +15,15 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.boxes import end_box
 from ccd_warp.kernels.pair.norm import OWN_BOX_NORM
-from ccd_warp.kernels.pair.rounding import MOVING, PROJECTION_PATCH, PROJECTION_ROOT, TINY, UNIT_ROUNDOFF, VOLUME
+from ccd_warp.kernels.pair.rounding import (
+    MOVING,
+    PROJECTION_PATCH,
+    PROJECTION_ROOT,
+    RESTRICTION,
+    TINY,
+    UNIT_ROUNDOFF,
+    VOLUME,
+)
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from exact import exact_tois
@@ -142,7 +150,7 @@ class Sample:
     """
 
     def __init__(self, kind: str, inputs: dict, out: np.ndarray, unit_roundoff: float, convert) -> None:
-        self.u = convert(np.array(unit_roundoff))[()]
+        self.u, self.u64 = (convert(np.array(u))[()] for u in (unit_roundoff, UNIT_ROUNDOFF[wp.float64]))
         self.constant = lambda x: convert(np.array(x))[()]
         self.found = lambda name: convert(plain(out[name]))
         self.d, self.margin, self.h, *points = (convert(inputs[x]) for x in ("d", "margin", "h", *ENDS))
@@ -214,8 +222,9 @@ class Sample:
 
     def step_9_volume(self):
         p = np.maximum(abs(self.corners[0][0]), abs(self.corners[1][0]))
-        bound = self.constant(13) * self.u * dot(p, permanent_cross(*self.largest_sides()))
-        return abs(self.found("volume") - np.stack(self.volume(), axis=1)), np.stack([bound] * 4, axis=1)
+        exact = np.stack(self.volume(), axis=1)
+        bound = self.constant(13) * self.u64 * dot(p, permanent_cross(*self.largest_sides()))[:, None]
+        return abs(self.found("volume") - exact), bound + (self.u - self.u64) * abs(exact).max(axis=1)[:, None]
 
     def step_9_volume_on_an_interval(self):
         error = abs(self.found("restricted") - np.stack(self.restricted(), axis=1))
@@ -223,7 +232,7 @@ class Sample:
 
     def step_9_normal(self):
         found = np.concatenate([self.found(f"normal_{at}") for at in ("t0", "mid", "t1")], axis=1)
-        bound = 15 * self.u * permanent_cross(*self.largest_sides())
+        bound = (14 * self.u64 + self.u) * permanent_cross(*self.largest_sides())
         return abs(found - np.concatenate(self.normals(), axis=1)), np.concatenate([bound] * 3, axis=1)
 
     def _beyond(self, name: str, support: list[np.ndarray]):
@@ -461,7 +470,7 @@ def test_constants_cover_the_steps():
     # the sums of roundings that the docstring counts, in units of u
     for projection, roundings in ((PROJECTION_ROOT, 1), (PROJECTION_PATCH, 5)):
         assert projection > 1.001 * (roundings + 3) and MOVING * projection > 1.001 * (roundings + 3 + 3 + 1)
-    assert VOLUME >= 13 + 9
+    assert VOLUME >= 13 + 9 and RESTRICTION > 1.001 * (1 + 9)
     # step 5: the absolute term is far below any rounding of a normalised number, and far above an underflow
     for real, tiny in TINY.items():
         assert np.finfo(FLOATS[real.__name__]).tiny * 2**20 < tiny < UNIT_ROUNDOFF[real] ** 2
