@@ -18,8 +18,8 @@ from ccd_warp._scene.input.names import body_label
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
-# Turn of a slice, in radians: boxes of finer slices are hardly smaller, and those of coarser ones grow.
-TURN_OF_A_SLICE = 0.2
+# Turn of a slice, in radians: of finer slices there are more, and of coarser ones boxes that are near each other.
+TURN_OF_A_SLICE = 0.33
 _ROUNDING = 1e-6  # of the length of a rotation vector; a slice may turn by up to `arcs.LARGEST_TURN`
 
 

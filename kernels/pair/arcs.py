@@ -32,7 +32,7 @@ from .rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, SQUARE_UNDERFLOW, UNIT_
 simd = specialised("pair.simd", width=width)
 is_euclidean = is_ball(norm)
 # Largest turn of a slice, in radians.
-LARGEST_TURN = 0.25
+LARGEST_TURN = 1.0 / 3.0
 
 zero = wp.constant(wp.float64(0.0))
 half = wp.constant(wp.float64(0.5))

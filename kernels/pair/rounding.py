@@ -97,9 +97,9 @@ below are in the normalised units of step 2.
    once, and the factor 1 - 8u covers it and itself. The half is exact but for a result that is subnormal, from which
    2^-1070 is subtracted.
 17. **Points on arcs** (`arcs`). Let M be the largest coordinate of the points at both ends of the slice, D that of
-   their motions b - a, and turns at most 1/4. f1 is a difference of two series below |ω|²/6, each within 9u of itself,
-   so it is off by less than 2.7u·|ω|², and below |ω|²/15; f2 is below 1/8 and off by less than 2.2u, and ω×V by 2u of
-   |ω||V|. So their part of a coordinate is off by less than 3.5u·|ω||V|, and vanishes with ω, whatever V is. The
+   their motions b - a, and turns at most 1/3. f1 is a difference of two series below |ω|²/6, each within 9u of itself,
+   so it is off by less than 3u·|ω|², and below |ω|²/15; f2 is below 1/8 and off by less than 2.2u, and ω×V by 2u of
+   |ω||V|. So their part of a coordinate is off by less than 3.8u·|ω||V|, and vanishes with ω, whatever V is. The
    straight part rounds a difference, a product and a sum, 3u·D with the bend, and the last sum u·M. The amplitude A of
    both primitives, on the axis on which it is largest, is at least two thirds of the sum of both |ω||V|, as the
    lengths of ω across three axes are 2|ω| together or more. So the two points of a corner are off by less than 2u·M +

@@ -206,7 +206,7 @@ PLANTED = [
           ("kernels/boxes/test_bodies.py::test_bodies_near_another_are_those_of_every_pair_of_boxes",)),
     Fault("nothing is searched where one body of several is far from all", "ccd_warp/_engine/host/step.py",
           "near is not None and not near.any():", "near is not None and not near.all():",
-          ("calls/test_rigid.py::test_several_turns_in_a_step_list_each_pair_once_and_first_with_its_gap",)),
+          ("laws/test_bodies_that_turn.py::test_random_pairs",)),
     # --- search ---
     Fault("rings around two vertices of three", "kernels/search/collision_filter.py",
           "            is_near(a[0], b, collision_filter)\n            or is_near(a[1], b, collision_filter)\n",
