@@ -166,9 +166,9 @@ class MotionWorlds:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
         if self._near is None:
             return np.arange(self._slices.num_slices * self.num_worlds), None
-        bodies = self._near.bodies.reshape(-1, self._mesh.num_bodies)
-        cells = np.flatnonzero(bodies.any(axis=1))
-        return cells, bodies[cells]
+        near = self._near
+        slice_of_cell, world = np.nonzero(near.bodies.any(axis=2))
+        return near.number[slice_of_cell] * self.num_worlds + world, near.bodies[slice_of_cell, world]
 
     @property
     def _num_copied(self) -> int:
@@ -269,7 +269,7 @@ class MotionWorlds:
         if self.num_worlds > 1 or self._are_parts:
             return False
         near = self._near
-        num_near = self._slices.num_slices if near is None else int(near.bodies.any(axis=(1, 2)).sum())
+        num_near = self._slices.num_slices if near is None else len(near.number)
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:

@@ -23,7 +23,10 @@ def near(mesh, motion, parts=None, vertices=None, *, num_slices=SLICES, reach=0.
     """Which bodies, whole or by their parts, are near in each slice of each world, [S, W, B], and parts, [W, P]."""
     vertices = mesh.vertices if vertices is None else vertices
     of_step = (vertices, vertices), motion._body_paths, Slices(num_slices, t_max), reach, 2
-    return find_near(Topology.of(mesh, wp.get_device("cpu")), parts, *of_step, wants_parts=wants_parts)
+    found = find_near(Topology.of(mesh, wp.get_device("cpu")), parts, *of_step, wants_parts=wants_parts)
+    bodies = np.zeros((num_slices, motion.num_worlds, mesh.num_bodies), dtype=bool)
+    bodies[found.number] = found.bodies
+    return found._replace(bodies=bodies)
 
 
 def placed(motion, corners, t):

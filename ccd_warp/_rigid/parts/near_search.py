@@ -25,24 +25,28 @@ _MOST_BODIES = 1 << 11  # that are divided
 _FEW_FACES = 1 << 12  # of a world, which are divided in no more time than a step may take
 # Tests and marks of a search, and the numbers of worlds and slices for which one stays.
 _MOST_ITEMS, _MOST_IDLE = 1 << 24, 8
+_MOST_MARKS = 1 << 28  # of a world: a GiB
 
 
 class Near(NamedTuple):
     """What may touch in a step, in worlds of a mesh of one.
 
     Attributes:
-        bodies: Bodies that may touch another in each slice of each world, bool, shape [S, W, B].
+        number: Slices in which any body may touch another, ascending, shape [n].
+        bodies: Those that may in each of these slices of each world, bool, shape [n, W, B].
         parts: Parts of bodies that may in any slice of each world, bool, shape [W, P]; empty where they are not wanted.
     """
 
+    number: NDArray[np.intp]
     bodies: NDArray[np.bool_]
     parts: NDArray[np.bool_]
 
     def slices(self, slices: Slices) -> list[Slice]:
         """The slices of a single world in which anything is near, with the bodies that are; at least one."""
-        of_slices = self.bodies[:, 0]
-        near = np.flatnonzero(of_slices.any(axis=1)).tolist() or [0]
-        return [slices.slice(number)._replace(active=of_slices[number]) for number in near]
+        if len(self.number) == 0:
+            return [slices.slice(0)._replace(active=np.zeros(self.bodies.shape[2], dtype=bool))]
+        of_slices = zip(self.number.tolist(), self.bodies[:, 0], strict=True)
+        return [slices.slice(number)._replace(active=active) for number, active in of_slices]
 
 
 def body_parts(topology: Topology, ends: Positions, num_worlds: int = 1) -> BodyParts | None:
@@ -108,7 +112,7 @@ def find_near(
         wants_parts: Whether parts are told, and not bodies alone.
 
     Returns:
-        None where it is not looked for: others than rigid bodies move, or there are too many pairs of bodies.
+        None where it is not looked for: others than rigid bodies move, or there are too many pairs or slices of bodies.
 
     Guarantee: two bodies, or parts of two, that may collide, with points which come within the distance at some time
     of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers, are among
@@ -117,7 +121,8 @@ def find_near(
     mesh, device = topology.mesh, topology.device
     num_links = int(mesh.rigid.sum())
     num_worlds = len(paths) // num_links
-    if parts is None and not WholeBodies.are_found(mesh, num_worlds):
+    is_possible = parts is not None or WholeBodies.are_found(mesh, num_worlds)
+    if not is_possible or slices.num_slices * mesh.num_bodies > _MOST_MARKS:
         return None
     idle = MeshCache.of(mesh).parts.setdefault("idle", {}) if parts is None else parts.idle
     num_pairs = WholeBodies.num_pairs(mesh) if parts is None else len(parts.pairs)
@@ -142,9 +147,19 @@ def find_near(
             search = _NearSearch(topology, parts, num_links, *key[1:])
         found.append(search.find(ends, some, slices, reach))
         searches.append(search)
-    if len(found) == 1:
-        return found[0]
-    return Near(*(np.concatenate(x, axis=axis) for x, axis in zip(zip(*found, strict=True), (1, 0), strict=True)))
+    return found[0] if len(found) == 1 else _joined(found)
+
+
+def _joined(found: list[Near]) -> Near:
+    """What is near in the worlds of several searches."""
+    number = np.unique(np.concatenate([near.number for near in found]))
+    bodies = np.zeros((len(number), sum(near.bodies.shape[1] for near in found), found[0].bodies.shape[2]), dtype=bool)
+    first = 0
+    for near in found:
+        last = first + near.bodies.shape[1]
+        bodies[np.searchsorted(number, near.number), first:last] = near.bodies
+        first = last
+    return Near(number, bodies, np.concatenate([near.parts for near in found]))
 
 
 class _NearSearch:
@@ -164,7 +179,7 @@ class _NearSearch:
         num_parts: int,
     ) -> None:
         mesh, device = topology.mesh, topology.device
-        self._num_worlds, flag = num_worlds, StopFlag(device)
+        self._shape, flag = (num_worlds, mesh.num_bodies), StopFlag(device)
         self._paths = PathTable(num_worlds * num_links, device)
         self._near = near = WholeBodies.new_marks(num_worlds * mesh.num_bodies, most_slices, device)
         near.parts = wp.zeros((num_worlds if num_parts else 0, num_parts), dtype=wp.int32, device=device)
@@ -188,8 +203,6 @@ class _NearSearch:
         """What is near on these paths."""
         recording, near = self._recording, self._near
         self._paths.assign(paths)
-        near.bodies.zero_()
-        near.parts.zero_()
         if self._is_whole:
             self._bind_rows(*(wp.array(x, dtype=wp.vec3d, device=recording.device, copy=False) for x in ends))
         for name, value in (("slices", slices.num_slices), ("t_max", slices.t_max), ("reach", reach)):
@@ -197,8 +210,13 @@ class _NearSearch:
         recording.play("near")
         if self._is_whole:
             self._bind_rows(self._no_rows, self._no_rows)  # not the caller's
-        bodies = near.bodies.numpy()[: slices.num_slices] != 0
-        return Near(bodies.reshape(slices.num_slices, self._num_worlds, -1), near.parts.numpy() != 0)
+        number = np.flatnonzero(near.is_any.numpy())
+        bodies = (near.bodies.numpy()[number] != 0).reshape(len(number), *self._shape)
+        found = Near(number, bodies, near.parts.numpy() != 0)
+        if len(number):  # of many slices few are near, and nothing need be cleared after most steps
+            for marks in (near.bodies, near.is_any, near.parts):
+                marks.zero_()
+        return found
 
     def _bind_rows(self, start: wp.array, end: wp.array) -> None:
         self._recording.bind("start", start)

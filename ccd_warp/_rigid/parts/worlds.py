@@ -42,7 +42,7 @@ class WorldsOfParts:
         """Those that are near in slices of the step."""
         self._motion, self._slices, self.parts = motion, slices, parts
         self._most_rows = rows_within(memory_limit, _MOST_ROWS)
-        self._near = near.bodies
+        self._near = near
         self._world, self._part = np.nonzero(near.parts)
         self._sizes = np.diff(self.parts.begins)[self._part]
         self.num_primitives = int(self._sizes.sum())
@@ -73,7 +73,8 @@ class WorldsOfParts:
 
     def _searched(self, batch: NDArray[np.intp], parts: PartMesh) -> list[Slice]:
         """The slices in which anything is near in some worlds, with the bodies of their mesh that are."""
-        near = self._near[:, batch].reshape(len(self._near), -1)[:, parts.body]
+        near = self._near.bodies[:, batch].reshape(len(self._near.number), -1)[:, parts.body]
         active = np.zeros((len(near), parts.mesh.num_bodies), dtype=bool)
         active[:, : len(parts.body)] = near
-        return [self._slices.slice(k)._replace(active=active[k]) for k in np.flatnonzero(near.any(axis=1)).tolist()]
+        of_slices = zip(self._near.number.tolist(), active, strict=True)
+        return [self._slices.slice(number)._replace(active=bodies) for number, bodies in of_slices if bodies.any()]
