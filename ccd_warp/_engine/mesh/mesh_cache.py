@@ -15,7 +15,8 @@ class MeshCache:
         topologies: Topologies by name of the device.
         idle_workspaces: Workspaces that no call uses, by name of the device.
         parts: Under "parts" the positions for which bodies have last been divided, and their parts; under "last" those
-            of the last call that had others; under "are few" whether pairs of whole bodies are few enough to be listed.
+            of the last call that had others; under "pairs" a bound on the number of pairs of whole bodies; under "idle"
+            searches for those that are near, which no call uses.
     """
 
     topologies: dict[str, Any] = field(default_factory=dict)

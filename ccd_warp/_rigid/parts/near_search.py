@@ -118,7 +118,7 @@ def find_near(
     of a slice, on trajectories within the excess of those of the motion in the mathematics of real numbers, are among
     what is near; and a body, or part, that comes so near to a half-space.
     """
-    mesh, device = topology.mesh, topology.device
+    mesh = topology.mesh
     num_links = int(mesh.rigid.sum())
     num_worlds = len(paths) // num_links
     is_possible = parts is not None or WholeBodies.are_found(mesh, num_worlds)
@@ -136,7 +136,7 @@ def find_near(
         if last - first < num_worlds:
             some = paths.rows(np.arange(first * num_links, last * num_links))
         most_slices = 1 << (slices.num_slices - 1).bit_length()
-        key = str(device), threads, last - first, most_slices, num_parts
+        key = topology, threads, last - first, most_slices, num_parts
         while len(idle) >= _MOST_IDLE and key not in idle:
             with suppress(KeyError):  # another thread may do the same
                 idle.popitem()
@@ -144,7 +144,7 @@ def find_near(
         try:
             search = searches.pop()
         except IndexError:
-            search = _NearSearch(topology, parts, num_links, *key[1:])
+            search = _NearSearch(parts, num_links, *key)
         found.append(search.find(ends, some, slices, reach))
         searches.append(search)
     return found[0] if len(found) == 1 else _joined(found)
@@ -170,9 +170,9 @@ class _NearSearch:
 
     def __init__(
         self,
-        topology: Topology,
         parts: BodyParts | None,
         num_links: int,
+        topology: Topology,
         threads: int,
         num_worlds: int,
         most_slices: int,
