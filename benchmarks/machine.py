@@ -11,7 +11,7 @@ from pathlib import Path
 
 import warp as wp
 
-_PACKAGES = ("ccd-warp", "warp-lang", "numpy", "ipctk")
+_PACKAGES = ("ccd-warp", "warp-lang", "numpy", "ipctk", "python-fcl", "coal", "drake", "py-parry3d")
 
 
 def processor() -> dict:
