@@ -164,9 +164,9 @@ class MotionWorlds:
 
     def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
-        if self._near is None:
-            return np.arange(self._slices.num_slices * self.num_worlds), None
         near = self._near
+        if near is None:
+            return np.arange(self._slices.num_slices * self.num_worlds), None
         slice_of_cell, world = np.nonzero(near.bodies.any(axis=2))
         return near.number[slice_of_cell] * self.num_worlds + world, near.bodies[slice_of_cell, world]
 
@@ -268,8 +268,7 @@ class MotionWorlds:
         """Whether the one world that there is goes slice by slice: of a large mesh, or where it is near in few."""
         if self.num_worlds > 1 or self._are_parts:
             return False
-        near = self._near
-        num_near = self._slices.num_slices if near is None else len(near.number)
+        num_near = self._slices.num_slices if self._near is None else len(self._near.number)
         return 0 < num_near <= few or num_near * self._mesh.num_faces > _MANY_FACES
 
     def _whole_paths(self) -> MeshPaths:

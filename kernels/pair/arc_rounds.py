@@ -13,9 +13,10 @@ from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
+from .in_precision import narrowed, widened
 from .lane_advance import near_errors, point_at, settled
 from .lane_closest import closest
-from .lane_pair import LanePair, narrowed, normalise, volume_of, widened
+from .lane_pair import LanePair, normalise, volume_of
 from .lane_solver import LaneAnswer, gap_at
 from .norm import is_ball
 from .pair_options import LaneOptions

@@ -10,14 +10,14 @@ import warp as wp
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
+from .in_precision import narrowed, normalised, volume_between
 from .lane_scale import inverse_power_of_two
 from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .patch import Corners, Volume
 from .points import Points, corners, largest, longest_side, total
 from .rounding import LARGEST, PROJECTION_ROOT, RELATIVE, SLACK, TINY, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, spread, vec
-from .volume import bounded
+from .simd import Vec3, spread, vec
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
@@ -28,79 +28,9 @@ simd64 = specialised("pair.simd", width=width)
 if by_pair:
     from .pair_options import lanes_at_start_distance, without_margin
 Corners64 = specialised("pair.patch", width=width).Corners
-coefficients_of = specialised("pair.volume", width=width).coefficients_of
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 tiny = wp.constant(real(TINY[real]))
-
-if real == wp.float64:
-
-    @wp.func
-    def narrowed(x: simd64.Lanes) -> Lanes:
-        """Lanes in the precision of the iteration."""
-        return x
-
-    @wp.func
-    def widened(x: Lanes) -> simd64.Lanes:
-        """Lanes in float64."""
-        return x
-
-elif width == 1:
-
-    @wp.func
-    def narrowed(x: simd64.Lanes) -> Lanes:
-        """Lanes in the precision of the iteration."""
-        return wp.float32(x)
-
-    @wp.func
-    def widened(x: Lanes) -> simd64.Lanes:
-        """Lanes in float64."""
-        return wp.float64(x)
-
-else:
-    typed = f"""
-    typedef double Wide __attribute__((ext_vector_type({width})));
-    typedef float Narrow __attribute__((ext_vector_type({width})));
-    Wide wide;
-    Narrow narrow;
-"""
-
-    narrowed_snippet = (
-        typed
-        + f"""
-    __builtin_memcpy(&wide, &x, sizeof(wide));
-    narrow = __builtin_convertvector(wide, Narrow);
-    wp::vec_t<{width}, float> r;
-    __builtin_memcpy(&r, &narrow, sizeof(narrow));
-    return r;
-"""
-    )
-
-    @wp.func_native(narrowed_snippet)
-    def narrowed(x: simd64.Lanes) -> Lanes:
-        """Lanes in the precision of the iteration."""
-        ...
-
-    widened_snippet = (
-        typed
-        + f"""
-    __builtin_memcpy(&narrow, &x, sizeof(narrow));
-    wide = __builtin_convertvector(narrow, Wide);
-    wp::vec_t<{width}, double> r;
-    __builtin_memcpy(&r, &wide, sizeof(wide));
-    return r;
-"""
-    )
-
-    @wp.func_native(widened_snippet)
-    def widened(x: Lanes) -> simd64.Lanes:
-        """Lanes in float64."""
-        ...
-
-
-@wp.func
-def narrowed(a: simd64.Vec3) -> Vec3:
-    return vec(narrowed(a.x), narrowed(a.y), narrowed(a.z))
 
 
 @wp.struct
@@ -116,57 +46,16 @@ class LanePair:
     is_valid: wp.uint32  # bits of the lanes that neither overflow nor hold NaN
 
 
-@wp.func
-def normalised(c: Corners64, s: simd64.Vec3) -> Corners:
-    """Corners in normalised units (rounding, step 2)."""
-    r = Corners()
-    r.w00 = narrowed(simd64.scaled(c.w00, s))
-    r.w01 = narrowed(simd64.scaled(c.w01, s))
-    r.w10 = narrowed(simd64.scaled(c.w10, s))
-    r.w11 = narrowed(simd64.scaled(c.w11, s))
-    r.q = narrowed(simd64.scaled(c.q, s))
-    r.r = narrowed(simd64.scaled(c.r, s))
-    return r
-
-
-if real == wp.float64:
-
-    @wp.func
-    def volume_of(
-        kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
-    ) -> Volume:
-        """The volume of a pair, beyond a separation."""
-        return bounded(coefficients_of(n.t0, n.t1), n.t0, n.t1, separation, has_separation)
-
-else:
-
-    @simd64.func
-    def sides_of(kind: int, p: Points, unit: simd64.Vec3) -> Corners64:
-        """A corner and the sides of the patch of some points, in normalised units and in float64."""
-        one = simd64.spread(wp.float64(1.0))
-        s = simd64.vec(one / unit.x, one / unit.y, one / unit.z)
-        c = corners(kind, p)
-        r = Corners64()
-        r.w00 = simd64.scaled(c.w00, s)
-        r.q = simd64.scaled(c.q, s)
-        r.r = simd64.scaled(c.r, s)
-        return r
-
-    @wp.func
-    def volume_of(
-        kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
-    ) -> Volume:
-        """The volume of a pair, beyond a separation."""
-        f = coefficients_of(sides_of(kind, points_t0, n.unit), sides_of(kind, points_t1, n.unit))
-        r = Volume()
-        r.b0 = narrowed(f.b0)
-        r.b1 = narrowed(f.b1)
-        r.b2 = narrowed(f.b2)
-        r.b3 = narrowed(f.b3)
-        r.normal_t0 = narrowed(f.normal_t0)
-        r.normal_mid = narrowed(f.normal_mid)
-        r.normal_t1 = narrowed(f.normal_t1)
-        return bounded(r, n.t0, n.t1, separation, has_separation)
+@simd64.func
+def volume_of(
+    kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
+) -> Volume:
+    """The volume of a pair, beyond a separation."""
+    one = simd64.spread(wp.float64(1.0))
+    s = simd64.vec(one / n.unit.x, one / n.unit.y, one / n.unit.z)
+    c0 = corners(kind, points_t0)
+    c1 = corners(kind, points_t1)
+    return volume_between(c0, c1, s, n.t0, n.t1, separation, has_separation)
 
 
 @simd64.func

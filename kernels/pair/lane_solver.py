@@ -11,7 +11,8 @@ from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE
 from ..parameters import norm, real, width
 from ..template import specialised
 from . import simd
-from .lane_pair import LanePair, narrowed, normalise, volume_of, widened
+from .in_precision import narrowed, widened
+from .lane_pair import LanePair, normalise, volume_of
 from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .points import Points

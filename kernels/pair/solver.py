@@ -13,8 +13,9 @@ from .advance import CONTACT, LIMIT, SLOW, advance, point_of
 from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
+from .in_precision import normalised, volume_between
 from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
-from .patch import Corners, Volume, corners_at
+from .patch import corners_at
 from .points import Points, corners, farthest, largest, longest_side, scaled, total
 from .query import BISECTION, Options
 from .rounding import (
@@ -37,7 +38,6 @@ from .status import (
 )
 from .sub_patch import Patch, Problem
 from .subdivide import subdivide
-from .volume import bounded
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 FAR = wp.constant(wp.float64(2.0**60))
@@ -53,8 +53,6 @@ else:
     from .facets import start_gap_share
 
 vec3 = wp.types.vector(length=3, dtype=real)
-Corners64, Volume64 = specialised("pair.patch").Corners, specialised("pair.patch").Volume
-coefficients_of = specialised("pair.volume").coefficients_of
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
 length64 = specialised("pair.support", norm=EUCLIDEAN_NORM).length
@@ -64,46 +62,6 @@ slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[rea
 length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 tiny = wp.constant(real(TINY[real]))
 of_coordinates = wp.constant(wp.float64(OF_COORDINATES))
-
-
-@wp.func
-def in_units(c: Corners64, s: vec3d) -> Corners64:
-    """Corners in normalised units (rounding, step 2)."""
-    r = Corners64()
-    r.w00 = wp.cw_mul(c.w00, s)
-    r.w01 = wp.cw_mul(c.w01, s)
-    r.w10 = wp.cw_mul(c.w10, s)
-    r.w11 = wp.cw_mul(c.w11, s)
-    r.q = wp.cw_mul(c.q, s)
-    r.r = wp.cw_mul(c.r, s)
-    return r
-
-
-@wp.func
-def rounded_corners(c: Corners64) -> Corners:
-    """Corners in the precision of the iteration."""
-    r = Corners()
-    r.w00 = vec3(c.w00)
-    r.w01 = vec3(c.w01)
-    r.w10 = vec3(c.w10)
-    r.w11 = vec3(c.w11)
-    r.q = vec3(c.q)
-    r.r = vec3(c.r)
-    return r
-
-
-@wp.func
-def rounded_volume(f: Volume64) -> Volume:
-    """Coefficients of the volume in the precision of the iteration."""
-    r = Volume()
-    r.b0 = real(f.b0)
-    r.b1 = real(f.b1)
-    r.b2 = real(f.b2)
-    r.b3 = real(f.b3)
-    r.normal_t0 = vec3(f.normal_t0)
-    r.normal_mid = vec3(f.normal_mid)
-    r.normal_t1 = vec3(f.normal_t1)
-    return r
 
 
 @wp.struct
@@ -198,10 +156,8 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         n.problem.has_separation = separation_length > wp.float64(0.0)
         if wp.static(on_arcs):
             n.problem.has_separation = bool(True)
-        w0 = in_units(c0, s)
-        w1 = in_units(c1, s)
-        n.patch.t0 = rounded_corners(w0)
-        n.patch.t1 = rounded_corners(w1)
+        n.patch.t0 = normalised(c0, s)
+        n.patch.t1 = normalised(c1, s)
         n.patch.is_face = kind == VERTEX_FACE
         n.patch.is_triangle = kind == VERTEX_FACE
         n.patch.narrowing = wp.where(kind == VERTEX_FACE, real(0.0), real(1.0))
@@ -211,8 +167,9 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
             if share < real(1.0):
                 n.problem.separation = share * n.problem.separation
                 n.problem.has_separation = share > real(0.0)
-        f = rounded_volume(coefficients_of(w0, w1))
-        n.problem.volume = bounded(f, n.patch.t0, n.patch.t1, n.problem.separation, n.problem.has_separation)
+        n.problem.volume = volume_between(
+            c0, c1, s, n.patch.t0, n.patch.t1, n.problem.separation, n.problem.has_separation
+        )
     return n
 
 
