@@ -156,12 +156,6 @@ def clip_bow(d: Vec3, off: Lanes, bow: Lanes, t: Lanes, n: LanePair, is_triangle
     return select(can_prove & is_less(t, s), s, t)
 
 
-@simd64.func
-def in_units(sagitta: simd64.Vec3, unit: simd64.Vec3) -> simd64.Vec3:
-    """A length in normalised units, which are powers of two."""
-    return simd64.vec(sagitta.x / unit.x, sagitta.y / unit.y, sagitta.z / unit.z)
-
-
 @simd.func
 def advance_on_arcs(
     kind: int,
@@ -179,9 +173,9 @@ def advance_on_arcs(
     """
     is_face = kind == VERTEX_FACE
     n = normalise(kind, at_begin, at_end, options)
-    bow64 = in_units(sagitta, n.unit)
+    bow64 = simd64.scaled(sagitta, n.scale)
     open = n.is_valid & lanes & simd64.bits_of(simd64.is_less(simd64.greatest_of(bow64), far))
-    slack64 = in_units(options.sagitta, n.unit)
+    slack64 = simd64.scaled(options.sagitta, n.scale)
     slack = vec(narrowed(slack64.x), narrowed(slack64.y), narrowed(slack64.z))
     bow = sagitta_up * vec(narrowed(bow64.x), narrowed(bow64.y), narrowed(bow64.z))
     volume = volume_of(kind, at_begin, at_end, n, n.separation + (bow + bow), True)

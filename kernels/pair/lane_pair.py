@@ -42,7 +42,7 @@ class LanePair:
     error: Vec3
     separation: Vec3
     delta: Vec3
-    unit: simd64.Vec3
+    scale: simd64.Vec3  # normalised units of a length unit, per axis: powers of two
     is_valid: wp.uint32  # bits of the lanes that neither overflow nor hold NaN
 
 
@@ -51,11 +51,9 @@ def volume_of(
     kind: int, points_t0: Points, points_t1: Points, n: LanePair, separation: Vec3, has_separation: bool
 ) -> Volume:
     """The volume of a pair, beyond a separation."""
-    one = simd64.spread(wp.float64(1.0))
-    s = simd64.vec(one / n.unit.x, one / n.unit.y, one / n.unit.z)
     c0 = corners(kind, points_t0)
     c1 = corners(kind, points_t1)
-    return volume_between(c0, c1, s, n.t0, n.t1, separation, has_separation)
+    return volume_between(c0, c1, n.scale, n.t0, n.t1, separation, has_separation)
 
 
 @simd64.func
@@ -93,8 +91,7 @@ def scaled_pair(
     delta_length: simd64.Lanes,
 ) -> LanePair:
     """The pair with its axes multiplied by powers of two."""
-    one = simd64.spread(wp.float64(1.0))
-    n.unit = simd64.vec(one / s.x, one / s.y, one / s.z)
+    n.scale = s
     n.t0 = normalised(c0, s)
     n.t1 = normalised(c1, s)
     separation = simd64.vec(

@@ -86,10 +86,10 @@ def gap_at(n: LanePair, point: Vec3) -> simd64.Lanes:
         z64 = widened(beyond(point.z, n.error.z, nothing))
         all64 = length64(simd64.vec(x64, y64, z64)) * length_up
         more = all64 - widened(n.separation.x) * slack_down
-        return simd64.greatest(more * length_up, wp.float64(0.0)) * n.unit.x
-    x = widened(beyond(point.x, n.error.x, n.separation.x)) * n.unit.x
-    y = widened(beyond(point.y, n.error.y, n.separation.y)) * n.unit.y
-    z = widened(beyond(point.z, n.error.z, n.separation.z)) * n.unit.z
+        return simd64.greatest(more * length_up, wp.float64(0.0)) / n.scale.x
+    x = widened(beyond(point.x, n.error.x, n.separation.x)) / n.scale.x
+    y = widened(beyond(point.y, n.error.y, n.separation.y)) / n.scale.y
+    z = widened(beyond(point.z, n.error.z, n.separation.z)) / n.scale.z
     return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
 
 
