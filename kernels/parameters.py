@@ -10,7 +10,7 @@ import warp as wp
 real: Any = wp.float64  # floating-point type of the iteration
 width = 1  # number of lanes
 norm = "maximum"  # that of the separation (`norm`)
-on_warp = False  # whether the threads of a warp share one pair
+only_method = ""  # of single pairs on CUDA: "clipping", by all threads of a warp, or "bisection", by one
 with_facets = True  # whether rounds are later ones, with facets or directions that turn
 dimension = 3  # of the positions that are read or written
 end = "list"  # stage at which a search ends (`search_types`)

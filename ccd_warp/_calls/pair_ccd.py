@@ -21,7 +21,7 @@ from ccd_warp._calls.small_batch import (
 from ccd_warp._results.placed import Placed
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.display import counted
-from ccd_warp._runtime.lanes import narrow_phase_on, queued_pairs_in
+from ccd_warp._runtime.lanes import narrow_phase_on, queued_kernels
 from ccd_warp._runtime.launch import Execution, load
 from ccd_warp._runtime.pair_queue import launch_queued, new_queue
 from ccd_warp._runtime.status import CCDStatus, PairKind
@@ -348,7 +348,8 @@ def _launch(
         counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
         queue = new_queue(count, device, keeps_contacts=False)
         inputs = [*table_inputs(kind, packed, count, counts), PairList(), queue]
-        launch_queued(execution, queued_pairs_in(options.real, options.norm).points_toi, count, inputs, outputs)
+        kernels = queued_kernels(options.real, options.norm, TABLE, is_clipping=options.is_clipping)
+        launch_queued(execution, kernels, count, inputs, outputs)
         return out
     narrow_phase = narrow_phase_on(device, options.real, options.norm)
     kernel, chunk = narrow_phase.solve_pairs, narrow_phase.chunk_of_table

@@ -44,6 +44,7 @@ class Plan:
         slender_trees: Those for pairs within slender bodies.
         moving_trees: The others.
         norm: The norm of separations, by its name (``kernels.pair.norm``).
+        is_clipping: Whether pairs are solved by clips of time.
         sink: Where what the narrow phase finds goes.
     """
 
@@ -59,6 +60,7 @@ class Plan:
         """Choose what is searched; ``kept`` are sets of boxes that stay from plan to plan, by their broad phase."""
         self.topology, self.execution = topology, execution
         self.norm, self._goal, self._real = norm, goal, options.real
+        self.is_clipping = options.is_clipping
         mesh = topology.mesh
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
         broad_phase = _BROAD_PHASES["tree" if goal == "intersections" else options.broad_phase]

@@ -11,7 +11,7 @@ from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, TreePair, range_of_warps, search_range
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import CORNER_ARRAYS, WIDTH, Topology
-from ccd_warp._runtime.lanes import lanes_of, queued_pairs_in, search_on
+from ccd_warp._runtime.lanes import lanes_of, queued_kernels, search_on
 from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, fields_of, load_all
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.pair_queue import launch_queued
@@ -73,6 +73,7 @@ class Stages:
         tree_pairs: The tree pairs to search.
         num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
         narrow_phase: The kernels of ``narrow_phase`` for a precision.
+        is_clipping: Whether they solve pairs by clips of time.
         step: The positions, and what is found of the step.
         vertex_aabbs: AABBs of the vertices.
         boxes: The structs of each tree or spatial hash, by its name.
@@ -98,6 +99,7 @@ class Stages:
     tree_pairs: list[TreePair]
     num_aabbs: int
     narrow_phase: Any
+    is_clipping: bool
     step: Any
     vertex_aabbs: Any
     boxes: dict[str, tuple[Any, ...]]
@@ -147,7 +149,7 @@ class Stages:
             return
         narrow_phase, query = self.narrow_phase, self.tree_pairs[0].query
         if launcher.is_cuda:
-            solvers = queued_pairs_in(narrow_phase.real, narrow_phase.norm).by_sink[sink]
+            solvers = [*self._queued_kernels(sink).values()]
             others = [specialised("search.candidate_cull", is_thick=self.is_thick).cull_candidates]
         else:
             solvers = [narrow_phase.solve_pairs]
@@ -465,9 +467,14 @@ class Stages:
                 kernel = self.narrow_phase.solve_pairs
                 self._launch_solvers(launcher, kernel, kind, chunk, inputs, outputs, only_open=is_second)
 
+    def _queued_kernels(self, sink: int) -> dict[str, Any]:
+        """The kernels of the narrow phase on CUDA."""
+        narrow_phase = self.narrow_phase
+        return queued_kernels(narrow_phase.real, narrow_phase.norm, sink, is_clipping=self.is_clipping)
+
     def _solve_queued(self, launcher: Launcher, sink: int, of_round: Any) -> None:
         """A round on CUDA: of two kinds at once where contacts are kept."""
-        kernels = queued_pairs_in(self.narrow_phase.real, self.narrow_phase.norm).by_sink[sink]
+        kernels = self._queued_kernels(sink)
         step = self.step
         for kinds in _groups(self.kinds, KINDS_AT_ONCE if sink == CONTACTS else 1):
             pairs: list[Any] = [self.pairs[kind] for kind in kinds]

@@ -67,7 +67,7 @@ def _of_solver(real: Any, norm: str, width: int | None) -> dict[str, Any]:
     return {
         f"queued_pairs {name} {stage} {real.__name__}{of_norm}": kernel.module
         for name in ("points_toi", "solve_pairs", "pairs_bound")
-        for stage, kernel in zip(queued.MOST_SOLVERS, getattr(queued, name), strict=False)  # some have fewer, or none
+        for stage, kernel in getattr(queued, name).items()
     }
 
 

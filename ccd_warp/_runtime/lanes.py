@@ -42,9 +42,18 @@ def narrow_phase_on(device: Any, real: Any, norm: str) -> ModuleType:
     return specialised("narrow_phase.narrow_phase", real=real, width=width, norm=norm)
 
 
-def queued_pairs_in(real: Any, norm: str) -> ModuleType:
-    """The kernels of the narrow phase on CUDA for a precision and a norm, in the order of their launches."""
-    return specialised("narrow_phase.queued_pairs", real=real, norm=norm)
+def queued_kernels(real: Any, norm: str, sink: int, *, is_clipping: bool) -> dict[str, Any]:
+    """The kernels of the narrow phase on CUDA by their stages, in the order of their launches.
+
+    Args:
+        real: Floating-point type of the iteration, a Warp dtype.
+        norm: That of the separation (``kernels.pair.norm``).
+        sink: Where the outcomes go (``kernels.narrow_phase.sinks``).
+        is_clipping: Whether pairs are solved by clips of time, not by bisection.
+    """
+    left_out = "bisection" if is_clipping else "last"
+    stages = specialised("narrow_phase.queued_pairs", real=real, norm=norm).by_sink[sink]
+    return {stage: kernel for stage, kernel in stages.items() if stage != left_out}
 
 
 def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:

@@ -1,6 +1,6 @@
 """The queue between the kernels of the narrow phase on CUDA: its arrays, and the launches that work it off."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import warp as wp
@@ -25,18 +25,18 @@ def new_queue(count: int, device: Any, *, keeps_contacts: bool) -> Any:
     return struct_of(Queue, {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})
 
 
-def launch_queued(launcher: Any, kernels: Sequence[Any], most_pairs: int, inputs: list, outputs: list) -> None:
+def launch_queued(launcher: Any, kernels: Mapping[str, Any], most_pairs: int, inputs: list, outputs: list) -> None:
     """Launch, or record, the kernels of a round: all pairs, the first in the queue, and what these leave open.
 
     Args:
         launcher: An ``Execution`` or a ``Recording``.
-        kernels: The kernels of one name of ``queued_pairs``.
+        kernels: Those of ``queued_kernels``.
         most_pairs: Number of pairs, or the most that there can be.
         inputs: Inputs of the kernels after the number of threads.
         outputs: Their outputs.
     """
     from ccd_warp.kernels.narrow_phase.queued_pairs import MOST_SOLVERS, WARP
 
-    for kernel, most in zip(kernels, MOST_SOLVERS.values(), strict=False):
-        solvers = min(most, most_pairs * WARP)
+    for stage, kernel in kernels.items():
+        solvers = min(MOST_SOLVERS[stage], most_pairs * WARP)
         launcher.launch(kernel, solvers, inputs=[solvers, *inputs], outputs=outputs, grain=1)

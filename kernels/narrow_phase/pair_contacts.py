@@ -16,7 +16,7 @@ from ..pair.status import (
     STATUS_ROUNDING_LIMIT,
 )
 from ..pair.turns import turns_anywhere
-from ..parameters import norm, on_warp, real
+from ..parameters import norm, only_method, real
 from ..step.contact_normal import contact_at
 from ..step.minima import (
     ANY_OPEN,
@@ -39,11 +39,11 @@ from .raised_toi import may_be_raised, raised_toi
 # of its size: what is lost in the margin is no progress, and a response is to find the pair among those that touch.
 _PRESSED = wp.constant(wp.float64(2.0**-20))
 
-Outcome = specialised("pair.solver", real=real, norm=norm, on_warp=on_warp).Outcome
+Outcome = specialised("pair.solver", real=real, norm=norm, only_method=only_method).Outcome
 by_pair = is_by_pair(norm)
 on_arcs = has_arcs(norm)
 if on_arcs:
-    tangents_of_arcs = specialised("pair.arc_solver", norm=norm, real=real, on_warp=on_warp).tangents_of_arcs
+    tangents_of_arcs = specialised("pair.arc_solver", norm=norm, real=real, only_method=only_method).tangents_of_arcs
 infinite = wp.constant(wp.float64(float("inf")))
 
 
@@ -78,7 +78,7 @@ def is_pressed(kind: int, a: Points, b: Points, toi: wp.float64) -> bool:
     return toi <= _PRESSED and toi * relative_motion(a, b) <= _PRESSED * wp.max(largest(corners(kind, a)))
 
 
-@wp.func(inline=False)
+@wp.func(inline=only_method != "")
 def is_struck(
     vertices: PairVertices, x_t0: wp.array[wp.vec3d], x_t1: wp.array[wp.vec3d], options: Options, minima: Minima
 ) -> bool:
@@ -126,8 +126,10 @@ def record_contact(
                     outcome.status = STATUS_INITIAL_CONTACT
     toi = outcome.toi
     status = outcome.status
-    if status == STATUS_INITIAL_CONTACT and outcome.gap > most_gap(options) and not keeps_start_distance:
-        status = status_at_start(pairs.kind, outcome.gap, a, options_of_pair(options, first, second))
+    most = most_gap(options)
+    if status == STATUS_INITIAL_CONTACT and outcome.gap > most and not keeps_start_distance:
+        separation = options_of_pair(options, first, second).minimum_separation
+        status = status_at_start(pairs.kind, outcome.gap, most, a, separation)
         if status == STATUS_ROUNDING_LIMIT:
             flag_world(minima, first[0], ROUNDING_LIMIT)
     if may_be_raised(toi, round.gaps_moved) and not keeps_start_distance:

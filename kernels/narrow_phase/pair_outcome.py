@@ -9,7 +9,7 @@ from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points
 from ..pair.start_gap import LEAST_TOLERANCE, is_near
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION, STATUS_ROUNDING_LIMIT
-from ..parameters import norm, on_warp, real, width
+from ..parameters import norm, only_method, real, width
 from ..step.minima import OPEN
 from ..step.pair_list import LeastToi, PairList, Round, vertices_of_pair
 from ..template import specialised
@@ -18,11 +18,11 @@ from .sinks import Table
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
-solver = specialised("pair.solver", real=real, norm=norm, on_warp=on_warp)
+solver = specialised("pair.solver", real=real, norm=norm, only_method=only_method)
 by_pair = is_by_pair(norm)
 on_arcs = has_arcs(norm)
 if on_arcs:
-    solve_on_arcs = specialised("pair.arc_solver", norm=norm, real=real, on_warp=on_warp).solve_on_arcs
+    solve_on_arcs = specialised("pair.arc_solver", norm=norm, real=real, only_method=only_method).solve_on_arcs
 is_euclidean = wp.constant(is_ball(norm))
 least_tolerance = wp.constant(wp.float64(LEAST_TOLERANCE[real]))
 simd = specialised("pair.simd", width=width)
@@ -78,7 +78,7 @@ def is_beyond(t: wp.float64, least: LeastToi) -> bool:
     return wp.cast(t, wp.int64) >= least.bits[0]
 
 
-@wp.func(inline=False)
+@wp.func(inline=only_method != "")
 def finished(
     kind: int, t: wp.float64, used: int, is_contact: bool, a: Points, b: Points, options: Options, cap: int
 ) -> solver.Outcome:
@@ -117,12 +117,11 @@ def most_gap(options: Options) -> wp.float64:
 
 
 @wp.func(inline=False)
-def status_at_start(kind: int, gap: wp.float64, a: Points, options: Options) -> int:
-    """The status of a contact at the start with this gap, given the points of the pair there."""
-    most = most_gap(options)
+def status_at_start(kind: int, gap: wp.float64, most: wp.float64, a: Points, separation: wp.float64) -> int:
+    """The status of a contact at the start with this gap, of which tolerance explains ``most``, given its points."""
     if gap <= most:
         return STATUS_INITIAL_CONTACT
-    if is_near(kind, a, options.minimum_separation + most, is_euclidean):
+    if is_near(kind, a, separation + most, is_euclidean):
         return STATUS_INITIAL_CONTACT
     return STATUS_ROUNDING_LIMIT
 
@@ -159,7 +158,7 @@ def finished_of_table(
         else:
             outcome = of_solver
     if outcome.status == STATUS_INITIAL_CONTACT:
-        outcome.status = status_at_start(kind, outcome.gap, a, options)
+        outcome.status = status_at_start(kind, outcome.gap, most_gap(options), a, options.minimum_separation)
     return outcome
 
 
@@ -172,9 +171,3 @@ def write_row(k: int, outcome: solver.Outcome, table: Table):
     table.gap[k] = outcome.gap
     table.width[k] = outcome.width
     table.iterations[k] = outcome.iterations
-
-
-@wp.func(inline=False)
-def parameters_at(kind: int, t: wp.float64, a: Points, b: Points, options: Options) -> wp.vec2d:
-    """Parameters of the closest point at a time: those of a contact within a separation."""
-    return solver.closest_parameters(kind, solver.normalise(kind, a, b, options), real(t))

@@ -11,16 +11,19 @@ settled; these are so many that the last kernel mostly finds a pair or none in e
 within a separation the second kernel finds a point and not the closest one, so the last one completes it.
 
 In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less,
-and no other pair at all.
+and no other pair at all. The boxes of the bisection cannot be shared: it has a last kernel of its own, in which a
+thread solves a pair, so that nothing else reserves memory for its stack.
 
 Where contacts are kept, these kernels take the pairs of two kinds, and put what they find of a contact into the queue.
 A fourth one, in which all threads of a warp have a contact, lowers the minima and lists it (`pair_contacts`).
 """
 
+from typing import Any
+
 import warp as wp
 
 from ..pair.norm import MAXIMUM_NORM, has_arcs
-from ..pair.query import CLIPPING, Options
+from ..pair.query import Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import row_points
 from ..pair.status import STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
@@ -34,15 +37,15 @@ from .sinks import BOUND, CONTACTS, TABLE, Table
 from .whole_warp import WARP, agreed, is_first, item_of_warp
 
 # The kernels of a narrow phase, in their order.
-STAGES = ("first", "later", "last")
+STAGES = ("first", "later", "last", "bisection")
 # Most registers of a thread: sixteen warps a multiprocessor for the pairs that come as they are, where the compiler by
 # itself takes up to 216. The other kernels have fewer pairs, and as many registers as there are.
-MAX_REGISTERS = {"first": 128, "later": 255, "last": 255, "placed": 128}
+MAX_REGISTERS = {"first": 128, "later": 255, "last": 255, "bisection": 255, "placed": 128}
 # Threads of a block: one warp, so that a few thousand pairs reach all multiprocessors. With more than 64 registers a
 # thread no more than 32 warps fit on one, as many as it can hold blocks.
 BLOCK_DIM = 32
 # Most threads of each kernel: about what 132 multiprocessors run at once with these registers; more pairs take turns.
-MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15, "placed": 1 << 16}
+MOST_SOLVERS = {"first": 1 << 16, "later": 1 << 15, "last": 1 << 15, "bisection": 1 << 15, "placed": 1 << 16}
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 _LANES = wp.constant(WARP)
@@ -62,7 +65,7 @@ class Items:
 def items_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Items:
     """The items of a thread: those of its warp, or its own, by which as few lanes of a warp are used as it takes.
 
-    So few items are spread over all multiprocessors. The boxes of the bisection cannot be shared.
+    So few items are spread over all multiprocessors.
     """
     num_warps = num_solvers / _LANES
     items = Items()
@@ -82,9 +85,8 @@ def items_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Ite
 
 on_arcs = has_arcs(norm)
 templates = {"norm": norm, "real": real}
-Outcome = specialised("pair.solver", **templates, on_warp=True).Outcome
-pair_outcome = specialised("narrow_phase.pair_outcome", **templates, on_warp=True)
-pair_contacts = specialised("narrow_phase.pair_contacts", **templates, on_warp=True)
+cap_of_round = specialised("narrow_phase.pair_outcome", **templates, only_method="clipping").cap_of_round
+placed = specialised("narrow_phase.pair_contacts", **templates, only_method="clipping")
 lane_answers = specialised("narrow_phase.lane_answers", **templates)
 LaneAnswer = specialised("pair.lane_solver", **templates).LaneAnswer
 points_of_pairs = specialised("narrow_phase.lane_rows").points_of_pairs
@@ -103,14 +105,18 @@ def module_of(name: str, stage: str):
 @wp.func
 def num_pairs(pairs: PairList, options: Options, round: Round) -> int:
     """Number of pairs of a kind that a round takes: none in the second round if the first has left none open."""
-    if pair_outcome.cap_of_round(options, round, pairs) == 0:
+    if cap_of_round(options, round, pairs) == 0:
         return 0
     return wp.int32(num_found(pairs))
 
 
 def make_solve_pairs(name: str, sink: int, stage: str):
-    is_initial, is_last = stage == "first", stage == "last"
+    is_initial, is_shared, is_last = stage == "first", stage == "last", stage in ("last", "bisection")
     is_table, is_listed, is_bound = sink == TABLE, sink == CONTACTS, sink == BOUND
+    only_method = "bisection" if stage == "bisection" else "clipping"
+    pair_outcome = specialised("narrow_phase.pair_outcome", **templates, only_method=only_method)
+    pair_contacts = specialised("narrow_phase.pair_contacts", **templates, only_method=only_method)
+    Outcome = pair_contacts.Outcome
 
     @wp.func
     def is_done(pair: QueuedPair, least: LeastToi, are_shared: bool) -> bool:
@@ -131,13 +137,6 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         if wp.static(is_bound):
             open = open and answer.t < bound
         return open
-
-    @wp.func
-    def complete_row(kind: int, k: int, options: Options, table: Table):
-        """Write the closest point of a contact within a separation, of which the rounds have found any point."""
-        a = row_points(table.points_t0, k)
-        b = row_points(table.points_t1, k)
-        table.parameters[k] = pair_outcome.parameters_at(kind, table.toi[k], a, b, options)
 
     @wp.kernel(module=module_of(name, stage), cuda_max_registers=MAX_REGISTERS[stage])
     def solve_pairs(
@@ -176,7 +175,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
             count = wp.int32(pairs.counts[kind, column])
-        items = items_of(begin + wp.tid(), num_solvers, count, wp.static(is_last) and options.method == CLIPPING)
+        items = items_of(begin + wp.tid(), num_solvers, count, wp.static(is_shared))
         following = items.first
         while following < count:
             n = following
@@ -196,7 +195,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     k -= of_first
                     of_kind = others
             if wp.static(not is_table):
-                cap = pair_outcome.cap_of_round(options, round, of_kind)
+                cap = cap_of_round(options, round, of_kind)
             if wp.static(is_initial):
                 if wp.static(not is_table):
                     if round.is_second != 0 and of_kind.keys[k] >= wp.int64(0):
@@ -204,11 +203,12 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 if skips_first:
                     enqueue(queue, pairs.counts, kind, column, pair)
                     continue
+            is_contact = bool(False)  # within a separation: the rounds have found any point of it, not the closest one
             if wp.static(is_table and is_last):
                 if k < 0:
-                    if items.writes:
-                        complete_row(pairs.kind, SETTLED - 1 - k, options, table)
-                    continue
+                    is_contact = True
+                    k = SETTLED - 1 - k
+                    pair.t = table.toi[k]
             if wp.static(is_table):
                 a = row_points(table.points_t0, k)
                 b = row_points(table.points_t1, k)
@@ -220,7 +220,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             outcome = Outcome()
             if wp.static(is_last):
                 if wp.static(is_table):
-                    outcome = pair_outcome.finished(pairs.kind, pair.t, pair.used, False, a, b, options, cap)
+                    outcome = pair_outcome.finished(pairs.kind, pair.t, pair.used, is_contact, a, b, options, cap)
                 elif is_needed:
                     outcome = pair_outcome.finished_of_list(of_kind, k, pair.t, pair.used, a, b, options, cap)
             else:
@@ -253,8 +253,14 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             if not items.writes:
                 continue
             if wp.static(is_table):
+                if is_contact:
+                    table.parameters[k] = outcome.parameters
+                    continue
                 if outcome.status == STATUS_INITIAL_CONTACT:
-                    outcome.status = pair_outcome.status_at_start(pairs.kind, outcome.gap, a, options)
+                    most = pair_outcome.most_gap(options)
+                    outcome.status = pair_outcome.status_at_start(
+                        pairs.kind, outcome.gap, most, a, options.minimum_separation
+                    )
                 pair_outcome.write_row(k, outcome, table)
             elif wp.static(is_bound):
                 pair_contacts.settle_least(pairs, k, outcome, options, round, cap, least)
@@ -298,7 +304,7 @@ def place_contacts(
         pair = queue.pairs[n]
         if pair.row < SETTLED:
             of_contact = queue.contact[n]
-            outcome = pair_contacts.Outcome()
+            outcome = placed.Outcome()
             outcome.toi = pair.t
             outcome.status = pair.used
             outcome.parameters = wp.vec2d(of_contact[0], of_contact[1])
@@ -309,11 +315,17 @@ def place_contacts(
             if k >= of_first:
                 k -= of_first
                 of_kind = others
-            pair_contacts.record_contact(of_kind, k, outcome, options, round, minima, contacts)
+            placed.record_contact(of_kind, k, outcome, options, round, minima, contacts)
         n += num_threads
 
 
-points_toi = [] if on_arcs else [make_solve_pairs("points_toi", TABLE, stage) for stage in STAGES]
-solve_pairs = [*(make_solve_pairs("solve_pairs", CONTACTS, stage) for stage in STAGES), place_contacts]
-pairs_bound = [make_solve_pairs("pairs_bound", BOUND, stage) for stage in STAGES]
+def stages_of(name: str, sink: int) -> dict[str, Any]:
+    """The kernels of a sink by their stages, in the order of their launches; on arcs nothing is bisected."""
+    stages = [stage for stage in STAGES if not (on_arcs and stage == "bisection")]
+    return {stage: make_solve_pairs(name, sink, stage) for stage in stages}
+
+
+points_toi = {} if on_arcs else stages_of("points_toi", TABLE)
+solve_pairs = stages_of("solve_pairs", CONTACTS) | {"placed": place_contacts}
+pairs_bound = stages_of("pairs_bound", BOUND)
 by_sink = {TABLE: points_toi, CONTACTS: solve_pairs, BOUND: pairs_bound}

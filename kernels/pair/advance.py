@@ -12,7 +12,7 @@ iterate is a certain lower bound.
 
 import warp as wp
 
-from ..parameters import norm, on_warp, real
+from ..parameters import norm, only_method, real
 from .closest_point import closest_on_patch, closest_weights
 from .contact_test import point_in_box
 from .inclusion import clip, clip_beyond
@@ -130,7 +130,7 @@ if is_euclidean:
 else:
     from .facets import Facet, clip_facet, widest_facet
 
-    if on_warp:
+    if only_method == "clipping":
         from ..narrow_phase.whole_warp import latest, num_shares, number_in_warp
 
         @wp.func
@@ -178,7 +178,7 @@ else:
 
 
 @wp.func
-def find_contact(c: Corners, patch: Patch, size: vec3, floor: vec3, reached: Reached) -> Reached:
+def contact_at(c: Corners, patch: Patch, size: vec3, floor: vec3, reached: Reached) -> Reached:
     """Search for a true point of the patch in [-size, size]: the closest point if it is inside, else any.
 
     Where it finds one, it sets the point, its weights and the outcome. Of a ball, size is the radius, beyond which
@@ -201,6 +201,7 @@ def find_contact(c: Corners, patch: Patch, size: vec3, floor: vec3, reached: Rea
             reached.wb = wb
             reached.wc = wc
             reached.from_w11 = False
+    reached.outcome = _UNDECIDED
     if touches:
         reached.point = point
         reached.outcome = CONTACT
@@ -208,21 +209,23 @@ def find_contact(c: Corners, patch: Patch, size: vec3, floor: vec3, reached: Rea
 
 
 @wp.func
-def find_contact_at_stall(c: Corners, patch: Patch, size: vec3, floor: vec3, t: real, reached: Reached) -> Reached:
-    """Search for a contact at the time before the last clip, t, and then at the time reached.
+def find_contact(patch: Patch, size: vec3, floor: vec3, t: real, is_stalled: bool, reached: Reached) -> Reached:
+    """Search for a contact at the time before the last clip, t, and in a stall then at the time reached.
 
     The later time is reported only if the gap there is within tolerance as well.
     """
-    here = find_contact(c, patch, size, floor, reached)
-    if here.outcome != CONTACT:
-        return here
-    here.outcome = _UNDECIDED
-    later = find_contact(corners_at(patch.t0, patch.t1, here.t), patch, size, floor, here)
-    if later.outcome == CONTACT:
-        return later
-    here.outcome = CONTACT
-    here.t = t
-    return here
+    s = reached.t
+    for k in range(2):  # one test in the source: a small kernel
+        now = wp.where(k == 0, t, s)
+        found = contact_at(corners_at(patch.t0, patch.t1, now), patch, size, floor, reached)
+        if k == 0 or found.outcome == CONTACT:
+            reached = found
+        if found.outcome != CONTACT:
+            break
+        reached.t = now
+        if not is_stalled:
+            break
+    return reached
 
 
 @wp.func
@@ -291,18 +294,14 @@ def advance(patch: Patch, problem: Problem, t_start: real, t_max: real, max_iter
             reached.outcome = FREE
             break
 
-        if at_floor:
-            reached = find_contact(c, patch, contact_size, floor, reached)
-            if reached.outcome == CONTACT:
-                break
-
         if s - start < real(0.25) * (t_max - start) and new_gap > real(0.25) * gap:
             slow += 1
         gap = new_gap
         reached.t = s
         is_stalled = s <= t or slow >= _PATIENCE
+        if at_floor or is_stalled:
+            reached = find_contact(patch, contact_size, floor, t, not at_floor, reached)
         if is_stalled:
-            reached = find_contact_at_stall(c, patch, contact_size, floor, t, reached)
             if reached.outcome == _UNDECIDED and use_facets:
                 reached.outcome = SLOW
             use_facets = True  # they may make progress where the direction of the closest pair does not

@@ -22,6 +22,7 @@ class Answer:
     iterations: int
     parameters: wp.vec2d
     point: vec3  # a point of the patch at toi, in normalised units: its size bounds the gap
+    error: vec3  # rounding bound of a projection of the patches that were searched
 
 
 @wp.func

@@ -5,7 +5,7 @@ import warp as wp
 from ..boxes.thickness import radius_of
 from ..interrupts import is_stopped
 from ..pair_kind import EDGE_EDGE
-from ..parameters import norm, on_warp, real
+from ..parameters import norm, only_method, real
 from ..template import specialised
 from .query import Options
 from .single_points import Points
@@ -19,7 +19,7 @@ from .status import (
 from .turns import Turns
 from .windows import Window, in_slice, in_step, next_window, reached
 
-solver = specialised("pair.solver", norm=norm, real=real, on_warp=on_warp)
+solver = specialised("pair.solver", norm=norm, real=real, only_method=only_method)
 arcs = specialised("pair.arcs", norm=norm)
 corotating = specialised("pair.corotating", norm=norm)
 lane_windows = specialised("pair.lane_windows", norm=norm, real=real)
@@ -91,7 +91,7 @@ def tangents_of_arcs(
     return r
 
 
-@wp.func(inline=False)
+@wp.func(inline=only_method != "")
 def solve_on_arcs(
     kind: int,
     first: wp.vec3i,

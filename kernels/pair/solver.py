@@ -7,9 +7,9 @@ whole patch is advanced; only a pair whose advance is slow is subdivided.
 import warp as wp
 
 from ..pair_kind import VERTEX_FACE
-from ..parameters import norm, real
+from ..parameters import norm, only_method, real
 from ..template import specialised
-from .advance import CONTACT, LIMIT, SLOW, advance, point_of
+from .advance import point_of
 from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
@@ -33,11 +33,10 @@ from .status import (
     STATUS_COLLISION,
     STATUS_INITIAL_CONTACT,
     STATUS_INVALID,
-    STATUS_ITERATION_LIMIT,
     STATUS_NO_COLLISION,
 )
 from .sub_patch import Patch, Problem
-from .subdivide import subdivide
+from .subdivide import advance_and_subdivide
 
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 FAR = wp.constant(wp.float64(2.0**60))
@@ -174,16 +173,16 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
 
 
 @wp.func
-def gap_of(point: vec3, n: Normalised) -> wp.float64:
-    """Upper bound of the gap beyond the separation, in its norm, at a point of the patch, as a length."""
+def gap_of(point: vec3, error: vec3, n: Normalised) -> wp.float64:
+    """Upper bound of the gap beyond the separation, in its norm, at a point of a patch with an error, as a length."""
     gap = wp.float64(0.0)
     if wp.static(is_euclidean):
-        x = vec3d(wp.abs(point) + real(3.0) * n.problem.error)
+        x = vec3d(wp.abs(point) + real(3.0) * error)
         gap = length64(x) * length_up - wp.float64(n.problem.separation[0]) * slack_down
         return wp.max(gap * length_up, wp.float64(0.0)) * n.unit[0]
     for k in range(3):
         # the separation was rounded up, and the point carries the errors of a corner and of its interpolation
-        beyond = wp.abs(point[k]) + real(3.0) * n.problem.error[k] - round_down * n.problem.separation[k]
+        beyond = wp.abs(point[k]) + real(3.0) * error[k] - round_down * n.problem.separation[k]
         if beyond > real(0.0):
             gap = wp.max(gap, wp.float64(beyond) * n.unit[k])
     return gap
@@ -241,31 +240,20 @@ def solve(kind: int, n: Normalised, options: Options, t_start: real, used: int, 
     else:
         answer = Answer()
         patch_error = patch_bound * n.size + vec3(tiny, tiny, tiny)
-        if options.method == BISECTION:
+        bisects = options.method == BISECTION
+        if wp.static(only_method != ""):
+            bisects = wp.static(only_method == "bisection")
+        if bisects:
             n.problem.error = patch_error
             if wp.static(is_euclidean):
                 n.problem.delta = real(0.5) * n.problem.delta  # the diagonal of a box that counts as contact
             n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
             answer = bisect(kind, n.patch, n.problem, options.t_end, max_iterations, options.stop)
+            answer.error = patch_error
         else:
-            reached = advance(n.patch, n.problem, t_start, options.t_end, max_iterations - used)
-            if reached.outcome == SLOW:
-                n.problem.error = patch_error
-                n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
-                left = max_iterations - used - reached.iterations
-                answer = subdivide(kind, n.patch, n.problem, reached.t, options.t_end, left, options.stop)
-                answer.iterations += used + reached.iterations
-            else:
-                answer.toi = reached.t
-                answer.iterations = used + reached.iterations
-                if reached.outcome == CONTACT:
-                    answer.status = STATUS_COLLISION
-                elif reached.outcome == LIMIT:
-                    answer.status = STATUS_ITERATION_LIMIT
-                answer.point = reached.point
-                answer.parameters = parameters(
-                    kind, real(0.0), real(1.0), real(0.0), real(1.0), reached.wb, reached.wc, reached.from_w11
-                )
+            answer = advance_and_subdivide(
+                kind, n.patch, n.problem, patch_error, t_start, options.t_end, used, max_iterations, options.stop
+            )
         outcome.iterations = answer.iterations
         if answer.status != STATUS_NO_COLLISION and wp.float64(answer.toi) <= options.t_max:
             outcome.toi = wp.float64(answer.toi)
@@ -282,5 +270,5 @@ def solve(kind: int, n: Normalised, options: Options, t_start: real, used: int, 
                     answer.point = closest_point(n, answer.toi)
                     outcome.width = options.t_max - outcome.toi
             outcome.parameters = answer.parameters
-            outcome.gap = gap_of(answer.point, n)
+            outcome.gap = gap_of(answer.point, answer.error, n)
     return outcome

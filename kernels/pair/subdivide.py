@@ -3,17 +3,46 @@
 import warp as wp
 
 from ..interrupts import is_stopped
-from ..parameters import real
+from ..parameters import only_method, real
 from .advance import CONTACT, LIMIT, SLOW, Reached, advance
 from .answer import STACK_DEPTH, Answer, parameters
 from .rounding import MAX_SPLITS
 from .status import STATUS_COLLISION, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION, STATUS_RESOLUTION_LIMIT
 from .sub_patch import Patch, Problem, sub_corners
 
-box_stack = wp.types.vector(length=5 * STACK_DEPTH, dtype=real)
+vec3 = wp.types.vector(length=3, dtype=real)
 narrowest = wp.constant(real(2.0 ** -MAX_SPLITS[real]))
 half = wp.constant(real(0.5))
 depth = wp.constant(STACK_DEPTH)
+
+
+# An entry of the stack: t, u0, u1, v0, v1.
+vec5 = wp.types.vector(length=5, dtype=real)
+# A warp of CUDA that shares a patch has one stack in shared memory in place of one for each thread.
+on_warp = only_method == "clipping"
+entries = wp.types.matrix(shape=(1 if on_warp else STACK_DEPTH, 5), dtype=real)
+
+
+@wp.func_native(
+    f"""
+#if defined(__CUDA_ARCH__)
+    __shared__ double entries[{STACK_DEPTH}][5];
+    if (is_new) {{
+        __syncwarp();
+        if (threadIdx.x == 0)
+            for (int k = 0; k < 5; ++k)
+                entries[place][k] = entry[k];
+        __syncwarp();
+    }}
+    for (int k = 0; k < 5; ++k)
+        entry[k] = entries[place][k];
+#endif
+    return entry;
+"""
+)
+def shared_entry(place: int, is_new: bool, entry: vec5) -> vec5:
+    """An entry of the stack that the one warp of a block shares, which is written if it is new."""
+    ...
 
 
 @wp.func
@@ -41,38 +70,46 @@ def closest_along(reached: Reached, along_u: bool) -> real:
 
 
 @wp.func
-def subdivide(
+def advance_and_subdivide(
     kind: int,
     root: Patch,
     problem: Problem,
+    patch_error: vec3,
     t_start: real,
     t_max: real,
+    used: int,
     max_iterations: int,
     stop: wp.array[wp.int32],
 ) -> Answer:
-    """Earliest contact of a patch that is free on [0, t_start).
+    """Earliest contact of a patch that is free on [0, t_start), after ``used`` iterations.
 
-    Invariant: every contact lies on a patch of the stack, or at or after ``toi``. A patch is halved across its
-    longer side, and the half with the closest point is searched first: a contact on it bounds the time to search
-    the others.
+    Invariant: every contact lies on a patch of the stack, or at or after ``toi``. The whole patch is advanced first,
+    with its own error. Only where that is slow, it is advanced with ``patch_error``, that of a part, and halved, as its
+    halves are, across its longer side. The half with the closest point is searched first: a contact on it bounds the
+    time to search the others.
     """
     answer = Answer()
     answer.toi = real(2.0)
     answer.status = STATUS_NO_COLLISION
-    stack = box_stack()
-    stack[0] = t_start
-    stack[1] = real(0.0)
-    stack[2] = real(1.0)
-    stack[3] = real(0.0)
-    stack[4] = real(1.0)
+    answer.iterations = used
+    has_own_error = bool(True)
+    stack = entries()
+    whole = vec5(t_start, real(0.0), real(1.0), real(0.0), real(1.0))
+    stack[0] = whole
+    if wp.static(on_warp):
+        shared_entry(0, True, whole)
     top = int(1)
     while top > 0 and not is_stopped(stop):
         top -= 1
-        t = stack[5 * top]
-        u0 = stack[5 * top + 1]
-        u1 = stack[5 * top + 2]
-        v0 = stack[5 * top + 3]
-        v1 = stack[5 * top + 4]
+        if wp.static(on_warp):
+            entry = shared_entry(top, False, whole)
+        else:
+            entry = stack[top]
+        t = entry[0]
+        u0 = entry[1]
+        u1 = entry[2]
+        v0 = entry[3]
+        v1 = entry[4]
         if not t < answer.toi:
             continue
         patch = Patch()
@@ -87,6 +124,16 @@ def subdivide(
         reached = advance(patch, problem, t, end, max_iterations - answer.iterations)
         answer.iterations += reached.iterations
         t = reached.t
+        if reached.outcome == SLOW and has_own_error:
+            has_own_error = False
+            problem.error = patch_error
+            problem.delta = problem.delta + real(2.0) * patch_error
+            whole[0] = t
+            stack[0] = whole
+            if wp.static(on_warp):
+                shared_entry(0, True, whole)
+            top = 1
+            continue
         if reached.outcome == SLOW and t < answer.toi:
             can_split_u = u1 - u0 > narrowest
             can_split_v = v1 - v0 > narrowest
@@ -98,18 +145,16 @@ def subdivide(
                 mv = wp.where(split_u, v1, half * (v0 + v1))
                 nv = wp.where(split_u, v0, mv)
                 is_upper_first = closest_along(reached, split_u) > half
-                lower = wp.where(is_upper_first, 5 * top, 5 * top + 5)
-                upper = wp.where(is_upper_first, 5 * top + 5, 5 * top)
-                stack[lower] = t
-                stack[lower + 1] = u0
-                stack[lower + 2] = mu
-                stack[lower + 3] = v0
-                stack[lower + 4] = mv
-                stack[upper] = t
-                stack[upper + 1] = nu
-                stack[upper + 2] = u1
-                stack[upper + 3] = nv
-                stack[upper + 4] = v1
+                lower = vec5(t, u0, mu, v0, mv)
+                upper = vec5(t, nu, u1, nv, v1)
+                first = wp.where(is_upper_first, upper, lower)
+                second = wp.where(is_upper_first, lower, upper)
+                if wp.static(on_warp):
+                    shared_entry(top, True, second)
+                    shared_entry(top + 1, True, first)
+                else:
+                    stack[top] = second
+                    stack[top + 1] = first
                 top += 2
                 continue
         status = STATUS_NO_COLLISION
@@ -120,7 +165,11 @@ def subdivide(
         elif reached.outcome == LIMIT:
             # the smallest time still open is a lower bound of the toi
             for k in range(top):
-                t = wp.min(t, stack[5 * k])
+                if wp.static(on_warp):
+                    entry = shared_entry(k, False, whole)
+                else:
+                    entry = stack[k]
+                t = wp.min(t, entry[0])
             status = STATUS_ITERATION_LIMIT
             top = 0
         if status != STATUS_NO_COLLISION and t < answer.toi:
@@ -128,4 +177,5 @@ def subdivide(
             answer.status = status
             answer.point = reached.point
             answer.parameters = parameters(kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11)
+    answer.error = problem.error
     return answer

@@ -71,11 +71,12 @@ def test_searches_culls_and_solvers_do_not_race(broad_phase):
     assert result.contacts.count.numpy()[0] > 10
 
 
-def test_needles_that_cross_at_many_speeds():
-    """Each is solved by a whole warp, as it takes long."""
-    options = {"tolerance": 1e-15, "length_scale": 1.0}
+@pytest.mark.parametrize("distance", [0.0, 1e-3])
+def test_needles_that_cross_at_many_speeds(distance):
+    """Each is solved by a whole warp, as it takes long; with a distance nothing is shared but the stack."""
+    options = {"tolerance": 1e-15, "length_scale": 1.0, "minimum_distance": distance}
     start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
-    solved = kept("hardest", lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
+    solved = kept(("hardest", distance), lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
     hardest = np.argmax(solved[".iterations"] * np.isfinite(solved[".toi"]))
 
     def step():
@@ -86,7 +87,7 @@ def test_needles_that_cross_at_many_speeds():
         mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(8), 4))
         return outputs_of(ccd.mesh_ccd(mesh, mesh.vertices, y, **options))
 
-    assert np.isfinite(assert_equal_on_both("needles", step)[".world_toi"]).sum() > 4
+    assert np.isfinite(assert_equal_on_both(("needles", distance), step)[".world_toi"]).sum() > 4
 
 
 @pytest.mark.parametrize("count", [15, 16, 17, 31, 32, 33, 47, 48, 49, 255, 256, 257])

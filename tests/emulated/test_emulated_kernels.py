@@ -272,5 +272,5 @@ def test_warps_agree_while_others_lower_the_least_toi():
         pairs.counts = array(counts, wp.int64)
         inputs = [0, num_solvers, pairs, options, Round(), 0, PairList(), queue]
         outputs = [Table(), Minima(), ContactList(), least]
-        launch(specialised("narrow_phase.queued_pairs").pairs_bound[2], num_solvers, inputs, outputs, block_dim=32)
+        launch(specialised("narrow_phase.queued_pairs").pairs_bound["last"], num_solvers, inputs, outputs, block_dim=32)
         assert 0.3 - 1e-6 <= least.bits.numpy().view(np.float64)[0] <= 0.3

@@ -24,6 +24,7 @@ FINDERS = {
     "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "trees": ["kernels/boxes/test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
     "pairs": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[vertex-face 3-default-float64]"],
+    "bisection": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[edge-edge 3-bisection-float64]"],
     "replays": [_on_device("replays", "worlds")],
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
@@ -40,7 +41,7 @@ _TREES, _STAGES, _DRIVER, _CONTACTS = (
     "ccd_warp/_engine/device/step.py",
     "kernels/step/contacts.py",
 )
-_WRITING = "kernels/search/search_types.py"
+_WRITING, _PATCHES = "kernels/search/search_types.py", "kernels/pair/subdivide.py"
 _ONE_PLACE = ("functions",)
 _LATEST = """; bits > 0; bits >>= 1) {
         const auto other = __shfl_xor_sync(0xFFFFFFFFu, t, bits);
@@ -105,6 +106,14 @@ PLANTED = [
           _ONE_PLACE),
     Fault("every lane of a warp writes", _QUEUE,
           "items.writes = is_first(solver)", "items.writes = True", ("needles",)),
+    Fault("one entry for the stack of a warp", _PATCHES,
+          "entries[place][k] = entry[k];", "entries[0][k] = entry[k];", ("needles",)),
+    Fault("an entry of the stack read before it is written", _PATCHES,
+          "entries[place][k] = entry[k];\n        __syncwarp();", "entries[place][k] = entry[k];", ("pairs",)),
+    Fault("an entry of the stack written before it is read", _PATCHES,
+          "if (is_new) {{\n        __syncwarp();", "if (is_new) {{", ("needles",)),
+    Fault("the bisection by whole warps", "ccd_warp/_runtime/lanes.py",
+          'left_out = "bisection" if is_clipping else "last"', 'left_out = "bisection"', ("bisection",)),
     # --- who takes what: strides, tails, numbers of threads ---
     Fault("one place for all threads", _WHOLE, "(unsigned long long)__popc(threads));", "1ull);", _ONE_PLACE),
     Fault("a thread counts itself among those before", _WHOLE,
@@ -122,13 +131,13 @@ PLANTED = [
     Fault("the candidates of the second kind by the threads of both", _CULL,
           "step, thread - a.num_threads)", "step, thread)", ("launch",)),
     Fault("contacts of the second kind taken for those of the first", _QUEUE,
-          "of_kind = others\n            pair_c", "of_kind = pairs\n            pair_c", ("launch",)),
+          "of_kind = others\n            placed.", "of_kind = pairs\n            placed.", ("launch",)),
     Fault("a contact of the first rounds in the place of another", _QUEUE,
           "n = enqueue(queue, pairs.counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
     Fault("contacts of pairs that the queue has settled", _QUEUE,
           "        if pair.row < SETTLED:", "        if pair.row <= SETTLED:", ("launch",)),
     Fault("too few solvers", "ccd_warp/_runtime/pair_queue.py",
-          "solvers = min(most, most_pairs * WARP)", "solvers = min(most, most_pairs)", ("pairs",)),
+          "most_pairs * WARP)", "most_pairs)", ("pairs",)),
     Fault("lanes rounded down", _QUEUE, "(count + num_warps - 1) / num_warps)", "count / num_warps)", ("queue",)),
     Fault("items of whole warps", _QUEUE,
           "items.stride = num_warps * lanes", "items.stride = num_warps * _LANES", ("queue",)),

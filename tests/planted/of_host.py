@@ -21,7 +21,7 @@ PLANTED = [
           "is_before_v = is_flat or v < real(0.0)", "is_before_v = is_flat",
           ("kernels/pair/test_closest_point.py::test_slivers",)),
     Fault("a half of a patch lost", "kernels/pair/subdivide.py",
-          "stack[upper + 1] = nu", "stack[upper + 1] = u1",
+          "upper = vec5(t, nu, u1, nv, v1)", "upper = vec5(t, u1, u1, nv, v1)",
           ("kernels/narrow_phase/test_narrow_phase.py::test_options",)),
     Fault("no rounding in the offset along a direction", "kernels/pair/ball.py",
           "(dot(magnitude(d), error) + norm.support(separation, d)) * round_up", "norm.support(separation, d)",

@@ -119,7 +119,8 @@ class DeviceStep(Plan):
         self.result = self._new_result(capacities.max_contacts)
         self.contact_arrays = ContactArrays(topology, execution, vars(self.result.contacts), self._both_radii)
         arrays = self._arrays(capacities, quantization.packed)
-        self._stages = Stages(topology, self.tree_pairs, self._num_aabbs, self._narrow_phase, **arrays)
+        narrow_phase = self._narrow_phase, self.is_clipping
+        self._stages = Stages(topology, self.tree_pairs, self._num_aabbs, *narrow_phase, **arrays)
         self._stages.load(execution, self.sink)
         if self.static_trees:
             self._stages.fill_vertex_aabbs(execution, topology.static_vertices, self._active)

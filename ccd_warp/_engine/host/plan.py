@@ -56,7 +56,7 @@ class Batch(NamedTuple):
 
 
 class HostPlan(Plan):
-    """What a workspace keeps for calls with one goal, of the same pair kinds, precision and number of threads.
+    """What a workspace keeps for calls with one goal, of the same pair kinds, precision, method and number of threads.
 
     Attributes:
         most_partners: Number of primitives in the largest set in which partners are searched.
@@ -71,7 +71,7 @@ class HostPlan(Plan):
     @staticmethod
     def of(workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> "HostPlan":
         """The plan of a workspace for calls with such options, a goal, a norm of separations and a motion."""
-        of_options = options.pair_kinds, options.precision, options.threads, options.broad_phase
+        of_options = options.pair_kinds, options.precision, options.method, options.threads, options.broad_phase
         key = (goal, norm, of_options, motion.on_arcs)
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
@@ -115,6 +115,7 @@ class HostPlan(Plan):
             self.tree_pairs,
             self._num_aabbs,
             self._narrow_phase,
+            self.is_clipping,
             step=StepFields(start, end, self._counts, self._minima(), Slot("contacts"), self.counters.least_bits),
             box_radius=self._radii[1],
             is_thick=topology.is_thick or motion.on_arcs,
