@@ -121,6 +121,9 @@ ON_DEVICE = {
     "apart": StepCase(apart),
     "groups": StepCase(lambda: apart(2)),
     "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
+    "bisection near": StepCase(
+        lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4, "minimum_distance": 0.004}
+    ),
     "few iterations": StepCase(lambda: crowd(60), {"max_iterations": 3}),
     "levels": StepCase(lambda: crowd(900, size=0.02), {}, 90_000),
     "slender": StepCase(slender, {}, 90_000),
@@ -394,6 +397,9 @@ CPU_ALONE += " split_segments"
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")
 _LIKE_OTHERS += ("near_contacts box", "search_trees boxes True thick", "search_trees cull True thick")
 _LIKE_OTHERS += ("search_hashes boxes False thick", "search_hashes cull False thick")
+# Bisections in float64 of mesh functions without a distance, which are run in float32, and of pairs with one.
+_LIKE_OTHERS += tuple(f"{name} bisection float64" for name in ("solve_pairs", "pairs_bound"))
+_LIKE_OTHERS += ("points_toi bisection float64 euclidean",)
 # Of bodies with so many edges that their scene is marked long.
 _LIKE_OTHERS += ("body_frames",)
 
