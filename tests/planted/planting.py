@@ -48,7 +48,8 @@ class Copy:
         shutil.copytree(ROOT / "ccd_warp", folder / "package" / "ccd_warp", ignore=unneeded)
         shutil.copytree(ROOT / "kernels", folder / "package" / "ccd_warp" / "kernels", ignore=unneeded)
         shutil.copytree(ROOT / "tests", folder / "tests", ignore=unneeded)
-        shutil.copytree(ROOT / "docs", folder / "docs", ignore=shutil.ignore_patterns("figures"))  # pages that tests run
+        figures = shutil.ignore_patterns("figures")
+        shutil.copytree(ROOT / "docs", folder / "docs", ignore=figures)  # tests run the programs of pages
 
     def path_of(self, file: str) -> Path:
         """Where a file of the project lies in the copy."""
