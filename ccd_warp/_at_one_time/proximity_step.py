@@ -46,14 +46,15 @@ class StepAtOneTime(Step):
         plan.set_search(1.0, half_rounded_up(distance), distance)
         return plan
 
-    def least_of_vertices(self, plan: HostPlan, batches: Iterator[Batch], sink: int) -> NDArray[np.float64]:
-        """Measure the pairs, end the call, and return the minima of the vertices."""
+    def least_of_vertices(
+        self, plan: HostPlan, batches: Iterator[Batch], sink: int, found: wp.array
+    ) -> NDArray[np.float64]:
+        """Measure the pairs, end the call, and return what is ``found`` of the vertices, numbers or their bits."""
         for _ in self.batches(batches):
             with self.timed("distances"):
                 plan.measure_pairs(sink)
         with self.timed("gather"):
-            least: wp.array = self.workspace.contacts.minima.vertex.view(wp.float64)
-            result = least.numpy().copy()
+            result = found.numpy().view(np.float64).copy()
         self.finish()
         return result
 
@@ -113,6 +114,6 @@ class DisplacementStep(StepAtOneTime):
         if self.planes is not None:
             with self.timed("planes"):
                 self.survivors[PairKind.VERTEX_PLANE] = self.planes.meet(Stages.bound_by_half_spaces)
-        bounds = self.least_of_vertices(plan, batches, DISPLACEMENT)
+        bounds = self.least_of_vertices(plan, batches, DISPLACEMENT, minima.vertex)
         bounds[self.mesh.unused_vertices] = np.inf
         return bounds

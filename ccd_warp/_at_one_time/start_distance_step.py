@@ -33,16 +33,19 @@ class StartDistanceStep(StepAtOneTime):
         return norm_of(self.mesh, self.options)
 
     def start_distances(self, distance: float) -> NDArray[np.float64]:
-        """For each vertex how near it is to anything within a distance, and inf beyond, shape [V]."""
-        from ccd_warp.kernels.at_one_time import start_distances as kernels  # few programs need it
-
+        """For each vertex how near it is to anything within a distance, inf beyond, as share and length, [V, 2]."""
         plan = self.search(distance)
-        minima = self.workspace.contacts.minima
+        found = self.workspace.start_distances
         with self.timed("pairs"):
-            self.execution.launch(kernels.reset_start_distances, self.mesh.num_vertices, inputs=[], outputs=[minima])
-            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            found.fill_(np.inf)
+            plan.bind(reach=self._reach(distance), start_distances=found.view(wp.int64))
             batches = plan.batches(self.capacity())
-        return self.least_of_vertices(plan, batches, START_DISTANCE)
+        return self.least_of_vertices(plan, batches, START_DISTANCE, found).reshape(-1, 2)
+
+    def _reach(self, distance: float) -> Any:
+        """How near is near, and what pairs keep beside their radii."""
+        kept = self.options.separation(length_scale_of(self.mesh, self.options))
+        return reach_of(self.topology.radius, distance, self.workspace.flag.array, kept)
 
     def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
@@ -59,14 +62,15 @@ class StartDistanceStep(StepAtOneTime):
             count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
             x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
             x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
-            kept = self.options.separation(length_scale_of(self.mesh, self.options))
-            reach = reach_of(topology.radius, distance, self.workspace.flag.array, kept)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             kernels = specialised("at_one_time.start_distances", norm=shape_of(self.norm()))
             self.execution.launch(
                 kernels.note_near_contacts,
                 len(contacts),
-                inputs=[count, *listed, *corners_by_kind(topology), x, x_t1, reach, self.workspace.contacts.minima],
+                inputs=[
+                    *(count, *listed, *corners_by_kind(topology), x, x_t1),
+                    *(self._reach(distance), self.workspace.contacts.minima),
+                ],
                 outputs=[near],
             )
         return near.numpy() != 0

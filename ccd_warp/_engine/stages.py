@@ -17,7 +17,7 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
-from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, Table
+from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, START_DISTANCE, Table
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.pair.norm import is_ball, shape_of
 from ccd_warp.kernels.pair.turns import Turns
@@ -93,6 +93,7 @@ class Stages:
         plane_radius: Where bodies turn, `box_radius` without what is added for their arcs.
         reach: At one time, how near is near.
         proximities: The list of pairs within that.
+        start_distances: Bits of the share and the length that each vertex keeps, int64, shape [2 V].
     """
 
     topology: Topology
@@ -119,6 +120,7 @@ class Stages:
     plane_radius: Any = None
     reach: Any = None
     proximities: Any = None
+    start_distances: Any = None
 
     @property
     def kinds(self) -> list[PairKind]:
@@ -490,7 +492,7 @@ class Stages:
         Args:
             launcher: Where to launch, or to record.
             sink: Where what is found goes: with `NEAR` near pairs are listed; with `DISPLACEMENT` the bounds of the
-                vertices are lowered, with `START_DISTANCE` their start distances: both are the minima of the vertices.
+                vertices are lowered, which are their minima, with `START_DISTANCE` their start distances.
             norm: That of the distance; `START_DISTANCE` alone knows others than the Euclidean.
         """
         from ccd_warp.kernels.at_one_time.proximity import ProximityList  # few programs need it
@@ -499,6 +501,7 @@ class Stages:
         chunk = 1 if launcher.is_cuda else _CHUNK
         body_static = self.topology.body_static if sink == DISPLACEMENT else None
         outputs = [self.step.minima, self.proximities if sink == NEAR else ProximityList()]
+        outputs.append(self.start_distances if sink == START_DISTANCE else None)
         with launcher.at_once():
             for kind, keys in self.keys.items():
                 solvers = None

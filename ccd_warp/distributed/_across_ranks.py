@@ -115,7 +115,9 @@ class AcrossRanks(OneProcess):
         return self._ranks.least(values)
 
     def least_of_vertices(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """The least value of each vertex over all ranks that have a copy."""
+        """The least value of each vertex over all ranks that have a copy, or values, of several columns."""
+        if values.ndim > 1:
+            return np.stack([self.least_of_vertices(column.copy()) for column in values.T], axis=1)
         everything = self.part.everything
         owned = np.full(len(self._whole.vertex_ids), np.inf)
         everything.back(values, owned, np.minimum)

@@ -13,7 +13,7 @@ _INFINITY = wp.constant(wp.float64(float("inf")))
 def clear_start_distances(
     begin: int,
     # out
-    start_distance: wp.array[wp.float64],
+    start_distance: wp.array[wp.float64],  # share and length of each vertex
 ):
     """Let no vertex keep a distance."""
     start_distance[begin + wp.tid()] = _INFINITY
@@ -56,20 +56,15 @@ def note_near_bodies(
 
 
 @wp.kernel
-def keep_start_distances(
+def drop_start_distances(
     begin: int,
     # in
     m: Minima,
     # out
     start_distance: wp.array[wp.float64],
 ):
-    """Keep the start distances that a search has found as minima of the vertices.
-
-    A pair beyond the capacity has lowered those of its vertices to 0, which would let others come as near: its world,
-    which has a flag, keeps none.
-    """
+    """Let no vertex keep a distance in a world that has a flag of a pair beyond the capacity, which is not measured."""
     v = begin + wp.tid()
-    least = wp.cast(m.vertex[v], wp.float64)
     if (m.world_flags[world_of(m, v)] & PAIRS_OVERFLOW) != 0:
-        least = _INFINITY
-    start_distance[v] = least
+        start_distance[2 * v] = _INFINITY
+        start_distance[2 * v + 1] = _INFINITY

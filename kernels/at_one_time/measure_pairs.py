@@ -1,7 +1,7 @@
 """The kernel that takes the place of the narrow phase at one time: it measures pairs, and a sink takes what is found.
 
 With the sink `NEAR` the pairs within the distance are listed, and with `DISPLACEMENT` the bounds of the vertices of all
-are lowered (`proximity`); with `START_DISTANCE` those of the vertices of pairs within the distance
+are lowered (`proximity`); with `START_DISTANCE` the start distances of the vertices of pairs within the distance
 (`pair.start_distance`), which are all that is asked for in the maximum norm.
 
 Euclidean distances are measured in lanes, a pair in each; what follows is done pair by pair.
@@ -9,7 +9,7 @@ Euclidean distances are measured in lanes, a pair in each; what follows is done 
 
 import warp as wp
 
-from ..atomics import claim_int
+from ..atomics import atomic_min_int64, claim_int
 from ..boxes.lanes import lowest_bit, number_of_bits
 from ..boxes.thickness import distance_of
 from ..interrupts import is_stopped
@@ -18,6 +18,7 @@ from ..narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
 from ..pair.norm import is_ball
 from ..pair.simd import fingerprint
 from ..pair.single_points import points_of
+from ..pair.start_distance import share_of
 from ..pair_kind import EDGE_EDGE, POINT_POINT
 from ..parameters import norm, width
 from ..step.minima import Minima
@@ -25,7 +26,7 @@ from ..step.pair_list import PairList, num_found, vertices_of_pair
 from ..template import specialised
 from .box_distance import box_distance
 from .pair_distance import PairDistance, measured
-from .proximity import Proximity, ProximityList, Reach, bound_pair, lower_bounds, record_proximity
+from .proximity import Proximity, ProximityList, Reach, bound_pair, record_proximity
 
 _ZERO = wp.constant(wp.float64(0.0))
 _NONE = wp.constant(wp.uint32(0))
@@ -40,14 +41,21 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll":
 
 
 @wp.func
-def lower_start_distances(kind: int, a: wp.vec3i, b: wp.vec3i, least: wp.float64, minima: Minima):
+def lower_start_distances(
+    kind: int, a: wp.vec3i, b: wp.vec3i, least: wp.float64, distance: wp.float64, start_distances: wp.array[wp.int64]
+):
     """Lower those of the vertices of a pair at least ``least`` apart; to 0 by a coordinate that is not finite."""
-    bits = wp.int64(0)
-    if least > _ZERO:
-        bits = wp.cast(least, wp.int64)
-    lower_bounds(a, bits, minima)
-    if kind == EDGE_EDGE or kind == POINT_POINT:
-        lower_bounds(b, bits, minima)
+    share = wp.int64(0)
+    length = wp.int64(0)
+    if least >= _ZERO:
+        share = wp.cast(share_of(least, distance), wp.int64)
+        length = wp.cast(wp.abs(least), wp.int64)
+    for k in range(3):
+        atomic_min_int64(start_distances, 2 * a[k], share)
+        atomic_min_int64(start_distances, 2 * a[k] + 1, length)
+        if kind == EDGE_EDGE or kind == POINT_POINT:
+            atomic_min_int64(start_distances, 2 * b[k], share)
+            atomic_min_int64(start_distances, 2 * b[k] + 1, length)
 
 
 @wp.func
@@ -75,6 +83,7 @@ def measure_pairs(
     # out
     minima: Minima,
     proximities: ProximityList,  # for `NEAR`
+    start_distances: wp.array[wp.int64],  # for `START_DISTANCE`: the bits of share and length of each vertex
 ):
     """Measure the pairs of a solver, which are every ``num_solvers``-th chunk, at the start."""
     kind = pairs.kind
@@ -118,7 +127,8 @@ def measure_pairs(
                     bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
                 elif sink == START_DISTANCE:
                     if not (least > distance_of(reach.distance, reach.radius, a, b)):
-                        lower_start_distances(kind, a, b, least, minima)
+                        kept = distance_of(reach.kept, reach.radius, a, b)
+                        lower_start_distances(kind, a, b, least, kept, start_distances)
                 else:
                     if reach.radius.shape[0] > 0:
                         if not (least <= distance_of(reach.distance, reach.radius, a, b)):

@@ -1,4 +1,4 @@
-"""How near vertices are to anything at the start: where that matters, and a reset (`start_distance`).
+"""How near vertices are to anything at the start: where that matters (`start_distance`).
 
 It matters where a contact starts within its distance; the least distance of a pair is proved in the norm of the
 separation. And it matters where a contact only passes by: a vertex that slides at its distance over a mesh starts a
@@ -30,7 +30,6 @@ _ROOT = wp.constant(wp.float64(PROJECTION_ROOT * UNIT_ROUNDOFF[wp.float64]))
 # A share of a distance, and of the corners of a pair, that is more than all that rounding takes.
 _CLEARLY = wp.constant(wp.float64(1.0 - 2.0**-20))
 _NOISE = wp.constant(wp.float64(2.0**-40))
-_INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
 
 
 @wp.func
@@ -125,13 +124,3 @@ def note_near_contacts(
         is_near = passes_by(kind, start, end, parameters[n], kept)
     if is_near:
         world_near[world_of(minima, first[0])] = 1
-
-
-@wp.kernel
-def reset_start_distances(
-    begin: int,
-    # out
-    minima: Minima,
-):
-    """Let no vertex keep a distance."""
-    minima.vertex[begin + wp.tid()] = _INFINITY_BITS

@@ -32,7 +32,7 @@ def rate_minima(
     mesh: CheckedMesh,
     attained: Attained,  # of one kind of minima
     is_regular: wp.array[wp.bool],  # of each listed contact
-    start_distance: wp.array[wp.float64],  # of each vertex, infinite where none is kept; empty: nowhere
+    start_distance: wp.array[wp.float64],  # share and length of each vertex, infinite where none is kept; or empty
     vertex_rating: wp.array[wp.int32],  # empty: all are regular
     # out
     rating: wp.array[wp.int32],  # of each minimum
@@ -50,7 +50,7 @@ def rate_minima(
         of_contact = int(REGULAR)
     for c in range(4):
         if start_distance.shape[0] > 0 and not is_plane:
-            if wp.isfinite(start_distance[v[c]]):
+            if wp.isfinite(start_distance[2 * v[c]]):
                 of_contact = int(UNKNOWN)
         if vertex_rating.shape[0] > 0:
             of_contact = wp.min(of_contact, vertex_rating[v[c]])

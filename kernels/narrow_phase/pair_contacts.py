@@ -118,7 +118,7 @@ def record_contact(
     b = points_of(pairs.kind, first, second, pairs.vertices_t1)
     keeps_start_distance = bool(False)
     if wp.static(by_pair):
-        if start_distance_of(options.start_distance, first, second) < infinite:
+        if start_distance_of(options.start_distance, first, second).share < infinite:
             if is_pressed(pairs.kind, a, b, outcome.toi):
                 keeps_start_distance = True
                 outcome.toi = wp.float64(0.0)

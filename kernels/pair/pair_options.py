@@ -13,7 +13,7 @@ from ..template import specialised
 from .norm import has_arcs, is_by_pair
 from .points import Points, farthest
 from .query import Options
-from .start_distance import MARGIN, OF_COORDINATES, start_distance_of
+from .start_distance import MARGIN, OF_COORDINATES, kept_of, start_distance_of
 
 if has_arcs(norm):
     Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
@@ -71,8 +71,8 @@ else:
         """The options of a pair, given by the vertices of its primitives."""
         options.minimum_separation = distance_of(options.minimum_separation, options.radius, first, second)
         at_start = start_distance_of(options.start_distance, first, second)
-        if at_start < infinite:
-            options.minimum_separation = wp.min(options.minimum_separation, at_start)
+        if at_start.share < infinite:
+            options.minimum_separation = kept_of(at_start, options.minimum_separation)
             options.margin = margin
         return options
 

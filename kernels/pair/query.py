@@ -26,7 +26,7 @@ class Options:
     method: int
     stop: wp.array[wp.int32]  # set when the host wants the kernel to end
     radius: wp.array[wp.float64]  # of each vertex of a mesh; empty without (`thickness`)
-    start_distance: wp.array[wp.float64]  # how near each vertex was to anything at the start, which it keeps; or empty
+    start_distance: wp.array[wp.float64]  # how near each vertex was to anything, as share and length; or empty
     margin: wp.float64  # of a pair that keeps its start distance: by what it is reduced, a share of its size
     sagitta: wp.vec3d  # of a pair on arcs: how far its points may be from their chords, per axis
     turns: Turns  # empty where nothing turns

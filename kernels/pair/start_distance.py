@@ -2,14 +2,22 @@
 
 A step that starts where a pair is within its distance has toi 0, whichever way the pair moves: nothing proves it free.
 A line search ends at the distance, so the next one would begin there, and stay. Therefore a pair may keep less: what
-its vertices kept at the start. The **start distance** of a vertex is how near it was to anything there, a lower bound
-of the distance of every pair that it belongs to as a vertex, or as an end of an edge; infinite where that is beyond
-the distance. A pair then keeps the least of its distance and the start distances of its vertices, less a margin for its
-rounding.
+its vertices kept at the start. The **start distance** of a vertex says how near it was to anything there, to which it
+belongs as the vertex of a pair, or as an end of an edge, in two lower bounds: of the distances d of these pairs as a
+length h ≤ d, and as a share s ≤ d / D of the distance D of each; infinite where they are beyond their distances. A pair
+then keeps D, or less, max(s D, min(h, D)) with the least s and h of its vertices, less a margin for its rounding.
+
+Both hold, so their greatest does. Where all have one distance they are the same. Where radii differ, a length alone
+would let what is pressed on by a thin body, a rounding within that thickness, come as near to a thick one; a share
+alone would let what starts deep within a thick body come as deep into a thin one.
 
 By vertex, not by pair: what slides over a mesh at less than the distance meets the next face from beyond the distance,
 and its vertices take their start distance along. In a vertex-face pair the vertex has one, and the face takes none: so
 what rests on a large face does not lower what all else keeps of that face.
+
+**Rounding.** A share is the rounded quotient times 1 - 2u, which rounds to no more than d / D, and a length by it the
+rounded product times 1 - 2u; from both 2^-1074 is taken, as either may be subnormal. A pair that has all of its
+distance, s = 1, keeps it in every bit.
 
 **The margin.** At the start the gap of a pair is at least what it keeps plus a margin: 128 u times its size, the
 largest corner of its patch at either end of the step, and 16 u times its largest coordinate. Within the bounds on
@@ -29,18 +37,49 @@ from .rounding import UNIT_ROUNDOFF
 # Of the size of a pair, and of its largest coordinate as a share of that.
 MARGIN = 128.0 * UNIT_ROUNDOFF[wp.float64]
 OF_COORDINATES = 0.125
+_DOWN = wp.constant(wp.float64(1.0 - 2.0 * UNIT_ROUNDOFF[wp.float64]))
+_UNDERFLOW = wp.constant(wp.float64(2.0**-1074))
+_LARGEST = wp.constant(wp.float64(1.7976931348623157e308))
 _INFINITY = wp.constant(wp.float64(float("inf")))
+_ZERO = wp.constant(wp.float64(0.0))
+_ONE = wp.constant(wp.float64(1.0))
+
+
+@wp.struct
+class StartDistance:
+    """Of a vertex, or the least of several; both infinite where none is kept."""
+
+    share: wp.float64  # of the distance of each pair, at most 1
+    length: wp.float64
 
 
 @wp.func
-def least_of(start_distance: wp.array[wp.float64], corners: wp.vec3i) -> wp.float64:
-    """The least start distance of the vertices of a primitive."""
-    return wp.min(start_distance[corners[0]], wp.min(start_distance[corners[1]], start_distance[corners[2]]))
+def share_of(least: wp.float64, distance: wp.float64) -> wp.float64:
+    """The share of its distance that a pair has which is at least ``least`` apart, rounded down; 1 where it is more."""
+    if least >= distance:
+        return _ONE
+    return wp.max(least / wp.min(distance, _LARGEST) * _DOWN - _UNDERFLOW, _ZERO)
 
 
 @wp.func
-def start_distance_of(start_distance: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> wp.float64:
-    """The least start distance of the vertices of a pair, of which some repeat; infinite where none is kept."""
-    if start_distance.shape[0] == 0:
-        return _INFINITY
-    return wp.min(least_of(start_distance, first), least_of(start_distance, second))
+def kept_of(at_start: StartDistance, distance: wp.float64) -> wp.float64:
+    """What a pair keeps of its distance, rounded down."""
+    if at_start.share >= _ONE:
+        return distance
+    by_share = at_start.share * wp.min(distance, _LARGEST) * _DOWN - _UNDERFLOW
+    return wp.max(by_share, wp.min(at_start.length, distance))
+
+
+@wp.func
+def start_distance_of(start_distance: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> StartDistance:
+    """The least start distance of the vertices of a pair, of which some repeat, from share and length of each."""
+    least = StartDistance()
+    least.share = _INFINITY
+    least.length = _INFINITY
+    if start_distance.shape[0] > 0:
+        for k in range(3):
+            a = 2 * first[k]
+            b = 2 * second[k]
+            least.share = wp.min(least.share, wp.min(start_distance[a], start_distance[b]))
+            least.length = wp.min(least.length, wp.min(start_distance[a + 1], start_distance[b + 1]))
+    return least

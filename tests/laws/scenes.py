@@ -21,7 +21,7 @@ class Scene(StepCase):
     """A drawn step: what the calls take, and what laws ask besides.
 
     Attributes:
-        family: What its numbers are like: "any", one of `FAMILIES`, or "arcs".
+        family: What its numbers are like: "any", one of `FAMILIES`, "arcs", or "pressed".
         size: A power of two that all lengths are in proportion to.
         make_motion: The motion of the rigid bodies, anew; None but for "arcs".
     """
@@ -59,6 +59,33 @@ def drawn(seed: int, family: str | None = None) -> Scene:
     return _Drawing(np.random.default_rng([seed, *family.encode()]), family).scene()
 
 
+def pressed(seed: int) -> Scene:
+    """Flat sheets, or chains, each up to a thousand times as thick as another, apart or stacked, over a ground."""
+    drawing = _Drawing(np.random.default_rng([seed, *b"pressed"]), "pressed")
+    rng, size, dimension = drawing.rng, drawing.size, drawing.dimension
+    turn, count = np.linalg.qr(rng.standard_normal((dimension, dimension)))[0], int(rng.integers(3, 5))
+    options = {**drawing.options(), "start_gap_fraction": "hold"}
+    names: dict[str, Any] = {"static": [0], "self_collision": False}
+    thickness = 0.1 * size * 10.0 ** -rng.integers(0, 4, count)
+    heights = size * np.arange(count)
+    if "minimum_separation" in options:
+        thickness *= 0.0
+    elif drawing.flip(0.5):  # a rounding within their distances
+        apart = options["minimum_distance"] + thickness[:-1] + thickness[1:]
+        heights = (1 - 1e-12) * np.append(0.0, np.cumsum(apart))
+    bodies: list[Any] = []
+    for height in heights:
+        x, *parts = _sheet(rng) if dimension == 3 else (np.linspace([-1, 0], [1, 0], 4), [[0, 1], [1, 2], [2, 3]])
+        x = size * (x[:, :-1] + 0.2 * rng.standard_normal(dimension - 1))
+        bodies.append((np.column_stack([x, np.full(len(x), height)]) @ turn, *parts))
+    names["radius"] = np.repeat(thickness, [len(body[0]) for body in bodies]) if thickness.any() else None
+    if drawing.flip(0.3):
+        names["static"] = []
+        bodies.append(ccd.HalfSpace(-0.5 * size * turn[-1], turn[-1]))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, **names).replicate(int(rng.integers(1, 3)))
+    return Scene(lambda: (mesh, mesh.vertices, -1.5 * count * size * turn[-1]), options, 1_000, "pressed", size)
+
+
 def with_static_at_rest(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """The end positions, with static bodies where they start."""
     return np.where(mesh.static[mesh.vertex_body][:, None], start, end)
@@ -66,6 +93,7 @@ def with_static_at_rest(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndar
 
 # --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
 
+_CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
 _TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
 

@@ -4,29 +4,36 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import warp as wp
 from slides import SLIDERS, slides_of
 
 import ccd_warp as ccd
 from ccd_warp._engine.boxes import some_queries
 from ccd_warp._engine.host.contact_step import ContactStep
 from laws.calls import EVERY_PER, PRECISIONS
+from laws.scenes import pressed
 from laws.test_searches import rows_of
 from laws.test_truth import SEEDS, near_pairs, scene_of
-from laws.truth import NAMES, PLANE, PlaneTruth, distances_at, first_times, sizes
+from laws.truth import NAMES, PLANE, Pairs, PlaneTruth, distances_at, first_times, sizes
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 SAFETY = 0.9
 
 
 def holds_of(scene, mesh, start, pairs):
-    """How near each vertex was at the start to anything within its distance, as a vertex or as an end of an edge."""
-    holds = np.full(mesh.num_vertices, np.inf)
+    """How near each vertex was at the start to anything within its distance, as a vertex or as an end of an edge.
+
+    As a share of each pair's distance and as a length, [V, 2].
+    """
+    holds = np.full((mesh.num_vertices, 2), np.inf)
     for kind, _, corners, distances in near_pairs(scene, start, start, pairs):
         if len(corners) and scene.options["start_gap_fraction"] == "hold":
             apart = distances_at(NAMES[kind], start[corners], start[corners], 0 * distances, scene.is_euclidean)
             is_near = apart <= distances
             holders = corners[:, :1] if kind in (0, 2) else corners
-            np.minimum.at(holds, holders[is_near], apart[is_near, None])
+            share = np.divide(apart, distances, out=np.ones_like(apart), where=distances > 0)
+            both = np.stack([share, apart], axis=1)
+            np.minimum.at(holds, holders[is_near], both[is_near, None])
     return holds
 
 
@@ -91,6 +98,33 @@ def test_what_is_left_of_the_way_is_free(seed):
     whole = ccd.collision_free_step(mesh, start, end, precision=precision, **options)
     reached = near_on_the_way(scene, start, end, pairs, holds, lambda c: (start[c] != end[c]).any(axis=(1, 2)))
     assert not [key for key, time in reached.items() if time.late(whole)]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_bodies_of_many_thicknesses_that_press_in_turn_come_no_closer_than_their_distances(seed):
+    """No pair below its distance, or below what it was, but for rounding; of what is deep, the share that it has."""
+    rng, scene = np.random.default_rng(seed), pressed(seed)
+    mesh, start, way = scene.make()
+    pairs, x, body, per = Pairs(mesh), start.copy(), mesh.vertex_body, EVERY_PER[seed % 4]
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=1 << 14, max_contacts=1 << 12, **scene.without_end())
+    for k in range(100):
+        moving = mesh._is_free[body] & (body % 3 == k % 3)
+        y = x + moving[:, None] * (way + (k % 8 == 0) * 1e-3 * scene.size * rng.standard_normal(x.shape))
+        if k % 4 == 3:
+            before, moved = (wp.array(p, dtype=wp.vec3d if mesh.dimension == 3 else wp.vec2d) for p in (x, y))
+            flags = pipeline.launch_line_search(before, moved, per=per, num_rounds=8).flags
+            assert not flags.numpy()[0] & int(ccd.LaunchFlag.PAIRS_OVERFLOW)
+            x = moved.numpy().copy()
+        else:
+            x = pipeline.line_search(x, y, per=per).vertices
+    share = holds_of(scene, mesh, start, pairs)[:, 0].min(initial=1.0)
+    for kind, _, corners, distances in near_pairs(scene, start, x, pairs):
+        if len(corners):
+            apart = [
+                distances_at(NAMES[kind], p[corners], p[corners], 0 * distances, scene.is_euclidean) for p in (start, x)
+            ]
+            lost = 1e-11 * (sizes(start[corners], x[corners]) + np.abs(x).max() / 8) + 1e-7 * distances
+            assert (apart[1] >= np.minimum(share * distances, apart[0]) - lost).all()
 
 
 @pytest.mark.parametrize("seed", SEEDS)

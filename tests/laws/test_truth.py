@@ -46,7 +46,7 @@ def near_pairs(scene, start, end, pairs, keeps=None):
     """Kind, pairs, corners and distances of all pairs of two primitives that come near their distances.
 
     Distances are those of the scene; with a fraction of the gap at the start these are reduced to it; ``keeps`` tells
-    the least hold of the vertices of pairs, which reduces them as well.
+    the holds of vertices, as shares and lengths, of which the least reduce those of pairs as well.
     """
     fraction = scene.options["start_gap_fraction"]
     for kind, of_kind in enumerate(pairs.of_kinds):
@@ -59,7 +59,8 @@ def near_pairs(scene, start, end, pairs, keeps=None):
             gaps = distances_at(NAMES[kind], start[corners], end[corners], np.zeros(len(corners)), scene.is_euclidean)
             distances = np.minimum(distances, fraction * gaps)
         if keeps is not None:
-            distances = np.minimum(distances, keeps[corners].min(axis=1, initial=INFINITY))
+            share, length = keeps[corners].min(axis=1, initial=INFINITY).T
+            distances = np.where(share < 1, np.maximum(share * distances, np.minimum(length, distances)), distances)
         yield kind, of_kind, corners, distances
 
 

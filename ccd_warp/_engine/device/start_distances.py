@@ -34,7 +34,7 @@ class DeviceStartDistances:
     separation of its own: in float32 the margin of a pair would be lost anew in each search.
 
     Attributes:
-        of_vertex: The start distance of each vertex, infinite where it keeps none, float64, shape [V].
+        of_vertex: Share and length that each vertex keeps, infinite where it keeps none, float64, shape [2 V].
         is_near: Whether the first pass has found such a contact, int32, shape [1].
     """
 
@@ -52,7 +52,7 @@ class DeviceStartDistances:
         """Allocate what a line search needs; stages, contacts, flag and radii are those of its step."""
         mesh, device = topology.mesh, topology.device
         self._topology, self._contacts = topology, contacts
-        self.of_vertex: wp.array = wp.empty(mesh.num_vertices, dtype=wp.float64, device=device)
+        self.of_vertex: wp.array = wp.empty(2 * mesh.num_vertices, dtype=wp.float64, device=device)
         self._near: wp.array = wp.empty(mesh.num_bodies, dtype=wp.int32, device=device)
         self._world_near: wp.array = wp.empty(mesh.num_worlds, dtype=wp.int32, device=device)
         self.is_near: wp.array = wp.empty(1, dtype=wp.int32, device=device)
@@ -72,6 +72,7 @@ class DeviceStartDistances:
             "inflation": inflation,
             "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
             "reach": reach_of(radii, distance, flag.array, separation),
+            "start_distances": self.of_vertex.view(wp.int64),
         }
         self._no_end: wp.array | None = wp.empty(0, dtype=wp.vec3d, device=device) if on_arcs else None
 
@@ -109,7 +110,5 @@ class DeviceStartDistances:
         of_start = replace(stages.between(start, start), **self._of_start)
         record_search(of_start, self._near)
         of_start.measure_pairs(recording, START_DISTANCE, self._norm)
-        outputs = [self.of_vertex]
-        recording.launch(
-            kernels.keep_start_distances, len(self.of_vertex), inputs=[stages.step.minima], outputs=outputs
-        )
+        inputs, outputs = [stages.step.minima], [self.of_vertex]
+        recording.launch(kernels.drop_start_distances, len(self.of_vertex) // 2, inputs=inputs, outputs=outputs)

@@ -54,7 +54,7 @@ class ImpactStep(Step):
         if start_distances is not None:
             self.options = replace(self.options, precision="float64")
             self.start_distances = self.workspace.start_distances
-            self.start_distances.assign(start_distances)
+            self.start_distances.assign(start_distances.ravel())
         return self
 
     def found_at_once(self) -> Batch | None:

@@ -63,7 +63,7 @@ class LineSearchRounds:
         num_rounds: Number of steps that were checked.
         fraction: Fraction of its displacement by which each vertex moves, so far.
         vertices: Positions there.
-        distances: Start distances of the vertices; None until these matter.
+        distances: Start distances of the vertices, as share and length, [V, 2]; None until these matter.
         is_limited: Whether individual fractions took too many rounds.
     """
 
@@ -112,7 +112,7 @@ class LineSearchRounds:
 
         def work(step: ContactStep) -> MeshResult:
             if strict is not None and self.distances is not None:
-                step.of_vertices(np.isfinite(self.distances), beside=strict)
+                step.of_vertices(np.isfinite(self.distances[:, 0]), beside=strict)
             else:
                 step.of_vertices(self._changed)
             return step.parting(self.distances).contacts(is_ordered=False)

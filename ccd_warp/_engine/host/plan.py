@@ -39,7 +39,7 @@ _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
 _FIELDS = (
     *("vertex_aabbs", "quantization", "t_end", "inflation", "search_options"),
-    *("options", "queue", "plane_query", "reach", "proximities"),
+    *("options", "queue", "plane_query", "reach", "proximities", "start_distances"),
 )
 
 

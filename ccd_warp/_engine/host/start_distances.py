@@ -38,7 +38,8 @@ class StartDistances:
         self._everywhere = everywhere or OneProcess()
 
     def of(self, start: _Positions) -> _Positions | None:
-        """How near each vertex is to anything, inf beyond the distance, shape [V]; None where that is so of all."""
+        """How near each vertex is to anything, as share and length, [V, 2]; inf beyond the distance, None if all are.
+        """
         distances = self._search(start)
         return None if self._everywhere.all(not np.isfinite(distances).any()) else distances
 

@@ -121,8 +121,8 @@ class Workspace:
 
     @lazy_property
     def start_distances(self) -> wp.array:
-        """How near each vertex is to anything at the start of a step, float64, shape [V]."""
-        return wp.empty(self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+        """How near each vertex is to anything at the start of a step, as share and length, float64, shape [2 V]."""
+        return wp.empty(2 * self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
 
     def packed_once(self, key: Any, pack: Callable[[], Any]) -> Any:
         """What follows from a key alone, such as a struct of the kernels, since packing takes as long as a launch."""

@@ -65,7 +65,9 @@ def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_thei
     least = [2 * bounds[:, 0]]
     for far in ({"minimum_distance": 1e300}, {"minimum_separation": 1.0, "length_scale": 1e300}):
         starts = ccd.CollisionPipeline(mesh, **far, **of_kind)._start_distances
-        least.append(starts.of(mesh.vertices).reshape(len(pairs), -1)[:, 0])
+        share, length = starts.of(mesh.vertices).reshape(len(pairs), -1, 2)[:, 0].T
+        assert (np.abs(share * 1e300 - length) <= 1e-15 * length).all()
+        least.append(length)
     exact = np.array([[measure(name, x, x, 0.0) for measure in (exact_distance, exact_gap)] for x in pairs])
     apart = pairs[:, :, None] - pairs[:, None]
     longest = np.maximum(np.abs(apart).max(axis=(1, 2, 3)), 1e-300)  # by which squares neither overflow nor vanish

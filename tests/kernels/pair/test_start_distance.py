@@ -152,6 +152,24 @@ def test_ten_thousand_presses_lose_less_than_a_hundred_thousandth_of_the_thickne
     assert x[:, 3:, 2].min() > before - 1e-5 * DISTANCE
 
 
+def test_what_starts_deep_within_a_thick_body_stays_out_of_a_thin_one():
+    """At a fiftieth of the thick one's distance, between it and a thin sheet that is pressed on."""
+    thick, thin, rise = 0.1, 1e-3, [0.0, 0.0, 1.0]
+    heights = np.array([0.0, 0.02 * thick, 0.02 * thick + 3 * thin])
+    bodies = [(TRIANGLE + height * np.array(rise), FACE) for height in heights]
+    radius = np.repeat([thick - thin / 2, thin / 2, thin / 2], 3)
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0], exclude_pairs={"bodies": [(0, 2)]}, radius=radius)
+    pipeline, x = ccd.CollisionPipeline(mesh), mesh.vertices
+    down = np.where(mesh.vertex_body[:, None] == 2, -thick, 0.0) * rise
+    for search in range(20):
+        if search % 2:
+            x = shortened_by_launch(pipeline, x, x + down, per="body")
+        else:
+            x = pipeline.line_search(x, x + down, per="body").vertices
+    assert (x[3:6] == mesh.vertices[3:6]).all()
+    assert thin - LOST <= (x[6:, 2] - x[3:6, 2]).min() < 1.01 * thin
+
+
 @every_norm
 def test_cable_slides_from_one_cable_to_the_next_without_losing_height(norm):
     """It is the second edge of both pairs, and takes along what it kept of the first."""
