@@ -276,8 +276,8 @@ PLANTED = [
           "vertices_of_pair(pairs, block + lane)", "vertices_of_pair(pairs, block)",
           ("laws/test_searches.py::test_what_is_near_and_how_far_vertices_may_move",)),
     Fault("no start distance of the second edge", "kernels/at_one_time/measure_pairs.py",
-          "        if kind == EDGE_EDGE or kind == POINT_POINT:\n            atomic_min_int64(start_distances, 2 * b[k], share)",
-          "        if kind == POINT_POINT:\n            atomic_min_int64(start_distances, 2 * b[k], share)",
+          "if kind == EDGE_EDGE or kind == POINT_POINT:\n            atomic_min",
+          "if kind == POINT_POINT:\n            atomic_min",
           ("kernels/pair/test_start_distance.py::test_cable_slides_from_one_cable_to_the_next_without_losing_height",)),
     # --- engine ---
     Fault("work for pairs that come after a closed one", "ccd_warp/_engine/host/least_toi_step.py",
