@@ -38,7 +38,7 @@ class StartDistances:
         self._everywhere = everywhere or OneProcess()
 
     def of(self, start: _Positions) -> _Positions | None:
-        """How near each vertex is to anything, as share and length, [V, 2]; inf beyond the distance, None if all are."""
+        """How near each vertex is to anything, as share and length, shape [V, 2]; inf beyond it, None if all are."""
         distances = self._search(start)
         return None if self._everywhere.all(not np.isfinite(distances).any()) else distances
 
