@@ -26,7 +26,7 @@ sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in (""
 import numpy as np
 import warp as wp
 from laws.calls import PRECISIONS
-from laws.scenes import drawn
+from laws.scenes import drawn, pressed
 from mpi4py import MPI
 from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare_call, wait_for_all, whole_mesh
 from scenes import FACE, NO_FACES, TRIANGLE, sheet, with_static_at_rest
@@ -106,6 +106,11 @@ def drawn_scenes(seeds, family=None):
 
 def scenes_that_are_drawn():
     drawn_scenes(range(8))
+    for seed in (8, 14):  # sheets a rounding within their distances, of which every other one is pressed down
+        mesh, start, way = (scene := pressed(seed)).make()
+        end = start + way * (mesh.vertex_body % 2 == 1)[:, None]
+        options = {name: value for name, value in scene.without_end().items() if name != "num_threads"}
+        check(mesh, start, end, interleaved, SEARCHES, **options)
 
 
 def more_scenes_that_are_drawn():
