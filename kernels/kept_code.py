@@ -8,18 +8,20 @@ from types import CodeType, ModuleType
 
 from .later import BUILTINS, sources
 
-_kept: dict[str, CodeType | None] = {}
+codes: dict[str, CodeType] = {}  # of the files that have been executed, by their paths, as in `sources`
 
 
 class KeptCode(SourceFileLoader):
     """A loader of a file that keeps its code."""
 
-    def get_code(self, fullname: str) -> CodeType | None:
+    def get_code(self, fullname: str) -> CodeType:
         """The code of the file, the same object each time."""
-        if fullname not in _kept:
+        if self.path not in codes:
             sources[self.path] = self.get_data(self.path)
-            _kept[fullname] = super().get_code(fullname)
-        return _kept[fullname]
+            code = super().get_code(fullname)
+            assert code is not None
+            codes[self.path] = code
+        return codes[self.path]
 
     def exec_module(self, module: ModuleType) -> None:
         """Execute the file, with functions and kernels that Warp reads later."""

@@ -34,9 +34,7 @@ def _read(name: str) -> tuple[str, CodeType, str]:
     """The path, the code and the source of a file."""
     full_name, path = f"{__package__}.{name}", str(_FOLDER / f"{name.replace('.', '/')}.py")
     loader = KeptCode(full_name, path)
-    code = loader.get_code(full_name)
-    assert code is not None
-    return path, code, loader.get_source(full_name)
+    return path, loader.get_code(full_name), loader.get_source(full_name)
 
 
 def _modules(name: str, level: int, imported: str, wanted: Iterable[str]) -> dict[str, str]:

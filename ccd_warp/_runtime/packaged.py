@@ -12,7 +12,7 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._runtime.kept_hashes import digest_of_sources, recall
+from ccd_warp._runtime.kept_hashes import code_of_sources, digest_of_sources, recall, runs_as_written
 from ccd_warp._runtime.target import NATIVE, cpu_target
 
 FOLDER = Path(__file__).parents[1] / "_objects"
@@ -80,9 +80,16 @@ def meta_name(module: Any, block_dim: int | None) -> str:
 
 
 def write_index(folder: Path, hashes: dict[str, list[Any]]) -> None:
-    """Write the index of the files in a folder, with hashes of modules."""
+    """Write the index of the files in a folder, with hashes of modules.
+
+    Raises:
+        ValueError: If the hashes are of stale bytecode.
+    """
+    if not runs_as_written(code := code_of_sources()):
+        raise ValueError("Python has run stale bytecode of kernels; remove the folders __pycache__ and begin again")
     files = {path.name: [path.stat().st_size, _digest(path)] for path in sorted(folder.iterdir()) if path.name != INDEX}
-    index = {"warp": wp.config.version, "files": files, "sources": digest_of_sources(), "hashes": hashes}
+    of_hashes = {"sources": digest_of_sources(), "code": code, "hashes": hashes}
+    index = {"warp": wp.config.version, "files": files, **of_hashes}
     (folder / INDEX).write_text(json.dumps(index), encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ import types
 import pytest
 import warp as wp
 from ccd_warp.kernels import later
-from ccd_warp.kernels.kept_code import KeptCode
+from ccd_warp.kernels.kept_code import KeptCode, codes
 
 FILE = """
 import warp as wp
@@ -59,7 +59,7 @@ def module(tmp_path):
     spec.loader.exec_module(module)
     yield module
     later.define_functions()
-    del sys.modules[name], later.sources[str(path)]
+    del sys.modules[name], later.sources[str(path)], codes[str(path)]
 
 
 def test_overloads_and_kernels_are_those_of_warp_wherever_one_is_asked_in_between(module, tmp_path):

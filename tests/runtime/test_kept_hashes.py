@@ -140,6 +140,7 @@ keep_in_cache(module, 1)
 
 def _begin(copy, *arguments):
     environment = {**os.environ, "PYTHONPATH": str(copy), "WARP_CACHE_PATH": str(copy.parent / "cache")}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)
     command = [sys.executable, "-P", "-c", OF_COPY, *arguments]
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
 
@@ -149,11 +150,17 @@ def _outcome(process):
     return is_recalled == "True", module_hash
 
 
-def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes_between(tmp_path):
+@pytest.fixture
+def copy(tmp_path):
+    """A copy of the package, which a test may edit."""
     copy = tmp_path / "copy"
     unneeded = shutil.ignore_patterns("__pycache__", "_objects")
     for of_package, name in ((Path(ccd.__file__).parent, "ccd_warp"), (kernels.__path__[0], "ccd_warp/kernels")):
         shutil.copytree(of_package, copy / name, ignore=unneeded, dirs_exist_ok=True)
+    return copy
+
+
+def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes_between(copy, tmp_path):
     both = [_begin(copy), _begin(copy)]
     (_, first), (_, other) = map(_outcome, both)
     assert first == other and _outcome(_begin(copy)) == (True, first)
@@ -167,6 +174,23 @@ def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes
         path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n")
         is_recalled, module_hash = _outcome(_begin(copy))
         assert not is_recalled and (module_hash != first) == is_of_module
+
+
+def test_no_hash_of_stale_bytecode_is_kept_and_none_of_its_source_taken_for_it(copy):
+    first, path = _outcome(_begin(copy))[1], copy / "ccd_warp" / "kernels" / "boxes" / "thickness.py"
+    text, time = path.read_text(), path.stat().st_mtime_ns
+
+    def outcome_of(text):
+        path.write_text(text)
+        os.utime(path, ns=(time, time))  # as `rsync -t`, reproducible builds and layers of images leave it
+        return _outcome(_begin(copy))
+
+    edited = text.replace("1.7976931348623157e308", "1.6976931348623157e308")
+    assert outcome_of(edited) == (False, first)
+    time += 10**10
+    is_recalled, second = outcome_of(edited)
+    assert not is_recalled and second != first and outcome_of(edited) == (True, second)
+    assert outcome_of(text) == (False, second)
 
 
 OF_FIRST_CALL = """

@@ -12,6 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.kernels.kept_code import codes
+from ccd_warp.kernels.later import sources
 from shared_objects import SharedObjects
 from warp._src import build
 
@@ -133,7 +135,7 @@ def test_a_package_that_does_not_fit_is_as_if_it_were_not_there(package, change)
     assert packaged.why_none(wp.get_device("cpu")).startswith(reason) and not packaged.has_any()
 
 
-def test_a_hash_is_recalled_for_the_same_sources_and_options_alone(package, monkeypatch):
+def test_a_hash_is_recalled_for_the_same_sources_code_and_options_alone(package, monkeypatch):
     def is_recalled():
         double.module.mark_modified()
         set_flags(double.module, wp.get_device("cpu"))
@@ -148,6 +150,14 @@ def test_a_hash_is_recalled_for_the_same_sources_and_options_alone(package, monk
     with monkeypatch.context() as patch:
         patch.setitem(double.module.options, "max_unroll", 3)
         assert not is_recalled()
+    with monkeypatch.context() as patch:
+        path = next(iter(codes))
+        patch.setitem(codes, path, compile(f"{sources[path].decode()}\nSTALE = 1", path, "exec"))
+        patch.setattr(kept_hashes, "_as_written", set())
+        assert not is_recalled()
+        with pytest.raises(ValueError, match="stale bytecode of kernels; remove the folders __pycache__"):
+            packaged.write_index(package, {})
+    assert is_recalled()
     monkeypatch.setattr(kept_hashes, "digest_of_sources", lambda: "of others")
     assert not is_recalled()
 
