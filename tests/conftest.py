@@ -14,8 +14,10 @@ from programs import programs
 from uploads import upload_to_launches
 
 from ccd_warp._engine.boxes import trees
+from ccd_warp._runtime import kernel_cache
 
 wp.config.log_level = wp.LOG_WARNING
+kernel_cache._is_said = True  # what a test captures does not depend on what has been compiled
 # calls make many objects, few of them in circles: at the default the collector takes a sixth of the time
 gc.set_threshold(20_000, 10, 10)
 if folder := os.environ.get("CCD_WARP_CUBINS"):  # of benchmarks/gpu_pack.py

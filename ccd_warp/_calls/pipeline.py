@@ -156,6 +156,8 @@ class CollisionPipeline:
         pipeline._set_up(options, workspace)
         try:
             yield pipeline
+        except KeyboardInterrupt as interrupt:
+            raise KeyboardInterrupt(*interrupt.args) from None  # without the frames below
         finally:
             if pipeline._workspace is not None:
                 idle.append(pipeline._workspace)
@@ -223,10 +225,13 @@ class CollisionPipeline:
             if workspace is None:
                 workspace = Workspace(self.mesh, self._topology.device)
             seconds = time.perf_counter() - begin
-            with kind(workspace, (start, end), self._options, **further) as step:
-                step.workspace.progress.show = self._show_progress
-                step.timings["input"] = seconds
-                result = work(step)
+            try:
+                with kind(workspace, (start, end), self._options, **further) as step:
+                    step.workspace.progress.show = self._show_progress
+                    step.timings["input"] = seconds
+                    result = work(step)
+            except KeyboardInterrupt as interrupt:
+                raise interrupt.with_traceback(None) from None  # the frames below say nothing to who has ended it
             self.timings = step.timings
             self.counts = step.counts
             self._workspace = workspace

@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
             step = solve(scene.frames, make_options(option_values, mesh), line, is_quiet=is_quiet)
         finally:
             line.clear()
-        tell(f"{format_report(f'demo {number}: {scene.title}', step, step.timings)}\n")
+        tell(f"{format_report(f'demo {number}: {scene.title}', step)}\n")
         if scene.name == "bullet":
             at_start, at_end = _tests_at_both_ends(step)
             tell(f"  test at the start of the step  {at_start}\n  test at the end of the step    {at_end}")

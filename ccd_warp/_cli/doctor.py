@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from ccd_warp._cli.process import start_quietly, teller
+from ccd_warp._runtime import quiet
 from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.packaged import is_packaged, why_none
 from ccd_warp._runtime.target import cpu_target, set_flags
@@ -24,13 +25,16 @@ def add_doctor(commands: Any) -> None:
 
 def run(_: argparse.Namespace) -> int:
     """Print a line for each device, and one for the cache."""
-    start_quietly(None)
+    start_quietly(None, needs_cache=False)
     tell = teller(None, is_quiet=False)
     versions = f"Warp {wp.config.version}, Python {platform.python_version()}, NumPy {np.__version__}"
     tell(f"ccd_warp {__version__}, {versions}, {platform.machine()}")
     for device in wp.get_devices():
         about = f"{cpu_target()}, {cpu_lanes()} lanes" if device.is_cpu else f"{device.name}, sm_{device.arch}"
         tell(f"{device} ({about}): {_source_of_kernels(device)}")
+    if quiet.why_no_cache:
+        tell(f"cache: none. {quiet.why_no_cache}")
+        return 0
     folder = Path(str(wp.config.kernel_cache_dir))
     paths = [path for module in folder.glob("wp_ccd_warp.*") for path in module.iterdir()]
     writable = "can be written" if os.access(folder, os.W_OK) else "cannot be written"

@@ -78,7 +78,7 @@ def _about(step: SolvedStep) -> dict[str, Any]:
             name: {kind.name.lower(): count for kind, count in value.items()} if isinstance(value, dict) else value
             for name, value in counts.items()
         },
-        "timings": {name: float(seconds) for name, seconds in step.result.timings.items()},
+        "timings": {**step.timings, "total": sum(step.timings.values())},
         "toi": float(step.result.toi),
     }
 

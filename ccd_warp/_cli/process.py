@@ -11,6 +11,7 @@ from typing import Any, TextIO
 
 import warp as wp
 
+from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._scene.input.messages import InputError, printable
 from ccd_warp._scene.input.options import resolve_device
 
@@ -64,22 +65,26 @@ def check_output(path: Path | None, suffixes: tuple[str, ...]) -> None:
 
 
 def make_folder(folder: Path, option: str) -> None:
-    """Make a folder to write to, if it does not exist."""
+    """Make a folder to write to, if it does not exist; none with the name of a file of results."""
+    if folder.suffix.lower() in (".csv", ".json", ".npz", ".png") and not folder.is_dir():
+        raise InputError(f"{option} {folder}: expected the name of a folder, found that of a file")
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{option} {folder}: cannot create it ({error.strerror or error})") from error
 
 
-def start_quietly(device: str | None) -> None:
+def start_quietly(device: str | None, *, needs_cache: bool = True) -> None:
     """Start Warp without its banner, and keep compile messages and trimesh's log off the terminal.
 
     Raises:
         ValueError: If there is no such device.
+        OSError: If kernels have to be compiled and the cache cannot be written, unless none is needed.
     """
     wp.config.log_level = wp.LOG_ERROR
     import trimesh  # noqa: F401  # so that the time to read files is not that of this import
 
+    start_warp(needs_cache=needs_cache)
     resolve_device(device)
     logger = logging.getLogger("trimesh")
     logger.addHandler(logging.NullHandler())

@@ -50,21 +50,20 @@ def format_title(title: str, options: Options) -> str:
     )
 
 
-def format_report(title: str, step: SolvedStep, timings: dict[str, float]) -> str:
+def format_report(title: str, step: SolvedStep) -> str:
     """The report of one step, without a final newline.
 
     Args:
         title: First line.
         step: The step and its result.
-        timings: Seconds of each stage, in order, as they are to be shown.
     """
     tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
     lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step), ""]
     lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
-    total = sum(timings.values())
+    total = sum(step.timings.values())
     rows = [
         (name.replace("_", " "), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
-        for name, seconds in [*timings.items(), ("total", total)]
+        for name, seconds in [*step.timings.items(), ("total", total)]
     ]
     return "\n".join(lines + format_table(("stage", "seconds", "share"), rows, align="<>>"))
 

@@ -2,6 +2,7 @@
 
 import argparse
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from ccd_warp._cli.output import RESULT_SUFFIXES, write_result
@@ -27,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
         check_picture(picture, "--picture")
     if arguments.end is None and arguments.poses is None:
         raise InputError("END is missing; expected the mesh at the end of the step, or --poses; see run --help")
-    timings, begin = {}, time.perf_counter()
+    begin = time.perf_counter()
     with warnings_on_stderr(is_quiet=is_quiet):
         sequence = open_sequence(arguments, [path for path in (arguments.start, arguments.end) if path is not None])
     if len(sequence) != 2:
@@ -35,13 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
             f"--poses {arguments.poses}: holds poses at {len(sequence)} times; expected 2, those of both ends of the "
             "step; `sequence` takes more"
         )
-    timings["read files"] = time.perf_counter() - begin
+    seconds = time.perf_counter() - begin
     steps = Steps(arguments, sequence)
     try:
         step = steps.solved(0)
     finally:
         steps.line.clear()
-    timings |= step.timings
+    step = replace(step, timings={"read_files": seconds, **step.timings})
     if output is not None:
         write_result(output, step)
     if picture is not None:
@@ -49,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     tell = teller(output, is_quiet=is_quiet)
     times = ": " + " -> ".join(sequence.labels)
     title = f"{arguments.start}{times if arguments.end is None else f' -> {arguments.end}'}"
-    tell(format_report(title, step, timings))
+    tell(format_report(title, step))
     for path in (path for path in (output, picture) if path not in (None, STDOUT)):
         tell(f"wrote {printable(str(path))}")
     return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))

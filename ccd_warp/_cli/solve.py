@@ -40,7 +40,7 @@ class SolvedStep:
         result: Of ``mesh_ccd``.
         start: What touches, or passes through another, at the start.
         ignored: What is left out of both, because it is in contact in the first frame; None if nothing is.
-        timings: Seconds of each stage, in order.
+        timings: Seconds of each stage, in order, without a total.
         motion: How rigid bodies turn, whose positions are in their own frames; None where all vertices move straight.
     """
 
@@ -129,7 +129,7 @@ def solve(
         timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
         begin = time.perf_counter()
         start = pipeline.find_intersections(moving_vertices(frames, motion).all_at(0.0))
-        timings["intersections at start"] = time.perf_counter() - begin
+        timings["intersections_at_start"] = time.perf_counter() - begin
     start = start if ignored is None else ignored.others(start)
     return SolvedStep(frames, options, result, start, ignored, timings, motion)
 

@@ -10,7 +10,9 @@ import warp as wp
 
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
+from ccd_warp._runtime.launch import load
 from ccd_warp._runtime.streams import in_order_with
+from ccd_warp.kernels.step import device_step
 
 _VECTORS = {
     ("float64", 3): wp.vec3d,
@@ -32,6 +34,9 @@ def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, 
         numbers: Any = wp.array(dtype=wp.float64)
         names = call.__code__.co_varnames[: call.__code__.co_argcount]
         types: Any = {"toi": numbers, "of_toi": numbers, "flags": wp.array(dtype=wp.bool)}
+        # Warp loads the module that a function names, and says so: one that every launch has loaded
+        load(device_step.reset, pipeline._topology.device)
+        call.__module__ = device_step.reset.module.name
         call.__annotations__ = {name: types.get(name, positions) for name in names}
         callables[key] = wp.jax_callable(call, num_outputs, wp.JaxCallableGraphMode.NONE, vmap_method="broadcast_all")
     return callables[key]

@@ -84,16 +84,16 @@ def _forget(module: Any, block_dim: int | None) -> None:
 
 
 def _say_once(device: Any) -> None:
-    """Say on a terminal, once in a process, why a first call takes seconds; not where Warp is to be silent."""
+    """Say once in a process why a first call takes seconds, in notebooks and logs, too; not where Warp is silent."""
     global _is_said
     is_silent = wp.config.log_level > wp.LOG_WARNING and not _is_announced
-    if _is_said or is_silent or sys.stderr is None or not sys.stderr.isatty():
+    if _is_said or is_silent or sys.stderr is None:
         return
     _is_said = True
     # the time is that of `ccd-warp bench --only start`
     time = ", about 10 s on two free cores" if device.is_cpu else ""
     line = f"ccd_warp: compiling kernels{time}; they are kept in {wp.config.kernel_cache_dir}"
-    print(f"\r{line}", file=sys.stderr, flush=True)
+    print(f"\r{line}" if sys.stderr.isatty() else line, file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -72,7 +72,10 @@ def build_beside(tasks: Sequence[Callable[[], None]], progress: Progress) -> Non
         with building, uncollected(), quietly():
             run_beside(tasks)
 
-    run_aside(build, progress.tick)
+    try:
+        run_aside(build, progress.tick)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt("while kernels were compiled, which the next call goes on with") from None
 
 
 @dataclass(frozen=True)

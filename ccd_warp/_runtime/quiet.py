@@ -24,6 +24,7 @@ _DRIVERS = {"linux": ("libcuda.so", "libcuda.so.1"), "win32": ("nvcuda.dll",)}
 _DRIVER_WARNING = b"Could not find or load the NVIDIA CUDA driver"
 
 _is_started = False
+why_no_cache = ""  # why Warp could not have its cache, where it has an empty one of its own instead
 
 
 @contextmanager
@@ -38,26 +39,36 @@ def quietly() -> Iterator[None]:
         wp.config.log_level = level
 
 
-def start_warp() -> None:
-    """Initialise Warp, one thread at a time, without a warning where there is no CUDA driver."""
+def start_warp(*, needs_cache: bool = True) -> None:
+    """Initialise Warp, one thread at a time, without a warning where there is no CUDA driver.
+
+    Raises:
+        OSError: If the cache cannot be written, and is needed as the package brings no kernels.
+    """
     global _is_started
     if _is_started:
         return
     try:
         with building, quietly(), nullcontext() if _has_driver() else _without_driver_warning():
-            _init()
+            _init(needs_cache and not has_any())
     except OSError as error:
-        raise OSError(unwritable_cache(error.filename or wp.config.kernel_cache_dir, error)) from error
+        raise OSError(_unwritable(error)) from error
     _is_started = True
 
 
-def _init() -> None:
-    """Initialise Warp, with an empty cache of its own where it can have no other and the package brings its kernels."""
+def _unwritable(error: OSError) -> str:
+    return unwritable_cache(error.filename or wp.config.kernel_cache_dir, error)
+
+
+def _init(needs_cache: bool) -> None:
+    """Initialise Warp, with an empty cache of its own where it can have no other and needs none."""
+    global why_no_cache
     try:
         wp.init()
-    except OSError:
-        if not has_any():
+    except OSError as error:
+        if needs_cache:
             raise
+        why_no_cache = _unwritable(error)
         wp.config.kernel_cache_dir = tempfile.mkdtemp(prefix="ccd_warp_")
         atexit.register(shutil.rmtree, wp.config.kernel_cache_dir, ignore_errors=True)
         wp.init()

@@ -140,15 +140,16 @@ def _json(path):
 
 def test_both_formats_hold_the_result_bit_for_bit(run):
     """By ascending toi, with numbers within the bodies, and all that is needed to understand the numbers."""
-    for suffix in ("json", "npz"):
-        assert f"out.{suffix}" in run(f"{ON} --output out.{suffix}").out
-    lines, (mesh, result) = _lines(run(ON).out), _expected()
+    assert "out.npz" in run(f"{ON} --output out.npz").out
+    lines, (mesh, result) = _lines(run(f"{ON} --output out.json").out), _expected()
+    assert "wrote out.json" in lines
     assert f"scene toi {float(result.toi)!r} (of the step; no pair looked at touches before it)" in lines
     assert EXACT_TOI - 1e-5 <= result.toi <= EXACT_TOI  # the tolerance, 1e-6 of a length of six, over the speed of five
-    for name in ("read files", "total", *(each.replace("_", " ") for each in result.timings)):
-        assert any(line.startswith(f"{name} ") for line in lines), name
     contacts, first = result.contacts, result.first
     data = _json("out.json")
+    assert {"read_files", "intersections_at_start", *result.timings} == data["timings"].keys()
+    for name, seconds in data["timings"].items():
+        assert any(line.startswith(f"{name.replace('_', ' ')} {seconds:.4f} ") for line in lines), name
     with np.load("out.npz") as file:
         arrays = dict(file)
     assert data["toi"] == arrays["toi"] == result.toi and np.array_equal(arrays["body_toi"], result.body_toi)
@@ -236,6 +237,7 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{SHEET} --exclude wall.ply", "--exclude wall.ply: expected A,B, the names of two bodies"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
+    ("sequence start.ply end.ply --output s.json", "--output s.json: expected the name of a folder, found that of a file"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds 'v 0 0 \x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),

@@ -1,13 +1,14 @@
 """`ccd-warp compile` and `doctor`: kernels are where they are needed, and a line says where they come from."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 import warp as wp
 
 from ccd_warp._cli import compile, doctor
 from ccd_warp._cli.command import main
-from ccd_warp._runtime import packaged, target
+from ccd_warp._runtime import packaged, quiet, target
 from ccd_warp._runtime.every_module import every_module
 from ccd_warp._runtime.target import cpu_target
 
@@ -70,7 +71,16 @@ def test_what_cannot_be_compiled_is_said_in_one_line(arguments, message, capsys)
     assert f"ccd-warp: error: {message}" in capsys.readouterr().err
 
 
-def test_doctor_says_why_kernels_are_compiled(capsys):
+def test_doctor_says_why_kernels_are_compiled(capsys, monkeypatch):
+    monkeypatch.setattr(quiet, "_is_started", False)
+    monkeypatch.setattr(quiet, "why_no_cache", "")
+    with monkeypatch.context() as patch:
+        patch.setattr(wp, "init", Mock(side_effect=[PermissionError(13, "Permission denied", "/a/cache"), None]))
+        patch.setattr(wp.config, "kernel_cache_dir", wp.config.kernel_cache_dir)  # another takes its place
+        assert main(["doctor"]) == 0
+    unwritable = "cache: none. Warp's kernel cache cannot be written in /a/cache (Permission denied); free space there"
+    assert capsys.readouterr().out.splitlines()[-1].startswith(unwritable)
+    monkeypatch.setattr(quiet, "why_no_cache", "")
     assert main(["doctor"]) == 0
     versions, cpu, *_, cache = capsys.readouterr().out.splitlines()
     assert wp.config.version in versions and wp.config.kernel_cache_dir in cache

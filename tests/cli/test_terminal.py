@@ -16,6 +16,7 @@ from mesh_files import ply
 import ccd_warp as ccd
 from ccd_warp._cli.command import main
 from ccd_warp._cli.progress_line import line_of
+from ccd_warp._runtime import launch
 from ccd_warp._runtime.progress import Progress
 
 PATIENCE = 600.0  # a guard against hanging, not a demand: the answer to Ctrl-C is due within half a second
@@ -114,7 +115,20 @@ def test_progress_is_shown_and_the_terminal_is_left_as_it_was(tmp_path, terminal
     assert "narrow phase" not in shown and screen_of(shown) == []
 
 
+def test_ctrl_c_while_kernels_are_compiled_is_told_in_few_lines(monkeypatch):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(launch, "run_aside", interrupted)
+    monkeypatch.setattr(launch, "_loaded", set())
+    mesh = ccd.CollisionMesh.from_arrays([plane(2)])
+    with pytest.raises(KeyboardInterrupt, match="while kernels were compiled") as raised:
+        ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices)
+    assert len(raised.traceback) <= 4, "as many frames as a caller can use"
+
+
 def test_line_says_the_share_that_is_done_and_what_the_rest_will_take():
+    assert "#" * 12 + " " in line_of(Progress(None, "compiling kernels", 0, 1), 8.0, 8.0), "it moves while a module compiles"
     assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
 
 

@@ -9,6 +9,7 @@ import warp as wp
 from shared_objects import SharedObjects
 from warp._src import build
 
+from ccd_warp._runtime import kernel_cache
 from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.quiet import start_warp
 
@@ -82,6 +83,17 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
         _load_anew()
+
+
+def test_a_first_compilation_is_told_once_in_a_line_where_there_is_no_terminal(cache, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
+    monkeypatch.setattr(kernel_cache, "_is_said", False)
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_WARNING)
+    _load_anew()
+    kernel_cache._say_once(wp.get_device("cpu"))
+    shown = capsys.readouterr()
+    assert (shown.out, shown.err.count("\n")) == ("", 1)
+    assert shown.err.startswith("ccd_warp: compiling kernels, ") and shown.err.endswith(f"kept in {tmp_path}\n")
 
 
 def test_what_is_loaded_on_the_cpu_stays_where_it_is_compiled_for_a_gpu(cache, tmp_path, monkeypatch):

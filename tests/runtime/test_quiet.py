@@ -5,8 +5,11 @@ import re
 import subprocess
 import sys
 
+import numpy as np
 import pytest
+import warp as wp
 
+import ccd_warp as ccd
 from ccd_warp._runtime import quiet
 
 SOLVE = """
@@ -49,13 +52,22 @@ def test_a_script_prints_what_it_prints_and_what_its_user_has_asked_for(tmp_path
     script.write_text(code, encoding="utf-8")
     done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and re.fullmatch(shown, done.stdout, re.DOTALL), done
-    assert done.stderr == "" or "warp.init()" in code or "LOG_DEBUG" in code
+    shown = [line for line in done.stderr.splitlines() if not line.startswith("ccd_warp: compiling kernels")]
+    assert shown == [] or "warp.init()" in code or "LOG_DEBUG" in code
 
 
 def test_threads_that_compile_first_do_not_ask_warp_for_the_version_of_its_compiler_at_once():
     """Warp 1.19 writes it into one buffer: a thread may read an empty text, and name its object without it."""
     done = subprocess.run([sys.executable, "-c", FIRST_NAME], capture_output=True, text=True, check=True)
     assert re.search(r"\.cpu[0-9a-f]{8}\.o$", done.stdout.strip()), done.stdout
+
+
+def test_a_gpu_that_is_not_there_is_refused_without_a_line_of_warp(capfd):
+    if wp.is_cuda_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(ValueError, match="device is 'cuda'; expected one of 'cpu'"):
+        ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])]), device="cuda")
+    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="the driver's name is Linux's")

@@ -311,6 +311,8 @@ def resolve_device(device: Any, of_arrays: Any = None) -> Any:
     if device is None:
         return wp.get_device() if of_arrays is None else of_arrays
     try:
+        if str(device) == "cuda" and not wp.is_cuda_available():
+            raise LookupError  # Warp would print errors of a driver that it has not
         resolved = wp.get_device(device)
     except Exception as error:
         names = ", ".join(repr(d.alias) for d in wp.get_devices())
