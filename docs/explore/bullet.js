@@ -12,6 +12,8 @@ const BULLET_LENGTH = 0.6;
 const BULLET_START = [0.6, 0.0];
 const WALL_CENTRE = 5.0;
 const WALL_HALF_HEIGHT = 0.5;
+const LATE = 5e-5; // of the step: what is less shows as 0
+const TOUCH = 1e-9; // m: what is nearer touches, however positions that are decimals were rounded
 
 const shifted = (polygon, by) => polygon.map((x) => [x[0] + by[0], x[1] + by[1]]);
 const bulletAt = (travel, t) => shifted(BULLET, [BULLET_START[0] + t * travel, BULLET_START[1]]);
@@ -28,13 +30,14 @@ function wallOf(thickness) {
 
 const sidesOf = (polygon) => polygon.map((x, i) => [x, polygon[(i + 1) % polygon.length]]);
 
-/** Whether two convex polygons overlap: no side of either separates them. */
+/** Whether two convex polygons overlap or touch: no side of either separates them. */
 function overlap(first, second) {
   return [...sidesOf(first), ...sidesOf(second)].every(([x, y]) => {
     const d = [y[1] - x[1], x[0] - y[0]];
     const range = (polygon) => [Math.min(...polygon.map((v) => dot(d, v))), Math.max(...polygon.map((v) => dot(d, v)))];
     const [a, b] = [range(first), range(second)];
-    return a[0] <= b[1] && b[0] <= a[1];
+    const slack = TOUCH * Math.hypot(...d);
+    return a[0] <= b[1] + slack && b[0] <= a[1] + slack;
   });
 }
 
@@ -87,7 +90,8 @@ function say(id, isHit, text) {
 }
 
 function describeEnds({ ends, toi }) {
-  if (ends.some((test) => test.isHit)) return "The bullet ends inside the wall. When it got there is not known.";
+  if (ends[1].isHit && ends[1].t - toi < LATE) return "The bullet touches the wall just at the end, where this test looks.";
+  if (ends[1].isHit) return "The bullet ends in the wall. When it got there is not known.";
   return toi === null ? "Right, but this test cannot know." : "It went through the wall and was never seen inside.";
 }
 
@@ -95,8 +99,8 @@ function describeSamples({ samples, toi }, travel, thickness) {
   const first = samples.find((test) => test.isHit);
   const spacing = `Samples are ${(travel / (samples.length - 1)).toFixed(2)} m apart.`;
   if (first !== undefined) {
-    const late = (first.t - toi).toFixed(4);
-    return `${spacing} The first that sees the wall is at t = ${first.t.toFixed(4)}, late by ${late}.`;
+    const late = first.t - toi < LATE ? "just when it is touched" : `late by ${(first.t - toi).toFixed(4)}`;
+    return `${spacing} The first that sees the wall is at t = ${first.t.toFixed(4)}, ${late}.`;
   }
   if (toi === null) return `${spacing} Right, but it cannot know what happens between them.`;
   const enough = `${(BULLET_LENGTH + thickness).toFixed(2)} m apart, bullet and wall together,`;

@@ -88,7 +88,7 @@ function setClip(count) {
   const row = byId("clip-rows").querySelector(".current");
   const table = byId("clip-table");
   if (row !== null) table.scrollTop = row.offsetTop - 0.5 * table.clientHeight;
-  showResult("clipping", clipping, "steps");
+  showResult("clipping", clipping, `steps, which clip ${clipping.clips.length} times`);
   drawPair();
 }
 

@@ -51,7 +51,8 @@ def _cases() -> np.ndarray:
     return cases
 
 
-CASES, SHOTS = _cases(), [(8.6, 0.2, 8), (9.2, 0.02, 40), (4.2, 1.0, 3), (3.0, 0.5, 12), (5.0, 2.0, 5)]
+WORDS = "[describeEnds(shoot({0}, {1}, {2})), describeSamples(shoot({0}, {1}, {2}), {0}, {1})]"
+CASES, SHOTS = _cases(), [(8.6, 0.2, 8), (9.2, 0.02, 40), (4.2, 1.0, 3), (3.0, 0.5, 12), (5.0, 2.0, 5), (4.0, 0.2, 8)]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +71,7 @@ def shown(tmp_path_factory):
             ...["toi", "status", "iterations"].map((each) => document.getElementById(`${{method}}-${{each}}`).value),
             state[method].bounds, state[method].u]);
     }})"""
-    of_shots = [f"[shoot({x}, {y}, {n}), bulletPairs({x}, {y})]" for x, y, n in SHOTS]
+    of_shots = [f"[shoot({x}, {y}, {n}), bulletPairs({x}, {y}), {WORDS.format(x, y, n)}]" for x, y, n in SHOTS]
     asked = f"{of_cases}, [{', '.join(of_shots)}], document.documentElement.scrollWidth"
     (folder / "asked.js").write_text(f"parent.postMessage(JSON.stringify([{asked}]), '*')", encoding="utf-8")
     with (folder / "index.html").open("a", encoding="utf-8") as page:
@@ -123,8 +124,12 @@ def test_the_page_shows_the_toi_the_status_and_every_bound_of_the_library(shown)
 
 
 def test_the_bullet_meets_the_wall_when_the_library_says_and_the_page_is_no_wider_than_a_telephone(shown):
-    for shot, pairs in shown[1]:
+    for (travel, thickness, _), (shot, pairs, words) in zip(SHOTS, shown[1], strict=True):
         start, end = (np.array([[pair[time][name] for name in "pab"] for pair in pairs]) for time in ("start", "end"))
         toi = float(np.asarray(ccd.point_segment_ccd(start, end, device="cpu").toi).min())
         assert (np.inf if shot["toi"] is None else shot["toi"]) == toi
+        way_behind = round(travel - 4.7 - 0.5 * thickness, 9)  # of its rear; at 0 it still touches the wall
+        assert ("went through" in words[0]) == (way_behind > 0) and (way_behind > 0 or "passes between" not in words[1])
+        is_at_end = round(travel - 4.1 + 0.5 * thickness, 9) == 0
+        assert ("just at the end" in words[0]) == ("just when" in words[1]) == is_at_end
     assert shown[2] <= 360
