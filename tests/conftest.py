@@ -10,11 +10,14 @@ sys.path += [str(Path(__file__).resolve().parent / folder) for folder in ("helpe
 
 import pytest
 import warp as wp
+from _pytest.faulthandler import fault_handler_stderr_fd_key
+from helpers import clock
 from programs import programs
 from uploads import upload_to_launches
 
 from ccd_warp._engine.boxes import trees
-from ccd_warp._runtime import kernel_cache
+from ccd_warp._runtime import kernel_cache, launch
+from ccd_warp._runtime.quiet import start_warp
 
 wp.config.log_level = wp.LOG_WARNING
 kernel_cache._is_said = True  # what a test captures does not depend on what has been compiled
@@ -39,7 +42,11 @@ def pytest_cmdline_main(config):
 
 def pytest_sessionstart(session):
     """Let Warp take the device of the option where a test names none."""
-    name = session.config.getoption("device")
+    config = session.config
+    seconds, is_end = (config.getini(f"faulthandler_{name}") for name in ("timeout", "exit_on_timeout"))
+    clock.set_limit(float(seconds or 0), exit=is_end, file=config.stash[fault_handler_stderr_fd_key])
+    launch.run_aside = clock.stands_still(launch.run_aside)
+    name = config.getoption("device")
     if name == "emulated":
         from emulated.build import compiler
         from emulated.device import begin_run
@@ -48,7 +55,10 @@ def pytest_sessionstart(session):
             raise pytest.UsageError("--device emulated: no C++ compiler found: apt-get install g++, or set CXX")
         begin_run()
         name = "cpu"
-    wp.init()
+    try:
+        start_warp()
+    except OSError as error:
+        raise pytest.UsageError(str(error)) from error
     if name not in (names := [device.alias for device in wp.get_devices()]):
         raise pytest.UsageError(f"--device is {name!r}; expected emulated or one of {', '.join(names)}")
     wp.set_device(name)

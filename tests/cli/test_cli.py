@@ -237,7 +237,10 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{SHEET} --exclude wall.ply", "--exclude wall.ply: expected A,B, the names of two bodies"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    ("sequence start.ply end.ply --output s.json", "--output s.json: expected the name of a folder, found that of a file"),
+    (
+        "sequence start.ply end.ply --output s.json",
+        "s.json: expected the name of a folder, found that of a file",
+    ),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds 'v 0 0 \x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),

@@ -37,17 +37,54 @@ def rows(folder):
         return list(csv.DictReader(file))
 
 
-def test_rows_are_those_of_the_library_bit_for_bit(folder, capfd):
-    run(*BALLS, *ON, "--length-scale", "1", "--minimum-separation", "0.01", "--output", "out", "--quiet")
-    assert capfd.readouterr() == ("", "")
-    assert sorted(path.name for path in (folder / "out").iterdir()) == ["steps.csv", "steps.png"]
-    steps = [*ccd.read_sequence([folder / name for name in BALLS], static=["floor.ply"]).steps()]
-    how = {"length_scale": 1.0, "minimum_separation": 0.01}
-    expected = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **how) for step in steps]
-    assert [float(row["toi"]) for row in rows("out")] == [result.toi for result in expected]
-    assert [int(row["contacts"]) for row in rows("out")] == [len(result.contacts) for result in expected]
-    (k, *_) = np.flatnonzero([result.hit for result in expected])
-    assert [float(rows("out")[k][axis]) for axis in "xyz"] == expected[k].first.point.tolist()
+def _drawn(seed):
+    """Frames of four triangles, and options: in families that rest, that meet on a grid, and any."""
+    rng = np.random.default_rng(seed)
+    first = rng.integers(-2, 3, (12, 3)) if seed % 3 == 1 else rng.uniform(-2, 2, (12, 3))
+    steps = rng.integers(-1, 2, (int(rng.integers(1, 4)), 4, 3)) * (seed % 3 > 0) * rng.integers(0, 2, (4, 1))
+    frames = [first, *(first + np.repeat(np.cumsum(steps, axis=0), 3, axis=1))]
+    options = {"length_scale": 1.0, "max_iterations": int(rng.choice([2, 10_000])), "tolerance": 1e-9}
+    return frames, options | ({"minimum_separation": 0.01} if seed % 2 else {})
+
+
+def _expected(step, options):
+    """The numbers of a row, and whether its step is free of contacts and crossings, as the library counts them."""
+    result = ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **options)
+    crossing = int(ccd.find_intersections(step.mesh, step.vertices_t0).is_crossing.sum())
+    kinds = [int((result.contacts.kind == kind).sum()) for kind in (ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE)]
+    of_status = [ccd.CCDStatus.INITIAL_CONTACT, ccd.CCDStatus.ITERATION_LIMIT]
+    at_start, at_limit = (int((result.contacts.status == status).sum()) for status in of_status)
+    first = result.first.point.tolist() if result.hit else ["", "", ""]
+    return [result.toi, len(result.contacts), *kinds, 0, at_start, crossing, at_limit, *first]
+
+
+_OF_ROW = "toi contacts vertex_face edge_edge vertex_plane at_start crossing_at_start at_limit x y z".split()
+
+
+def test_columns_and_statuses_are_those_of_the_library_for_drawn_sequences(capfd):
+    seen = {"free": 0, "crossing alone": 0, "at_limit": 0, "at_start": 0}
+    for seed in range(18):
+        frames, options = _drawn(seed)
+        for k, vertices in enumerate(frames):
+            Path(f"{k}.ply").write_bytes(ply(vertices, np.arange(12).reshape(4, 3)))
+        names = [f"{k}.ply" for k in range(len(frames))]
+        words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
+        expected = [_expected(step, options) for step in ccd.read_sequence(names).steps()]
+        hits, crossing = ([row[k] for row in expected] for k in (1, 6))
+        status = int(any(hits) or any(crossing))
+        for flag in ([], ["--fail-on-contact"]):
+            run(*names, *words, "--output", "-", "--quiet", *flag, status=status if flag else 0)
+            found = [*csv.DictReader(capfd.readouterr().out.splitlines())]
+            numbers = [[row[name] and float(row[name]) for name in _OF_ROW] for row in found]
+            assert numbers == expected, seed
+            if flag:
+                command = ["run", *names[:2], *map(str, words), "--quiet", *flag]
+                assert main(command) == int(hits[0] > 0 or crossing[0] > 0), seed
+        seen["free"] += not status
+        seen["crossing alone"] += any(crossing) and not any(hits)
+        seen["at_limit"] += any(row[7] for row in expected)
+        seen["at_start"] += any(row[5] for row in expected)
+    assert min(seen.values()) > 0, seen
 
 
 def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):

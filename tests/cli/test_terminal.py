@@ -128,7 +128,9 @@ def test_ctrl_c_while_kernels_are_compiled_is_told_in_few_lines(monkeypatch):
 
 
 def test_line_says_the_share_that_is_done_and_what_the_rest_will_take():
-    assert "#" * 12 + " " in line_of(Progress(None, "compiling kernels", 0, 1), 8.0, 8.0), "it moves while a module compiles"
+    assert "#" * 12 + " " in line_of(Progress(None, "compiling kernels", 0, 1), 8.0, 8.0), (
+        "it moves while a module compiles"
+    )
     assert line_of(Progress(None, "pairs", 25, 100), 10.0) == f"pairs  [{'#' * 6}{' ' * 18}]  25%  about 30 s left"
 
 

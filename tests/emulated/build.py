@@ -11,6 +11,7 @@ from functools import cache
 from pathlib import Path
 
 import warp as wp
+from helpers import clock
 
 _FOLDER = Path(__file__).resolve().parent
 _NATIVE = Path(wp.__file__).resolve().parent / "native"
@@ -106,6 +107,7 @@ def _make_device(made: Path, own: list[Path], changed: dict[str, str], flags: li
     _run([str(compiler()), *_FLAGS, *_LINKED, *fast, *told, "grid.cpp", "-o", "device.so"], made)
 
 
+@clock.stands_still
 def build(name: str, write: Callable[[], str], is_sanitized: bool = False, is_watched: bool = False) -> Path:
     """The library of a C++ program that includes the device, which finds races of a program that it watches.
 

@@ -115,19 +115,19 @@ def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
         ("ball.ply", "few.ply", r"ball\.ply has 42 vertices and 80 faces, .*few\.ply has 4 vertices and 2 faces"),
         ("ball.ply", "order.ply", r"differs: face 7 is \[.*\] in .*ball\.ply and \[.*\] in .*order\.ply \(72 of 80"),
         ("ball.stl", "ball.ply", r"ball\.stl has 240 vertices and 80 faces, .*ball\.ply has 42"),
-        ("ball.stl", "torn.stl", r"torn\.stl: vertex \d+ leaves vertex .*save all frames in another"),
+        *(("ball.stl", f"torn_{k}.stl", r"torn_.\.stl: vertex \d+ leaves .*save all frames in another") for k in "xyz"),
         ("ball.ply", "none.ply", r"none\.ply: no such file"),
     ],
 )
 def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, message):
     corners, soup = BALL[BALL_FACES].reshape(-1, 3), np.arange(240).reshape(-1, 3)
-    torn = corners + (np.arange(240) == 5)[:, None]
+    torn = {f"torn_{k}.stl": corners + np.outer(np.arange(240) == 5, k == np.array([*"xyz"])) for k in "xyz"}
     for name, data in {
         "ball.ply": ply(BALL, BALL_FACES),
         "few.ply": ply(BALL[:4], [[0, 1, 2], [1, 2, 3]]),
         "order.ply": ply(BALL, np.vstack([BALL_FACES[:7], BALL_FACES[7:][::-1]])),
         "ball.stl": exported("stl", BALL, BALL_FACES),
-        "torn.stl": exported("stl", torn, soup),
+        **{name: exported("stl", vertices, soup) for name, vertices in torn.items()},
     }.items():
         (tmp_path / name).write_bytes(data)
     with pytest.raises(ValueError, match=message) as caught:

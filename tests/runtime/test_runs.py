@@ -9,6 +9,8 @@ from pathlib import Path
 TESTS = """
 import os, signal, time
 import warp as wp
+from ccd_warp._runtime import launch
+from ccd_warp._runtime.progress import Progress
 
 def test_dies():
     os._exit(3)
@@ -16,24 +18,41 @@ def test_dies():
 def test_hangs():
     time.sleep(60)
 
+def test_compiles_longer_than_a_test_may_take():
+    launch.build_beside([lambda: time.sleep(4.0)], Progress())
+
 def test_runs_on_the_device():
     assert wp.get_device().is_cpu and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 """
 
 
+def _run(folder, *options, **environment):
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path]),
+        **environment,
+    }
+    command = [sys.executable, "-m", "pytest", "test_it.py", "-p", "conftest", "--device", "cpu", *options]
+    (folder / "test_it.py").write_text(TESTS)
+    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+
+
 def test_what_dies_or_hangs_is_named_and_the_others_run(tmp_path):
     """In the background of a script, where SIGINT is ignored."""
-    (tmp_path / "test_it.py").write_text(TESTS)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path])}
-    options = ["-p", "conftest", "--device", "cpu", "-n", "1", "-o", "faulthandler_timeout=3"]
-    options += ["-o", "faulthandler_exit_on_timeout=true", "--junitxml=it.xml"]
+    options = ["-n", "1", "-o", "faulthandler_timeout=3", "-o", "faulthandler_exit_on_timeout=true"]
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        command = [sys.executable, "-m", "pytest", "test_it.py", *options]
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300)
+        done = _run(tmp_path, *options, "--junitxml=it.xml")
     finally:
         signal.signal(signal.SIGINT, before)
-    assert done.returncode == 1 and "2 failed, 1 passed" in done.stdout, done.stdout + done.stderr
+    assert done.returncode == 1 and "2 failed, 2 passed" in done.stdout, done.stdout + done.stderr
     for name in ("test_dies", "test_hangs"):
         assert f"crashed while running 'test_it.py::{name}'" in done.stdout
         assert f'name="{name}"' in (tmp_path / "it.xml").read_text()
+
+
+def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path):
+    """As where HOME cannot be written, and WARP_CACHE_PATH names no other place."""
+    done = _run(tmp_path, WARP_CACHE_PATH=str(tmp_path / "test_it.py" / "cache"))
+    assert done.returncode == 4 and "INTERNALERROR" not in done.stdout + done.stderr
+    assert "ERROR: Warp's kernel cache cannot be written in" in done.stderr and "WARP_CACHE_PATH" in done.stderr
