@@ -378,6 +378,7 @@ class _Drawing:
             start, end = self.on_grid(start), self.on_grid(end)
         if self.family == "touching":
             start, end = self.stacked(mesh, start, end)
+        self.corner(mesh, start, end)
         if self.family == "far":
             start, end = (x + size * 1e6 * rng.choice([-1, 0, 1], self.dimension) for x in (start, end))
         if not self.is_on_grid and self.family not in ("in plane", "arcs") and self.flip(0.6):
@@ -403,6 +404,14 @@ class _Drawing:
             else:
                 continue
             end[v] = start[v] + (target - start[v]) / t
+
+    @feature
+    def corner(self, mesh, start, end) -> None:
+        """The first two particles begin in one place, on the last of the half-spaces, and move on."""
+        planes, pair = mesh.planes, mesh.codimensional_points[:2]
+        if len(planes) > 1 and len(pair) == 2 and planes.vertices[-1] < 0 and self.flip(0.8):
+            end[pair] += planes.points[-1] - start[pair]
+            start[pair] = planes.points[-1]
 
     @feature
     def stacked(self, mesh, start, end):
