@@ -14,8 +14,8 @@ lands so near a diagonal touches the diagonal, and its own edges, which meet tha
 **Which contact is kept.** Pairs of one group have normals of their own: two edges that meet at their ends have their
 cross product, which may point anywhere. A normal is right where its plane separates what is around the two features,
 which is tested against the vertices of all contacts around them. Of those that are right the earliest is kept, of those
-at one toi the one that approaches most, and of equal ones a vertex and a face before two edges. Its toi becomes the least
-of those that are the same to rounding, so that no touch is later than the list has it.
+at one toi the one that approaches most, and of equal ones a vertex and a face before two edges. Its toi becomes the
+least of those that are the same to rounding, so that no touch is later than the list has it.
 
 **What is at a distance** has the direction of the gap as its normal in all pairs of a group. If it separates nothing,
 something beside the features is nearer, which touches in a pair of its own: the contact is that of a ball that has
@@ -141,7 +141,7 @@ def _most(approach: Array, speed: Array) -> int:
 
 
 class _Groups:
-    """Contacts on two features that other pairs may have, by these features: not on the inside of a face without a copy.
+    """Contacts on two features that other pairs may have, by these: not on the inside of a face without a copy.
 
     Attributes:
         rows: The contacts.

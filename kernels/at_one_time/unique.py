@@ -1,8 +1,9 @@
 """Of all pairs with the same two closest features the first, by kind and pair, and how many they are.
 
 The features that several pairs may have are two vertices, a vertex and an edge, or a vertex and the inside of a face
-that is in the mesh several times, by the same vertices in any order. Pairs are sorted by a key of the vertex, so that those near each other stay so, a hash of the rest, and the row of the pair. Those with one hash are
-neighbours then, nearly always with the same features; in a list that is in order the first of them comes first.
+that is in the mesh several times, by the same vertices in any order. Pairs are sorted by a key of the vertex, so that
+those near each other stay so, a hash of the rest, and the row of the pair. Those with one hash are neighbours then,
+nearly always with the same features; in a list that is in order the first of them comes first.
 """
 
 import warp as wp

@@ -1,8 +1,8 @@
 """What `unique()` keeps of contacts, from its definition: every two contacts compared, every vertex with every plane.
 
-Two contacts are one touch where their closest points span the same vertices. Which vertices these are, and on which side
-of a plane a vertex is, is known to a length that rounding, or the tolerance, hides. A touch of which any of this would be
-another with a quarter or four times of that length is not judged.
+Two contacts are one touch where their closest points span the same vertices. Which vertices these are, and on which
+side of a plane a vertex is, is known to a length that rounding, or the tolerance, hides. A touch of which any of this
+would be another with a quarter or four times of that length is not judged.
 """
 
 from dataclasses import dataclass
@@ -172,4 +172,6 @@ def check_first(result) -> None:
         approach = -(kept.normal * kept.relative_velocity).sum(axis=1)
         most = approach >= approach.max() - 1e-9 * np.linalg.norm(kept.relative_velocity, axis=1)
         kept = kept[np.flatnonzero(most)]
-    assert first in [(k, *p) for k, p in zip(kept.kind.tolist(), kept.primitives.tolist(), strict=True)] or not len(kept)
+    assert first in [(k, *p) for k, p in zip(kept.kind.tolist(), kept.primitives.tolist(), strict=True)] or not len(
+        kept
+    )
