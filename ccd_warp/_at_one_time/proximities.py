@@ -97,7 +97,7 @@ class ProximityStore:
         columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
         size = 2 * count if device.is_cuda else count
         keys: wp.array = wp.empty(size, dtype=wp.int64, device=device)
-        others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec2i, wp.bool, wp.int32))
+        others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec3i, wp.bool, wp.int32))
         shared = SharedFeatures(keys, others, pair_keys, *of_rows)
         sort = partial(sort_in_place, keys, count, self._execution)
         num_vertices = self._topology.mesh.num_vertices

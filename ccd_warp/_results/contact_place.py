@@ -164,6 +164,11 @@ class ContactPlace:
     radii: Radii | None = None
 
     @property
+    def tolerance(self) -> float:
+        """The length up to which places of contacts are the same; 0 where it is not known."""
+        return 0.0 if self.touch is None else self.touch.tolerance
+
+    @property
     def has_points(self) -> bool:
         """Whether the points are known."""
         return self.points is not None or self.frames is not None
@@ -188,7 +193,11 @@ class ContactPlace:
 
     def unique_of(self, contacts: Contacts) -> Contacts:
         """One contact for each two features that touch."""
-        return contacts._subset(distinct(contacts, None if self.frames is None else self.frames.at))
+        rows, toi = distinct(contacts, None if self.frames is None else self.frames.at)
+        kept, place = contacts._subset(rows), self.subset(rows)
+        if place.frames is not None:  # points are then those of the toi that it has now
+            place = replace(place, points=None)
+        return replace(kept, toi=toi)._of(place)
 
     def first_of(self, contacts: Contacts) -> int:
         """The index of the first contact, as `Outcome.first` has it; without velocities of the earliest in the list."""

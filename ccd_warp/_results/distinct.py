@@ -4,14 +4,18 @@ The closest points of a contact lie on two features: a vertex, an edge or the in
 on the edge between two faces touches both of them there, and each of its own edges touches the common edge: one touch,
 in several pairs. So contacts are grouped by their features, and one of each group is kept.
 
+Faces with the same vertices are one feature; the inside of any other face is in one pair only.
+
 **Where a closest point lies** is known to rounding. What the solver leaves open is the gap g of the contact; at a
 distance d of the closest points another place is as near within g if it is up to √(2 d g) beside. A vertex that moves a
-closest point by no more than that is none of those that span its feature.
+closest point by no more than that, or by no more than the tolerance, is none of those that span its feature: a tip that
+lands so near a diagonal touches the diagonal, and its own edges, which meet that next to it, touch nothing else.
 
 **Which contact is kept.** Pairs of one group have normals of their own: two edges that meet at their ends have their
 cross product, which may point anywhere. A normal is right where its plane separates what is around the two features,
 which is tested against the vertices of all contacts around them. Of those that are right the earliest is kept, of those
-at one toi the one that approaches most, and of equal ones a vertex and a face before two edges.
+at one toi the one that approaches most, and of equal ones a vertex and a face before two edges. Its toi becomes the
+least of those that are the same to rounding, so that no touch is later than the list has it.
 
 **What is at a distance** has the direction of the gap as its normal in all pairs of a group. If it separates nothing,
 something beside the features is nearer, which touches in a pair of its own: the contact is that of a ball that has
@@ -29,6 +33,8 @@ from ccd_warp._runtime.status import CCDStatus, PairKind
 
 # Roundings of the coordinates that count as no distance, and the sine of an angle that counts as none.
 _ROUNDINGS, _ANGLE = 2.0**-48, 1e-6
+# Of the size of a pair: how much of it the tolerance may hide.
+_MOST_HIDDEN = 2.0**-10
 # Of the step: how far apart two tois may be at most that rounding tells apart.
 MOST_APART = 2.0**-10
 # Of a relative speed: what counts as no difference between two. Groups that are looked at before all are.
@@ -57,10 +63,15 @@ def _gap_of(contacts: Contacts) -> Array:
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def distinct(contacts: Contacts, position_at: At | None) -> Indices:
-    """The rows of the contacts to keep, ascending."""
-    kept, _ = _kept(contacts, position_at)
-    return np.flatnonzero(kept == np.arange(len(kept)))
+def distinct(contacts: Contacts, position_at: At | None) -> tuple[Indices, Array]:
+    """The rows of the contacts to keep, ascending, and the toi of each: the least that its touch has, to rounding."""
+    kept, group = _kept(contacts, position_at)
+    rows, least = np.flatnonzero(kept == np.arange(len(kept))), contacts.toi.copy()
+    same, slack = np.flatnonzero((group >= 0) & (kept >= 0)), slack_of(contacts)
+    of_same = kept[same]
+    is_near = contacts.toi[same] + slack[same] >= contacts.toi[of_same] - slack[of_same]
+    np.minimum.at(least, of_same[is_near], contacts.toi[same[is_near]])
+    return rows, least[rows]
 
 
 def _kept(contacts: Contacts, position_at: At | None) -> tuple[Indices, Indices]:
@@ -120,7 +131,7 @@ def first_of(contacts: Contacts, position_at: At | None) -> int:
             return int(rows[near[kept[at]]])
         others = near[group == group[at]]
         approach[others[others != near[kept[at]]] if kept[at] >= 0 else others] = -np.inf
-    rows = rows[distinct(same, position_at)]
+    rows = rows[distinct(same, position_at)[0]]
     return int(rows[_most(*approach_of(contacts[rows]))]) if len(rows) else earliest
 
 
@@ -130,7 +141,7 @@ def _most(approach: Array, speed: Array) -> int:
 
 
 class _Groups:
-    """Contacts on two features, of which neither is the inside of a face, by these features.
+    """Contacts on two features that other pairs may have, by these: not on the inside of a face without a copy.
 
     Attributes:
         rows: The contacts.
@@ -157,16 +168,23 @@ class _Groups:
             self._reach += np.sqrt(2.0 * self._apart * self._reach)
             self.is_apart = self._apart > 16.0 * self._reach
             of_column = np.where(self._is_first[..., None], self._points[0][:, None], self._points[1][:, None])
-            spans = size * np.linalg.norm(x - of_column, axis=2) > self._reach[:, None]
+            largest = np.linalg.norm(np.ptp(x, axis=1), axis=1)
+            hidden = np.maximum(self._reach, np.minimum(contacts._place.tolerance, _MOST_HIDDEN * largest))
+            spans = size * np.linalg.norm(x - of_column, axis=2) > hidden[:, None]
         for side in (self._is_first, ~self._is_first):  # the nearest vertex of a side always belongs to it
             largest = np.where(side, size, -1.0)
             spans |= largest == largest.max(axis=1, keepdims=True)
         spans &= size > 0.0
-        is_listed = contacts.kind != int(PairKind.VERTEX_PLANE)
-        for side in (self._is_first, ~self._is_first):
-            is_listed &= (spans & side).sum(axis=1) <= 2
-        self.rows = np.flatnonzero(is_listed)
+        is_listed, copies = contacts.kind != int(PairKind.VERTEX_PLANE), contacts._known_mesh()._copies_of_faces
+        is_inside = (spans & ~self._is_first).sum(axis=1) > 2
+        is_copy = np.zeros(len(contacts), dtype=bool)
+        if copies is not None:
+            is_copy[is_inside] = copies[contacts.primitives[is_inside, 1]] >= 0
+        self.rows = np.flatnonzero(is_listed & (~is_inside | is_copy))
         codes = features_of(contacts.kind[self.rows], self._vertices[self.rows], spans[self.rows])
+        if copies is not None:  # no edge has a negative number
+            of_copy = is_copy[self.rows]
+            codes[1][of_copy] = -1 - copies[contacts.primitives[self.rows[of_copy], 1]]
         self._is_turned = np.zeros(len(contacts), dtype=bool)
         self._is_turned[self.rows] = codes[0] > codes[1]
         self._tables = [np.unique(feature) for feature in (np.minimum(*codes), np.maximum(*codes))]
@@ -242,7 +260,7 @@ class _Groups:
 def _positions(position_at: At, vertices: NDArray[Any], toi: Array) -> Array:
     """Positions of vertices, shape [m, k], at the toi of each row."""
     positions = position_at(vertices.ravel(), np.repeat(toi, vertices.shape[1])[:, None])
-    return positions.reshape(*vertices.shape, -1)
+    return positions.reshape(*vertices.shape, positions.shape[-1])
 
 
 def _place_in(table: NDArray[np.int64], numbers: NDArray[np.int64]) -> Indices:

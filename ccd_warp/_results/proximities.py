@@ -117,8 +117,8 @@ class Proximities(ClosePairs):
         """Each two closest features once, by the first pair that has them.
 
         They are two vertices, a vertex and an edge, two edges, or a vertex and a face. What a vertex has to do with an
-        edge is listed for each face at the edge, and perhaps for pairs of edges; the others are in one pair only.
-        ``shared_by`` says in how many.
+        edge is listed for each face at the edge, and perhaps for pairs of edges, and what it has to do with a face for
+        each face of the same vertices; two edges are in one pair only. ``shared_by`` says in how many.
         """
         mesh, columns = self.mesh, (self.kind, self.primitives, self.features)
         rows, shared_by = unique_rows(*columns, mesh.edges, mesh.faces, mesh.num_vertices)

@@ -32,7 +32,7 @@ class Counts:
         num_codimensional_edges: Edges that belong to no face.
         num_codimensional_points: Vertices that collide as points.
         num_active_bodies: Bodies that are static or may collide with themselves or with a body whose swept box
-            overlaps theirs.
+            overlaps theirs, half-spaces aside.
         num_boxes: Boxes made; those of static bodies by the call that makes them.
         num_sorted_sets: Sets of primitives that were sorted again.
         num_searches: Launches of the search.

@@ -20,7 +20,7 @@ class SharedFeatures:
 
     Attributes:
         keys: Memory of keys by features, int64.
-        others: Memory of features, wp.vec2i.
+        others: Memory of features, wp.vec3i.
         pair_keys: The keys of the pairs by kind and primitives, int64; empty where their rows are in this order.
         is_unique: Whether it is the first pair with its features, bool.
         shared_by: How many pairs have the features of those, int32; of other pairs it means nothing.
@@ -77,8 +77,8 @@ def unique_rows(
     columns |= {"edge_corners": on_cpu(edges[:, [0, 1, 1]], wp.vec3i), "face_corners": on_cpu(faces, wp.vec3i)}
     pairs = struct_of(kernels.FeaturePairs, columns)
     keys, is_unique = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool)
-    others, shared_by = np.empty((count, 2), dtype=np.int32), np.empty(count, dtype=np.int32)
-    by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec2i), on_cpu(keys[:0], wp.int64)
+    others, shared_by = np.empty((count, 3), dtype=np.int32), np.empty(count, dtype=np.int32)
+    by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec3i), on_cpu(keys[:0], wp.int64)
     shared = SharedFeatures(*by_row, on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
     shared.find(Execution(cpu, default_num_threads()), pairs, num_vertices, count, keys.sort)
     rows = np.flatnonzero(is_unique)

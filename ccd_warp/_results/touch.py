@@ -22,6 +22,7 @@ class Touch:
         start_gap_share: The fraction of its start gap that a pair keeps at most; 0 where it keeps its separation.
         is_by_size: Whether the separation is a multiple of the size of each pair.
         radius: Radius of each vertex, shape [V]; None where there are none.
+        tolerance: The tolerance as a length; without a length scale 0.
     """
 
     is_euclidean: bool
@@ -30,6 +31,7 @@ class Touch:
     start_gap_share: float
     is_by_size: bool = False
     radius: NDArray[np.float64] | None = None
+    tolerance: float = 0.0
 
     @classmethod
     def of(
@@ -43,7 +45,8 @@ class Touch:
         """Of a call with these options; without a length scale each pair has its own."""
         is_by_size = length_scale is None and not is_euclidean
         separation = options.minimum_separation if is_by_size else options.separation(length_scale or 0.0)
-        return cls(is_euclidean, separation, options.t_max, options.start_gap_share, is_by_size, radius)
+        tolerance = options.tolerance * (length_scale or 0.0)
+        return cls(is_euclidean, separation, options.t_max, options.start_gap_share, is_by_size, radius, tolerance)
 
     def query(self, *, is_planar: bool) -> Any:
         """It as the struct of the kernels.

@@ -71,7 +71,7 @@ class Planes(ReadOnly):
 
 
 def unit_normals(normals: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors along normals of any length, shape [H, 3] or [H, 2]."""
+    """Unit vectors along normals of any length, shape [H, 3] or [H, 2]; their zeros are positive."""
     largest = np.abs(normals).max(axis=1, keepdims=True, initial=0.0)
     scaled = np.ldexp(normals, 1 - np.frexp(largest)[1])  # so that squares neither overflow nor vanish
-    return scaled / np.sqrt((scaled * scaled).sum(axis=1, keepdims=True))
+    return scaled / np.sqrt((scaled * scaled).sum(axis=1, keepdims=True)) + 0.0

@@ -584,6 +584,20 @@ class CollisionMesh(ReadOnly):
         return self._surface_vertices[self._is_free[self.vertex_body[self._surface_vertices]]]
 
     @lazy_property
+    def _copies_of_faces(self) -> NDArray[np.int64] | None:
+        """For each face the first one with the same vertices, -1 where it is alone; None where all are, shape [F]."""
+        corners = np.sort(self.faces, axis=1)
+        order = np.lexsort(corners.T)
+        is_new = np.append(True, (np.diff(corners[order], axis=0) != 0).any(axis=1))[: len(order)]
+        if is_new.all():
+            return None
+        number = np.cumsum(is_new) - 1
+        first, is_alone = order[is_new], np.bincount(number) == 1
+        copies = np.empty(len(order), dtype=np.int64)
+        copies[order] = np.where(is_alone[number], -1, first[number])
+        return copies
+
+    @lazy_property
     def _stand_ins(self) -> NDArray[np.intp]:
         """For each vertex itself, and for one that takes no part another of its body that does, shape [V]."""
         stand_ins, used, unused = np.arange(self.num_vertices), self._surface_vertices, self.unused_vertices

@@ -222,9 +222,10 @@ def contact_at(
 ) -> ContactGap:
     """Normal and closest points of a contact of two primitives, given by their points at both ends of a motion.
 
-    Where there is no gap beyond rounding, the parameters are those that the narrow phase has found.
+    Where there is no gap beyond rounding, the parameters are those that the narrow phase has found. Zeros are positive.
     """
     contact = contact_gap(kind, points_t0, points_t1, t, uv, slack)
     if not contact.is_gap:
         contact.direction = normal_without_gap(kind, points_t0, points_t1, t, uv)
+    contact.direction = contact.direction + vec3d(_ZERO, _ZERO, _ZERO)  # -0 + 0 is 0
     return contact

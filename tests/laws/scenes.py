@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,8 @@ from laws.calls import StepCase
 # Of those without a motion. Half of the scenes are of no family, and have coordinates at random or on a grid.
 FAMILIES = ("touching", "slivers", "parallel", "far", "in plane", "close", "dust", "worlds")
 _GRID = 16
+# Of so many scenes one has several blocks of primitives, and of so many one more vertices than are copied as a whole.
+_SCENES_A_LARGE, _SCENES_A_CROWDED, _UNUSED = 10, 40, 5_600
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,7 @@ def drawn(seed: int, family: str | None = None) -> Scene:
     """The scene of a seed, of the family that its number has, or a given one."""
     if family is None:
         family = FAMILIES[seed // 2 % len(FAMILIES)] if seed % 2 else "any"
-    return _Drawing(np.random.default_rng([seed, *family.encode()]), family).scene()
+    return _Drawing(seed, family).scene()
 
 
 def pressed(seed: int) -> Scene:
@@ -154,36 +157,57 @@ def _in_plane(rng):
 _IN_SPACE = (_mixed, _mixed, _fan, _sheet, _tetrahedron, _tetrahedron, _cable, _particles)
 
 
+def feature(draw):
+    """A part of a scene, drawn by a stream that is spawned by its name, which no other part changes."""
+
+    @wraps(draw)
+    def of_own_stream(self, *arguments):
+        before, self.rng = self.rng, np.random.default_rng([self.seed, *self.family.encode(), *draw.__name__.encode()])
+        drawn = draw(self, *arguments)
+        self.rng = before
+        return drawn
+
+    return of_own_stream
+
+
 class _Drawing:
     """What is drawn for one scene, part after part."""
 
-    def __init__(self, rng: np.random.Generator, family: str) -> None:
-        self.rng, self.family = rng, family
-        is_flat = family not in ("slivers", "parallel", "arcs") and self.flip(0.25)
-        self.dimension = 2 if is_flat else 3
-        self.is_on_grid = family == "touching" or (family in ("any", "in plane", "worlds") and self.flip(0.4))
-        self.size = float(2.0 ** rng.choice([-10, -3, 0, 0, 0, 4, 10]))
+    def __init__(self, seed: int, family: str) -> None:
+        self.rng, self.seed, self.family = None, seed, family
+        # the oracle of what turns looks at every vertex in every slice
+        self.is_large = seed % _SCENES_A_LARGE == 7 and family != "arcs"
+        self.is_crowded = self.is_large and seed % _SCENES_A_CROWDED == 7
+        self.space()
 
     def flip(self, share: float) -> bool:
         return bool(self.rng.random() < share)
 
+    @feature
+    def space(self) -> None:
+        """The dimension, whether coordinates are on a grid, and the size."""
+        is_flat = self.family not in ("slivers", "parallel", "arcs") and self.flip(0.25)
+        self.dimension = 2 if is_flat else 3
+        is_on_grid = self.family in ("any", "in plane", "worlds") and self.flip(0.4)
+        self.is_on_grid = self.family == "touching" or is_on_grid
+        self.size = float(2.0 ** self.rng.choice([-10, -3, 0, 0, 0, 4, 10]))
+
     def scene(self) -> Scene:
         bodies = self.bodies()
+        if self.is_large:
+            bodies.append(self.large())
         shapes = len(bodies)
         self.add_half_spaces(bodies)
-        names = {"codimensional_points": [self.flip(0.8) for _ in bodies]}
+        names = {}
         self.add_roles(names, len(bodies), shapes)
         self.add_filters(names, len(bodies), shapes)
         options = self.options()
         bare = ccd.CollisionMesh.from_arrays(bodies, **names)
-        if "minimum_separation" not in options and self.flip(0.5) and bare.num_vertices != len(bodies):
-            radius = self.rng.random(bare.num_vertices) * self.rng.integers(0, 2, bare.num_vertices)
-            radius *= self.rng.choice([0.01, 0.1]) * (bare.vertex_body < shapes)
-            names["radius"] = np.round(radius * 2.0**24) * (2.0**-24 * self.size)  # their sums are exact
-        if self.flip(0.2) or self.family == "worlds":
-            names["vertex_world"] = self.rng.integers(0, min(4, bare.num_vertices), len(bodies))[bare.vertex_body]
-        copies = int(self.rng.integers(2, 6)) if self.family == "worlds" and bare.num_vertices < 30 else 1
-        lists = self.listed(bare) if self.flip(0.3) else {}
+        if "minimum_separation" not in options and bare.num_vertices != len(bodies):
+            self.add_radii(names, bare, shapes)
+        self.add_worlds(names, bare)
+        copies = self.num_copies() if self.family == "worlds" and bare.num_vertices < 30 else 1
+        lists = self.listed(bare)
 
         def make_mesh() -> ccd.CollisionMesh:
             mesh = ccd.CollisionMesh.from_arrays(bodies, **names, exclude_pairs=lists)
@@ -196,10 +220,12 @@ class _Drawing:
             rows = mesh.rigid[mesh.vertex_body][:, None]
             start, end = (np.where(rows, mesh.vertices, x) for x in (start, end))
             motion = self.motion(mesh)
-        return Scene(lambda: (make_mesh(), start, end), options, 1_000, self.family, self.size, motion)
+        capacity = 20_000 if self.is_large else 1_000
+        return Scene(lambda: (make_mesh(), start, end), options, capacity, self.family, self.size, motion)
 
     # --- the mesh ---
 
+    @feature
     def bodies(self) -> list:
         """Two to four bodies around the corners of a cube, so that many start apart."""
         rng, found = self.rng, []
@@ -224,9 +250,28 @@ class _Drawing:
             found.append((self.size * x, edges) if faces is None else (self.size * x, faces, edges))
         return found
 
+    @feature
+    def large(self) -> tuple:
+        """A sheet of 288 faces, or a chain of edges, above the others; perhaps with thousands of unused vertices."""
+        k, height = 13, self.rng.uniform(0.3, 0.8)
+        if self.dimension == 2:
+            n = np.arange(300)
+            x = np.column_stack([n / 150.0 - 1.0, height + 0.01 * self.rng.standard_normal(300)])
+            parts = (np.stack([n[:-1], n[1:]], axis=1),)
+        else:
+            x = np.stack([*np.mgrid[:k, :k], np.zeros((k, k))], axis=-1).reshape(-1, 3) / (0.5 * (k - 1)) - [1, 1, 0]
+            x[:, 2] = height + 0.01 * self.rng.standard_normal(len(x))
+            a = np.arange(k * (k - 1))[np.arange(k * (k - 1)) % k < k - 1]
+            faces = np.concatenate([np.stack([a, a + k, a + 1], 1), np.stack([a + 1, a + k, a + k + 1], 1)])
+            parts = faces, np.zeros((0, 2), int)
+        if self.is_crowded:
+            x = np.concatenate([x, self.rng.uniform(-1, 1, (_UNUSED, self.dimension))])
+        return self.size * x, *parts
+
+    @feature
     def add_half_spaces(self, bodies) -> None:
         """Half-spaces below most of the scene, of normals of any length."""
-        for _ in range(int(self.rng.integers(1, 3)) if self.flip(0.35) else 0):
+        for _ in range(int(self.rng.integers(1, 3)) if self.flip(0.5) or self.is_crowded else 0):
             normal = self.rng.standard_normal(self.dimension) + 2 * np.eye(self.dimension)[-1]
             point = self.size * (self.rng.uniform(-0.1, 0.4, self.dimension) - 0.5 * normal / np.linalg.norm(normal))
             if self.is_on_grid:
@@ -234,29 +279,56 @@ class _Drawing:
                 normal[-1] += not normal.any()
             bodies.append(ccd.HalfSpace(point, normal * 10.0 ** self.rng.integers(-3, 4)))
 
+    @feature
     def add_roles(self, names, count, shapes) -> None:
-        """Which bodies are static or kinematic, or turn."""
+        """Which bodies have codimensional points, are static or kinematic, or turn."""
+        names["codimensional_points"] = [self.flip(0.8) for _ in range(count)]
+        if self.is_large:
+            names["codimensional_points"][shapes - 1] = False
         static = [int(self.rng.integers(shapes))] if self.flip(0.4) else []
         if self.family == "arcs":
             names["rigid"] = [b for b in range(shapes) if b not in static][:2] or [0]
             static = [b for b in static if b not in names["rigid"]]
         names["static"] = static
-        if self.flip(0.3):
+        if self.flip(0.3) or self.is_crowded:
             taken = {*static, *names.get("rigid", [])}
-            names["kinematic"] = [b for b in range(count) if b not in taken and self.flip(0.4)]
+            moves = [self.flip(0.4) or (self.is_crowded and b >= shapes) for b in range(count)]
+            names["kinematic"] = [b for b in range(count) if b not in taken and moves[b]]
 
+    @feature
     def add_filters(self, names, count, shapes) -> None:
         """What may not meet, by bodies and by rings of edges."""
-        if self.flip(0.4):
-            names["self_collision"] = [self.flip(0.5) and b < shapes for b in range(count)]
+        if self.flip(0.4) or self.is_large:
+            names["self_collision"] = [self.flip(0.5) and b < shapes - self.is_large for b in range(count)]
         if self.flip(0.3):
             allowed = self.rng.random((count, count)) < 0.7
             names["body_pairs"] = allowed & allowed.T | np.eye(count, dtype=bool)
         if self.flip(0.2):
             names["exclusion_rings"] = int(self.rng.integers(2, 4))
 
+    @feature
+    def add_radii(self, names, mesh, shapes) -> None:
+        """Radii of vertices, whose sums are exact."""
+        if self.flip(0.5):
+            radius = self.rng.random(mesh.num_vertices) * self.rng.integers(0, 2, mesh.num_vertices)
+            radius *= self.rng.choice([0.01, 0.1]) * (mesh.vertex_body < shapes)
+            names["radius"] = np.round(radius * 2.0**24) * (2.0**-24 * self.size)
+
+    @feature
+    def add_worlds(self, names, mesh) -> None:
+        """Which world each body is in."""
+        if self.flip(0.2) or self.family == "worlds":
+            names["vertex_world"] = self.rng.integers(0, min(4, mesh.num_vertices), mesh.num_bodies)[mesh.vertex_body]
+
+    @feature
+    def num_copies(self) -> int:
+        return int(self.rng.integers(2, 6))
+
+    @feature
     def listed(self, mesh) -> dict[str, np.ndarray]:
-        """Excluded pairs of every kind."""
+        """Excluded pairs of every kind, mostly none."""
+        if not self.flip(0.3):
+            return {}
         in_plane, points = self.dimension == 2, mesh.codimensional_points
         vertices, edges, faces = map(np.arange, (mesh.num_vertices, mesh.num_edges, mesh.num_faces))
         indices = {
@@ -272,7 +344,7 @@ class _Drawing:
         for key, (first, second) in indices.items():
             possible = len(first) * len(second)
             if possible and self.flip(0.5):
-                most = {"bodies": 1, "vertices": 0.02 * possible}.get(key, 0.5 * possible)
+                most = min({"bodies": 1, "vertices": 0.02 * possible}.get(key, 0.5 * possible), 5_000)
                 pairs = self.rng.integers(0, (len(first), len(second)), (1 + int(most * self.rng.random()), 2))
                 pairs = np.stack([first[pairs[:, 0]], second[pairs[:, 1]]], axis=1)
                 found[key] = pairs if first is not second else pairs[pairs[:, 0] != pairs[:, 1]]
@@ -283,6 +355,7 @@ class _Drawing:
     def on_grid(self, x):
         return np.round(x / self.size * _GRID) * (self.size / _GRID)
 
+    @feature
     def positions(self, mesh) -> tuple[np.ndarray, np.ndarray]:
         """Where all vertices are at both ends: bodies move as a whole and deform, and what is hostile is put in."""
         rng, size = self.rng, self.size
@@ -307,12 +380,14 @@ class _Drawing:
             start, end = self.on_grid(start), self.on_grid(end)
         if self.family == "touching":
             start, end = self.stacked(mesh, start, end)
+        self.corner(mesh, start, end)
         if self.family == "far":
             start, end = (x + size * 1e6 * rng.choice([-1, 0, 1], self.dimension) for x in (start, end))
         if not self.is_on_grid and self.family not in ("in plane", "arcs") and self.flip(0.6):
             self.meet(mesh, start, end)
         return start, with_static_at_rest(mesh, start, end)
 
+    @feature
     def meet(self, mesh, start, end) -> None:
         """Vertices that come onto a face, an edge or a plane at some time, but for rounding, and perhaps beyond."""
         rng, solids = self.rng, mesh.faces if len(mesh.faces) else mesh.edges
@@ -332,6 +407,15 @@ class _Drawing:
                 continue
             end[v] = start[v] + (target - start[v]) / t
 
+    @feature
+    def corner(self, mesh, start, end) -> None:
+        """The first two particles begin in one place, on the last of the half-spaces, and move on."""
+        planes, pair = mesh.planes, mesh.codimensional_points[:2]
+        if len(planes) > 1 and len(pair) == 2 and planes.vertices[-1] < 0 and self.flip(0.8):
+            end[pair] += planes.points[-1] - start[pair]
+            start[pair] = planes.points[-1]
+
+    @feature
     def stacked(self, mesh, start, end):
         """Each body begins or ends where it just touches the one before, along the last axis, and slides or parts."""
         body = mesh.vertex_body
@@ -351,6 +435,7 @@ class _Drawing:
                     start[own, -1] += drop
         return start, end
 
+    @feature
     def options(self) -> dict[str, Any]:
         rng = self.rng
         options = {
@@ -369,6 +454,7 @@ class _Drawing:
             options["pair_kinds"] = [kind for kind in options["pair_kinds"] if self.flip(0.6)] or ["edge_edge"]
         return options
 
+    @feature
     def motion(self, mesh) -> Callable[[], ccd.RigidMotion]:
         """Bodies that turn, by less than a slice or by several, on screws or about pivots."""
         rng, size, bodies = self.rng, self.size, np.flatnonzero(mesh.rigid)

@@ -289,6 +289,7 @@ def check_contacts(step, rng, **options):
     late, early = both_sides(step.given, step.moves(rng, np.ptp(step.given["start"], axis=0).max()))
     change, scale, gradient = step.predicted(contacts, motion, late, early)
     regular = np.flatnonzero(gradient.is_regular & (contacts.toi > LEAST_TOI))
+    regular = regular[:: 1 + len(regular) // 24]  # of many some
     exact = step.exact_changes(contacts[regular], late, early)
     return (np.abs(change[regular] - exact) / scale[regular])[np.isfinite(exact)], contacts, gradient
 
@@ -299,7 +300,7 @@ def test_contacts_of_drawn_scenes(make, kinds):
     for step in map(make, range(48)):
         errors, contacts, gradient = check_contacts(step, np.random.default_rng(0))
         found.append(errors)
-        regular += contacts.kind[gradient.is_regular].tolist()
+        regular += contacts.kind[gradient.is_regular][:: 1 + gradient.is_regular.sum() // 24].tolist()
     found = np.concatenate(found)
     assert len(found) > 0.95 * len(regular) > 80 and {*regular} >= kinds
     assert np.median(found) < 1e-13 and found.max() < 1e-7
@@ -346,9 +347,10 @@ def test_tapes_of_drawn_scenes():
             pipeline.radius.requires_grad = True
         tape, result = taped(lambda: pipeline.launch(given["start"], given["end"]))  # noqa: B023
         firsts, weights = first_contacts(step.mesh, contacts), {}
+        of_contact = np.append(contacts.toi_gradient().is_regular, False)  # the last one is none
         for name in TOIS:
             regular = np.atleast_1d(result.is_regular(name.removesuffix("_toi").replace("toi", "scene")).numpy())
-            assert (regular <= (firsts[name] >= 0)).all()
+            assert np.array_equal(regular, of_contact[firsts[name]])
             regular &= np.atleast_1d(getattr(result, name).numpy()) > LEAST_TOI
             weights[name] = np.where(regular, rng.standard_normal(len(regular)), 0.0)
         moves = step.moves(rng, np.ptp(step.given["start"], axis=0).max()) | {"distance": np.zeros(())}

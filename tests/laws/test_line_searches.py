@@ -128,6 +128,19 @@ def test_bodies_of_many_thicknesses_that_press_in_turn_come_no_closer_than_their
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_what_touches_at_the_start_and_stops_is_listed(seed):
+    """Every such pair, of which no vertex is told where to go; nothing else that does not touch on the way."""
+    scene, mesh, start, end, _ = scene_of(seed)
+    options = scene.without_end() | {"start_gap_fraction": None}
+    on_the_way, at_start = (ccd.mesh_ccd(mesh, start, x, **options).contacts for x in (end, start))
+    result = ccd.line_search(mesh, start, end, per=EVERY_PER[seed % 4], safety=SAFETY, **options)
+    stays = (result.vertices == start).all(axis=1)[on_the_way.vertices].all(axis=1)
+    is_told = mesh.kinematic[on_the_way.bodies].any(axis=1)
+    stopped = {*rows_of(on_the_way[(on_the_way.toi == 0) & stays & ~is_told])} & {*rows_of(at_start)}
+    assert stopped <= {*rows_of(result.touching)} <= {*rows_of(on_the_way)}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_a_search_for_pairs_of_some_vertices_finds_all_of_them(seed, monkeypatch):
     scene, mesh, start, end, _ = scene_of(seed)
     chosen = np.random.default_rng(seed).random(mesh.num_vertices) < 0.2

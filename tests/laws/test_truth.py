@@ -8,6 +8,7 @@ import pytest
 import ccd_warp as ccd
 from laws.outputs import tois_of
 from laws.scenes import drawn
+from laws.touches import check_first, check_unique
 from laws.truth import (
     NAMES,
     PLANE,
@@ -154,8 +155,22 @@ def check_minima(mesh, result, pairs):
     ):
         np.testing.assert_array_equal(found, expected)
     assert result.toi == contacts.toi.min(initial=INFINITY)
-    counts = [result.counts.num_contacts.get(kind, 0) for kind in ccd.PairKind]
-    assert counts == np.bincount(contacts.kind, minlength=5).tolist()
+    check_counts(mesh, result)
+
+
+def check_counts(mesh, result):
+    """What was counted of the scene and of the contacts; static bodies, and those that touch others, are active."""
+    counts, contacts = result.counts, result.contacts
+    of_kinds = [counts.num_contacts.get(kind, 0) for kind in ccd.PairKind]
+    assert of_kinds == np.bincount(contacts.kind, minlength=5).tolist()
+    assert counts.num_contacts_at_start == (contacts.status == STATUS.INITIAL_CONTACT).sum()
+    assert counts.num_contacts_at_limit == np.isin(contacts.status, LIMITS).sum()
+    for name in ("bodies", "vertices", "edges", "faces"):
+        assert getattr(counts, f"num_{name}") == getattr(mesh, f"num_{name}")
+    of_mesh = mesh.codimensional_edges, mesh.codimensional_points
+    assert [counts.num_codimensional_edges, counts.num_codimensional_points] == [*map(len, of_mesh)]
+    active = {*np.flatnonzero(mesh.static), *contacts.bodies[contacts.kind != PLANE].ravel()}
+    assert len(active) <= counts.num_active_bodies <= mesh.num_bodies
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -176,6 +191,9 @@ def test_contacts_of_a_step(seed, precision):
     check_places(scene, mesh, start, end, contacts, UNITS[precision])
     check_planes(scene, mesh, start, end, pairs, found)
     check_minima(mesh, result, pairs)
+    tolerance = 0.0 if contacts._place.touch is None else scene.delta  # which is not told where some start near
+    check_unique(mesh, contacts, start, end, tolerance)
+    check_first(result)
     is_free = ccd.is_step_collision_free(mesh, start, end, precision=precision, **scene.options)
     assert is_free == (result.toi == INFINITY)
     step = ccd.collision_free_step(mesh, start, end, precision=precision, **scene.options)

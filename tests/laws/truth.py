@@ -34,20 +34,25 @@ class Pairs:
     def __init__(self, mesh: ccd.CollisionMesh) -> None:
         self.mesh, self.body = mesh, mesh.vertex_body
         count, prescribed = mesh.num_vertices, mesh.static | mesh.kinematic
-        edge = np.eye(count, dtype=np.int64)
-        edge[tuple(mesh.edges.T)] = edge[tuple(mesh.edges.T[::-1])] = 1
-        near = np.linalg.matrix_power(edge, mesh.exclusion_rings - 1) > 0
         may = np.ones((mesh.num_bodies,) * 2, dtype=bool) if mesh.body_pairs is None else mesh.body_pairs.copy()
         np.fill_diagonal(may, mesh.self_collision)
-        for key, table, value in (("vertices", near, True), ("bodies", may, False)):
-            for a, b in mesh.exclude_pairs.get(key, ()):
-                table[a, b] = table[b, a] = value
+        for a, b in mesh.exclude_pairs.get("bodies", ()):
+            may[a, b] = may[b, a] = False
         self.bodies = may & ~(prescribed[:, None] & prescribed)
-        # whether primitives with these vertices may not meet
-        self.barred = near | ~self.bodies[self.body][:, self.body] | (mesh.vertex_world[:, None] != mesh.vertex_world)
         of_parts = np.isin(self.body, [*mesh.face_body, *mesh.edge_body])  # bodies that have faces or edges
         used = np.isin(np.arange(count), [*mesh.faces.ravel(), *mesh.edges.ravel(), *mesh.codimensional_points])
         self.takes_part = (used | ~of_parts) & ~np.isin(np.arange(count), mesh.planes.vertices)
+        # whether primitives with these vertices may not meet: those that take part, which large scenes have few of
+        part = np.flatnonzero(self.takes_part)
+        edge, (i, j) = np.eye(len(part), dtype=np.float32), np.searchsorted(part, mesh.edges).T
+        edge[i, j] = edge[j, i] = 1
+        near = np.linalg.matrix_power(edge, mesh.exclusion_rings - 1) > 0
+        listed = mesh.exclude_pairs.get("vertices", np.zeros((0, 2), int))
+        i, j = np.searchsorted(part, listed[self.takes_part[listed].all(axis=1)]).T
+        near[i, j] = near[j, i] = True
+        body, world = self.body[part], mesh.vertex_world[part]
+        self.barred = np.ones((count, count), dtype=bool)
+        self.barred[np.ix_(part, part)] = near | ~self.bodies[body][:, body] | (world[:, None] != world)
         self.tables = {"v": np.arange(count)[:, None], "e": mesh.edges, "f": mesh.faces}
 
     def allowed(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:

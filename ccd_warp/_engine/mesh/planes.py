@@ -1,8 +1,9 @@
 """The planes of half-spaces on a device, what vertices and they are asked for, and what is near or in the solid."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
+from operator import mul
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ _LOST = 2.0**-1070
 _LARGE, _SMALL, _SHRINK, _GROW = 2.0**1000, 2.0**-400, 2.0**-16, 2.0**600
 _FAR = 2.0**1015
 _VALUE, _ABSOLUTE = 4.5 * _U, 2.0**-1000
+# More than the roundings of a reach and of its difference from a value, relative to the reach.
+_REACH = 32.0 * _U
 
 
 class ScaledPlanes(NamedTuple):
@@ -151,7 +154,7 @@ def plane_query(options: "Options", length_scale: float, *, is_euclidean: bool, 
 def plane_candidates(
     mesh: "CollisionMesh",
     vertices: NDArray[np.int32],
-    positions: tuple[NDArray[np.float64], NDArray[np.float64]],
+    positions: Sequence[NDArray[np.float64]],
     inflation: float,
     box_radius: NDArray[np.float64],
 ) -> NDArray[np.int32]:
@@ -159,20 +162,26 @@ def plane_candidates(
 
     The enlarged half-space is where f ≤ inflation·Σ|n_k|, and the box of a vertex reaches as far beyond it, and by its
     radius more where there are any. So they overlap where f of the vertex is at most the sum of both, and f is least at
-    one of both ends of the step.
+    one of both ends of the step. Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
     """
     scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
     pairs_by_plane = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
-            tested = vertices[of_plane[k, mesh.vertex_body[vertices]]]
-            tested = _in_world_of(mesh, k, tested)
-            is_near = np.zeros(len(tested), dtype=bool)
+            tested = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
+            radius = box_radius[tested] if len(box_radius) else np.zeros(len(tested))
+            is_near, normal = np.zeros(len(tested), dtype=bool), _exact(mesh.planes.normals[k])
             for x in positions:
-                f, error, s = _values(x[tested], _point_at(mesh, scaled, k, x), scaled, k)
-                enlarged = 2.0 * inflation + (box_radius[tested] if len(box_radius) else 0.0)
-                reach = np.minimum(enlarged * s * scaled.sum[k] * _UP, _FAR)
-                is_near |= f <= (error + reach) * _UP
+                p = _point_at(mesh, scaled, k, x)
+                f, error, s = _values(x[tested], p, scaled, k)
+                reach = np.minimum((2.0 * inflation + radius) * s * scaled.sum[k] * _UP, _FAR)
+                error += _ABSOLUTE * (reach > 0.0)
+                is_open = ~is_near & (np.abs(f - reach) <= error + _REACH * reach) & (error > 0.0)
+                is_near |= f <= reach
+                for row in np.flatnonzero(is_open).tolist():
+                    between = [a - b for a, b in zip(_exact(x[tested[row]]), _exact(p), strict=False)]
+                    length = 2 * Fraction(inflation) + Fraction(float(radius[row]))
+                    is_near[row] = sum(map(mul, between, normal)) <= length * sum(map(abs, normal))
             pairs_by_plane.append(_pairs_with(tested[is_near], k))
     pairs = np.concatenate(pairs_by_plane)
     if len(keys):
@@ -181,28 +190,8 @@ def plane_candidates(
 
 
 def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> NDArray[np.int32]:
-    """Vertices of free bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order.
-
-    Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
-    """
-    scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    vertices = mesh._free_surface_vertices
-    pairs_by_plane = []
-    with np.errstate(over="ignore", under="ignore"):
-        for k in range(len(mesh.planes)):
-            tested = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
-            p = _point_at(mesh, scaled, k, x)
-            f, error, _ = _values(x[tested], p, scaled, k)
-            is_in = f <= error
-            is_open = is_in & (f >= -error) & (error > 0.0)
-            point, normal = p[: mesh.dimension].tolist(), mesh.planes.normals[k].tolist()
-            for row in np.flatnonzero(is_open).tolist():
-                is_in[row] = _exact_value(x[tested[row], : mesh.dimension].tolist(), point, normal) <= 0
-            pairs_by_plane.append(_pairs_with(tested[is_in], k))
-    pairs = np.concatenate(pairs_by_plane)
-    if len(keys):
-        pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
-    return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)
+    """Vertices of free bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order."""
+    return plane_candidates(mesh, mesh._free_surface_vertices, [x], 0.0, np.zeros(0))
 
 
 def _pairs_with(vertices: NDArray[np.int32], k: int) -> NDArray[np.int64]:
@@ -239,7 +228,5 @@ def _values(
     return terms.sum(axis=1), error, s
 
 
-def _exact_value(x: list[float], point: list[float], normal: list[float]) -> Fraction:
-    return sum(
-        ((Fraction(a) - Fraction(b)) * Fraction(n) for a, b, n in zip(x, point, normal, strict=True)), Fraction(0)
-    )
+def _exact(numbers: NDArray[np.float64]) -> list[Fraction]:
+    return [Fraction(number) for number in numbers.tolist()]
