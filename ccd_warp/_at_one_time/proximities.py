@@ -95,9 +95,10 @@ class ProximityStore:
         device, count = self._execution.device, self.total
         columns = {name: getattr(self._list, name) for name in ("count", "kind", "primitives", "features")}
         columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
+        columns["face_copies"] = self._topology.face_copies
         size = 2 * count if device.is_cuda else count
         keys: wp.array = wp.empty(size, dtype=wp.int64, device=device)
-        others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec3i, wp.bool, wp.int32))
+        others, *of_rows = (wp.empty(count, dtype=dtype, device=device) for dtype in (wp.vec2i, wp.bool, wp.int32))
         shared = SharedFeatures(keys, others, pair_keys, *of_rows)
         sort = partial(sort_in_place, keys, count, self._execution)
         num_vertices = self._topology.mesh.num_vertices

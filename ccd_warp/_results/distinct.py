@@ -178,11 +178,11 @@ class _Groups:
         is_listed, copies = contacts.kind != int(PairKind.VERTEX_PLANE), contacts._known_mesh()._copies_of_faces
         is_inside = (spans & ~self._is_first).sum(axis=1) > 2
         is_copy = np.zeros(len(contacts), dtype=bool)
-        if copies is not None:
+        if len(copies):
             is_copy[is_inside] = copies[contacts.primitives[is_inside, 1]] >= 0
         self.rows = np.flatnonzero(is_listed & (~is_inside | is_copy))
         codes = features_of(contacts.kind[self.rows], self._vertices[self.rows], spans[self.rows])
-        if copies is not None:  # no edge has a negative number
+        if len(copies):  # no edge has a negative number
             of_copy = is_copy[self.rows]
             codes[1][of_copy] = -1 - copies[contacts.primitives[self.rows[of_copy], 1]]
         self._is_turned = np.zeros(len(contacts), dtype=bool)

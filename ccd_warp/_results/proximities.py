@@ -121,7 +121,7 @@ class Proximities(ClosePairs):
         each face of the same vertices; two edges are in one pair only. ``shared_by`` says in how many.
         """
         mesh, columns = self.mesh, (self.kind, self.primitives, self.features)
-        rows, shared_by = unique_rows(*columns, mesh.edges, mesh.faces, mesh.num_vertices)
+        rows, shared_by = unique_rows(*columns, mesh)
         return replace(self[rows], shared_by=shared_by)
 
     def __repr__(self) -> str:

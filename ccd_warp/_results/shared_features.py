@@ -20,7 +20,7 @@ class SharedFeatures:
 
     Attributes:
         keys: Memory of keys by features, int64.
-        others: Memory of features, wp.vec3i.
+        others: Memory of features, wp.vec2i.
         pair_keys: The keys of the pairs by kind and primitives, int64; empty where their rows are in this order.
         is_unique: Whether it is the first pair with its features, bool.
         shared_by: How many pairs have the features of those, int32; of other pairs it means nothing.
@@ -62,9 +62,7 @@ def unique_rows(
     kind: NDArray[np.int32],
     primitives: NDArray[np.int32],
     features: NDArray[np.int32],
-    edges: NDArray[np.int32],
-    faces: NDArray[np.int32],
-    num_vertices: int,
+    mesh: Any,
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
     """The first row of each two features of a table on the host, ascending, and how many rows have them."""
     cpu, count = wp.get_device("cpu"), len(kind)
@@ -74,12 +72,16 @@ def unique_rows(
 
     columns = {"kind": on_cpu(kind, wp.int32), "primitives": on_cpu(primitives, wp.vec2i)}
     columns |= {"features": on_cpu(features, wp.int32), "count": on_cpu(np.array([count], dtype=np.int32), wp.int32)}
-    columns |= {"edge_corners": on_cpu(edges[:, [0, 1, 1]], wp.vec3i), "face_corners": on_cpu(faces, wp.vec3i)}
+    columns |= {
+        "edge_corners": on_cpu(mesh.edges[:, [0, 1, 1]], wp.vec3i),
+        "face_corners": on_cpu(mesh.faces, wp.vec3i),
+    }
+    columns["face_copies"] = on_cpu(mesh._copies_of_faces, wp.int32)
     pairs = struct_of(kernels.FeaturePairs, columns)
     keys, is_unique = np.empty(count, dtype=np.int64), np.empty(count, dtype=bool)
-    others, shared_by = np.empty((count, 3), dtype=np.int32), np.empty(count, dtype=np.int32)
-    by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec3i), on_cpu(keys[:0], wp.int64)
+    others, shared_by = np.empty((count, 2), dtype=np.int32), np.empty(count, dtype=np.int32)
+    by_row = on_cpu(keys, wp.int64), on_cpu(others, wp.vec2i), on_cpu(keys[:0], wp.int64)
     shared = SharedFeatures(*by_row, on_cpu(is_unique, wp.bool), on_cpu(shared_by, wp.int32))
-    shared.find(Execution(cpu, default_num_threads()), pairs, num_vertices, count, keys.sort)
+    shared.find(Execution(cpu, default_num_threads()), pairs, mesh.num_vertices, count, keys.sort)
     rows = np.flatnonzero(is_unique)
     return rows, shared_by[rows]

@@ -584,16 +584,16 @@ class CollisionMesh(ReadOnly):
         return self._surface_vertices[self._is_free[self.vertex_body[self._surface_vertices]]]
 
     @lazy_property
-    def _copies_of_faces(self) -> NDArray[np.int64] | None:
-        """For each face the first one with the same vertices, -1 where it is alone; None where all are, shape [F]."""
+    def _copies_of_faces(self) -> NDArray[np.int32]:
+        """For each face the first one with the same vertices, -1 where it is alone; empty where all are, shape [F]."""
         corners = np.sort(self.faces, axis=1)
         order = np.lexsort(corners.T)
         is_new = np.append(True, (np.diff(corners[order], axis=0) != 0).any(axis=1))[: len(order)]
         if is_new.all():
-            return None
+            return np.empty(0, dtype=np.int32)
         number = np.cumsum(is_new) - 1
         first, is_alone = order[is_new], np.bincount(number) == 1
-        copies = np.empty(len(order), dtype=np.int64)
+        copies = np.empty(len(order), dtype=np.int32)
         copies[order] = np.where(is_alone[number], -1, first[number])
         return copies
 

@@ -1,9 +1,9 @@
 """Of all pairs with the same two closest features the first, by kind and pair, and how many they are.
 
 The features that several pairs may have are two vertices, a vertex and an edge, or a vertex and the inside of a face
-that is in the mesh several times, by the same vertices in any order. Pairs are sorted by a key of the vertex, so that
-those near each other stay so, a hash of the rest, and the row of the pair. Those with one hash are neighbours then,
-nearly always with the same features; in a list that is in order the first of them comes first.
+that is in the mesh several times, by the same vertices. Pairs are sorted by a key of the vertex, so that those near
+each other stay so, a hash of the rest, and the row of the pair. Those with one hash are neighbours then, nearly always
+with the same features; in a list that is in order the first of them comes first.
 """
 
 import warp as wp
@@ -13,7 +13,7 @@ from ..step.contacts import sort_key
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Bits of the features of a pair that spans the inside of a face, or of both edges; the latter has no other pair.
+# Bits of the features of a pair that spans the inside of a face, or of both edges, and that no other pair has.
 _INSIDE = wp.constant(15)
 # Key of a row that needs no other, which sorts last.
 _NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
@@ -34,20 +34,23 @@ class FeaturePairs:
     features: wp.array[wp.int32]
     edge_corners: wp.array[wp.vec3i]
     face_corners: wp.array[wp.vec3i]
+    face_copies: wp.array[wp.int32]  # the first face with the vertices of each, -1 where it is alone; or empty
 
 
 @wp.func
-def features_of(pairs: FeaturePairs, n: int) -> wp.vec4i:
-    """The two closest features of a pair: a vertex; the least and the largest vertex of the other; and that between.
+def features_of(pairs: FeaturePairs, n: int) -> wp.vec3i:
+    """The two closest features of a pair: a vertex, and both ends of an edge, or twice the larger of two vertices.
 
-    Those of one vertex are the same, the larger one of two vertices; that between is -1 but for a face. Of a pair whose
-    features no other has all are -1.
+    Of a face with copies -1, and the first of these. Of a pair whose features no other has: -1.
     """
     bits = pairs.features[n]
     kind = pairs.kind[n]
-    if kind == VERTEX_PLANE or (bits == _INSIDE and kind == EDGE_EDGE):
-        return wp.vec4i(-1, -1, -1, -1)
     pair = pairs.primitives[n]
+    if bits == _INSIDE or kind == VERTEX_PLANE:
+        if kind == VERTEX_FACE and pairs.face_copies.shape[0] > 0:
+            if pairs.face_copies[pair[1]] >= 0:
+                return wp.vec3i(pair[0], -1, pairs.face_copies[pair[1]])
+        return wp.vec3i(-1, -1, -1)
     first = wp.vec3i(pair[0], pair[0], 0)
     second = wp.vec3i(pair[1], pair[1], 0)
     shift = int(2)
@@ -62,7 +65,6 @@ def features_of(pairs: FeaturePairs, n: int) -> wp.vec4i:
     low_b = int(_NO_VERTEX)
     high_a = int(-1)
     high_b = int(-1)
-    between = int(-1)
     for k in range(3):
         if k < shift and (bits & (1 << k)) != 0:
             low_a = wp.min(low_a, first[k])
@@ -70,12 +72,9 @@ def features_of(pairs: FeaturePairs, n: int) -> wp.vec4i:
         if (bits & (1 << (k + shift))) != 0:
             low_b = wp.min(low_b, second[k])
             high_b = wp.max(high_b, second[k])
-    for k in range(3):
-        if bits == _INSIDE and second[k] != low_b and second[k] != high_b:
-            between = second[k]
     if low_a != high_a or (low_b == high_b and low_b < low_a):
-        return wp.vec4i(low_b, low_a, high_a, -1)
-    return wp.vec4i(low_a, low_b, high_b, between)
+        return wp.vec3i(low_b, low_a, high_a)
+    return wp.vec3i(low_a, low_b, high_b)
 
 
 @wp.func
@@ -95,7 +94,7 @@ def fill_feature_keys(
     row_bits: int,  # those of the row, at the bottom; between the two is the hash
     # out
     keys: wp.array[wp.int64],
-    others: wp.array[wp.vec3i],
+    others: wp.array[wp.vec2i],
     pair_keys: wp.array[wp.int64],
     is_unique: wp.array[wp.bool],
     shared_by: wp.array[wp.int32],
@@ -112,10 +111,9 @@ def fill_feature_keys(
             is_unique[n] = True
             shared_by[n] = 1
         else:
-            others[n] = wp.vec3i(f[1], f[2], f[3])
+            others[n] = wp.vec2i(f[1], f[2])
             hash_bits = _KEY_BITS - vertex_bits - row_bits
-            of_other = mixed((wp.uint64(f[1]) << wp.uint64(32)) | wp.uint64(f[2])) ^ wp.uint64(f[3] + 1)
-            h = wp.int64(mixed(of_other) >> wp.uint64(64 - hash_bits))
+            h = wp.int64(mixed((wp.uint64(f[1]) << wp.uint64(32)) | wp.uint64(f[2])) >> wp.uint64(64 - hash_bits))
             keys[n] = (((wp.int64(f[0]) << wp.int64(hash_bits)) | h) << wp.int64(row_bits)) | wp.int64(n)
 
 
@@ -125,7 +123,7 @@ def mark_unique(
     # in
     row_bits: int,
     keys: wp.array[wp.int64],  # ascending
-    others: wp.array[wp.vec3i],  # by row: the features but for the vertex
+    others: wp.array[wp.vec2i],  # by row: the features but for the vertex
     pair_keys: wp.array[wp.int64],  # by row: what orders pairs; empty where the rows are in order
     # out
     is_unique: wp.array[wp.bool],

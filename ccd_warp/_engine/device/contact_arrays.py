@@ -104,10 +104,11 @@ class ContactArrays:
         capacity, device = self._capacity, self._topology.device
         size = 2 * capacity  # the sort needs twice the size
         keys, order = (self._array(name, key, t, size) for key, t in (("keys", wp.int64), ("order", wp.int32)))
-        of_rows = (("others", wp.vec3i), ("pair keys", wp.int64), ("is unique", wp.bool), ("shared by", wp.int32))
+        of_rows = (("others", wp.vec2i), ("pair keys", wp.int64), ("is unique", wp.bool), ("shared by", wp.int32))
         shared = SharedFeatures(keys, *(self._array(name, key, dtype, capacity) for key, dtype in of_rows))
         columns = {key: getattr(self._list, key) for key in ("count", "kind", "primitives")} | {"features": features}
         columns |= {f"{kind}_corners": self._topology.corners[kind] for kind in ("edge", "face")}
+        columns["face_copies"] = self._topology.face_copies
         count = capacity
         if device.is_cpu and not device.is_capturing:  # the host knows how many rows there are
             count = min(count, int(self._list.count.numpy()[0]))

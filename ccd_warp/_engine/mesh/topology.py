@@ -201,6 +201,11 @@ class Topology:
         return {name: self.array(self._corners_host(name), wp.vec3i) for name in ("vertex", "edge", "face")}
 
     @lazy_property
+    def face_copies(self) -> wp.array:
+        """For each face the first with the same vertices, -1 where it is alone; empty where all are, int32."""
+        return self.array(self.mesh._copies_of_faces, wp.int32)
+
+    @lazy_property
     def box_radius(self) -> wp.array:
         """For each vertex the largest radius of the primitives that contain it; empty where no radius was given.
 
