@@ -124,8 +124,6 @@ class CollisionPipeline:
         It begins as a copy of ``mesh.radius`` and stays the same array, to which the caller, or a captured graph, may
         write others between launches. Every launch reads it anew. A radius that is negative or not finite counts as a
         coordinate that is not finite does: its world has toi 0 and a flag. Calls with NumPy arrays use ``mesh.radius``.
-        Where all radii and the minimum distance are 0, launches use the kernels for distances all the same, and calls
-        with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open.
         """
         return self._launches.radius
 
