@@ -332,16 +332,16 @@ def _described(what: str, most: int, capacities: Capacities) -> str:
     name = f"max_{what}"
     return (
         f"a launch has {most:,} {what}{' of a kind' if what == 'pairs' else ''}, and {name} is "
-        f"{getattr(capacities, name):,}, so that {_LOST[what]}, as its flags say: reserve({name}={2 * most}) makes space "
-        f"for twice as many"
+        f"{getattr(capacities, name):,}, so that {_LOST[what]}, as its flags say: reserve({name}={2 * most}) makes "
+        f"space for twice as many"
     )
 
 
 def _without_gradient(overflow: LaunchFlag) -> str:
     """What a backward pass lacks."""
     return (
-        f"the launch of this backward pass has {overflow!r}: the gradient by the toi of what found no place is none, and "
-        f"adds 0; reserve() more before the launch, and look at its flags"
+        f"the launch of this backward pass has {overflow!r}: the gradient by the toi of what found no place is none, "
+        f"and adds 0; reserve() more before the launch, and look at its flags"
     )
 
 

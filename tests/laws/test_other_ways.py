@@ -72,6 +72,14 @@ def apart(num_together=1):
     return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (40, 3))[mesh.vertex_body]
 
 
+def parting():
+    """A ball within its distance above another, which slides off it and rises."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ball], static=[1], self_collision=False)
+    start = mesh.vertices + [0, 0, 1.005] * (mesh.vertex_body == 0)[:, None]
+    return mesh, start, start + [0.3, 0, 0.2] * (mesh.vertex_body == 0)[:, None]
+
+
 def slender():
     """Needles around an axis, squeezed, whose pairs are searched in a frame of their own, as they are many."""
     turn = np.linalg.qr([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]])[0]
@@ -117,6 +125,7 @@ ON_DEVICE = {
     "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
     "thickness of 0": StepCase(lambda: crowd(40, 15, radius=0.0)),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
+    "parting": StepCase(parting, {"minimum_distance": 0.02}),
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
     "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
@@ -182,7 +191,10 @@ def test_earlier_calls_change_no_bit(call, scene):
     assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
 
 
-@pytest.mark.parametrize("scene", [*range(40), "sheet", "worlds", "apart", "radii", "few iterations", "crowd"])
+_REPEATED = [*range(40), "sheet", "worlds", "apart", "radii", "parting", "few iterations", "crowd"]
+
+
+@pytest.mark.parametrize("scene", _REPEATED)
 def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
     """Of one pipeline, or mesh, whose steps leave each other what stays the same, and of new ones with a limit."""
     case = case_of(scene)
@@ -310,7 +322,7 @@ def assert_shared_bits(launched, host, *names):
 
 # --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
 
-_SEARCHED = ("thickness of 0", "levels", "tree lists", "thick lists", "slender")
+_SEARCHED = ("thickness of 0", "parting", "levels", "tree lists", "thick lists", "slender")
 ON_OTHER = [(NAMES[seed % len(NAMES)], seed) for seed in range(2 * len(NAMES))]
 ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene not in _SEARCHED for call in ("launches", "steps")]
 _MORE = {

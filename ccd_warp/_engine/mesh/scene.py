@@ -45,7 +45,7 @@ def norm_of(
     *,
     on_arcs: bool = False,
 ) -> str:
-    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii, of 0 as well, or a minimum distance.
+    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii, even of 0, or a minimum distance.
 
     Args:
         mesh: The bodies.
