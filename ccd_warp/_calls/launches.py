@@ -1,7 +1,9 @@
 """Launches of a pipeline: its steps on the device, their capacities, and where static bodies stand."""
 
+import ctypes
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -19,6 +21,7 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
+from ccd_warp._runtime.status import LaunchFlag
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._scene.input.arguments import check_count, shown
 from ccd_warp._scene.input.interop import as_positions, without_worlds
@@ -30,8 +33,9 @@ if TYPE_CHECKING:
     from ccd_warp._rigid.arc_step import DeviceArcStep
 
 _DeviceStepT = TypeVar("_DeviceStepT", bound=Any)
-# Warns once of a distance of pairs that is many edges long, with a message that is made only then.
-Warn = Callable[[Callable[[], str]], None]
+# Warns once of something, with a message that is made only then.
+Warn = Callable[[str, Callable[[], str]], None]
+_OVERFLOW = LaunchFlag.PAIRS_OVERFLOW | LaunchFlag.CONTACTS_OVERFLOW
 
 
 class Launches:
@@ -98,7 +102,7 @@ class Launches:
         radius = None if self.radius is None else self.radius.numpy()
         distance = DistanceInEdges.of(self._topology, start(), separation, radius, self._mesh.exclusion_rings)
         if distance is not None:
-            warn(distance.described)
+            warn("distance", distance.described)
 
     def _check_first_distance(self, step: DeviceStep, prepared: PreparedLaunch, warn: Warn) -> None:
         """Warn of such a distance at the positions of a first launch; those of a capture are not known yet."""
@@ -175,7 +179,26 @@ class Launches:
         result = (step if taped is None else taped).launch(prepared)
         self._step = step
         self._interrupted, self._is_placing = None, False
+        overflow = self._tell_overflow(step, step.result, warn)
+        if overflow and taped is not None:
+            taped.on_backward = partial(warn, "gradient", lambda: _without_gradient(overflow))
         return step.result if result is None else result
+
+    def _tell_overflow(self, step: DeviceStep, found: Any, warn: Warn) -> LaunchFlag:
+        """Warn once, where a launch has ended, of capacities that did not suffice; returns the flags of that.
+
+        On CUDA, and in a capture, nothing is read.
+        """
+        if self._topology.device.is_cuda or self._topology.device.is_capturing:
+            return LaunchFlag(0)
+        flags = _OVERFLOW & LaunchFlag(ctypes.c_int32.from_address(found.flags.ptr).value)
+        if flags & LaunchFlag.PAIRS_OVERFLOW:
+            warn("pairs", lambda: _described("pairs", int(found.num_pairs.numpy()[:4].max()), self.capacities))
+        if flags & LaunchFlag.CONTACTS_OVERFLOW:
+            count = getattr(found, "contacts", found).count
+            most = max(int(count.numpy()[0]), step.most_contacts)
+            warn("contacts", lambda: _described("contacts", most, self.capacities))
+        return flags
 
     def _launch_on_arcs(
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, warn: Warn, **arguments: Any
@@ -203,6 +226,7 @@ class Launches:
         self._check_places(step, prepared)
         step.launch_on_paths(prepared, motion, paths)
         self._arc_step = step
+        self._tell_overflow(step, step.result, warn)
         return step.result
 
     def _launch_worlds(
@@ -263,7 +287,7 @@ class Launches:
             from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
         return taped(step, prepared, positions, self.radius)
 
-    def launch_at_one_time(self, kind: Any, positions: Any, length: float) -> Any:
+    def launch_at_one_time(self, kind: Any, positions: Any, length: float, warn: Warn) -> Any:
         """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
         for name, array in (("positions", positions), ("radius", self.radius)):
             if wants_gradient(array):
@@ -281,6 +305,7 @@ class Launches:
         self._at_one_time.pop(kind, None)
         step.launch_within(prepared, step.values(length))
         self._at_one_time[kind] = step
+        self._tell_overflow(step, step.arrays, warn)
         return step.arrays
 
 
@@ -294,6 +319,30 @@ def _repeat(of_one: wp.array, of_all: wp.array) -> None:
         count = min(filled, len(of_all) - filled)
         wp.copy(of_all, of_all, dest_offset=filled, count=count)
         filled += count
+
+
+_LOST = {
+    "pairs": "each in excess counts as touching from the start, or as near",
+    "contacts": "those in excess are missing from the list",
+}
+
+
+def _described(what: str, most: int, capacities: Capacities) -> str:
+    """What a launch had no place for, and what to do."""
+    name = f"max_{what}"
+    return (
+        f"a launch has {most:,} {what}{' of a kind' if what == 'pairs' else ''}, and {name} is "
+        f"{getattr(capacities, name):,}, so that {_LOST[what]}, as its flags say: reserve({name}={2 * most}) makes "
+        f"space for twice as many"
+    )
+
+
+def _without_gradient(overflow: LaunchFlag) -> str:
+    """What a backward pass lacks."""
+    return (
+        f"the launch of this backward pass has {overflow!r}: the gradient by the toi of what found no place is none, "
+        f"and adds 0; reserve() more before the launch, and look at its flags"
+    )
 
 
 def _made(kind: Callable[..., _DeviceStepT], *arguments: Any) -> _DeviceStepT:

@@ -124,8 +124,6 @@ class CollisionPipeline:
         It begins as a copy of ``mesh.radius`` and stays the same array, to which the caller, or a captured graph, may
         write others between launches. Every launch reads it anew. A radius that is negative or not finite counts as a
         coordinate that is not finite does: its world has toi 0 and a flag. Calls with NumPy arrays use ``mesh.radius``.
-        Where all radii and the minimum distance are 0, launches use the kernels for distances all the same, and calls
-        with NumPy arrays those without. Their tois then differ within what the tolerance and the precision leave open.
         """
         return self._launches.radius
 
@@ -136,10 +134,10 @@ class CollisionPipeline:
 
         return Launches(self._topology, self._options)
 
-    def _warn_of_distance(self, message: Callable[[], str]) -> None:
-        """Say once, where launches begin, that the distance of pairs is many edges long."""
+    def _warn_once(self, what: str, message: Callable[[], str]) -> None:
+        """Say something of launches once."""
         self._workspace = self._workspace or Workspace(self.mesh, self._topology.device)
-        self._workspace.warn_once("distance", message)
+        self._workspace.warn_once(what, message)
 
     @classmethod
     @contextmanager
@@ -272,7 +270,7 @@ class CollisionPipeline:
             MemoryError: If the device has not as much memory; the pipeline stays as it was.
         """
         with self._lock:
-            return self._launches.reserve(max_pairs, max_contacts, vertices, self._warn_of_distance)
+            return self._launches.reserve(max_pairs, max_contacts, vertices, self._warn_once)
 
     def launch(
         self,
@@ -421,7 +419,7 @@ class CollisionPipeline:
         with self._lock:
             if motion is None:
                 self._warn_of_straight_motion()
-            return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_of_distance, **arguments)
+            return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_once, **arguments)
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
         """Find what is near at one time on the device, without waiting for the result.
@@ -449,7 +447,7 @@ class CollisionPipeline:
         with naming("launch_proximity"):
             distance = validated_distance(distance)
         with self._lock:
-            return self._launches.launch_at_one_time(DeviceProximityStep, positions, distance)
+            return self._launches.launch_at_one_time(DeviceProximityStep, positions, distance, self._warn_once)
 
     def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
         """For each vertex a length by which it may move, on the device, without waiting for the result.
@@ -474,7 +472,8 @@ class CollisionPipeline:
         with naming("launch_displacement_bounds"):
             search_radius = validated_search_radius(search_radius, self._options)
         with self._lock:
-            return self._launches.launch_at_one_time(DeviceDisplacementStep, positions, search_radius)
+            launch = self._launches.launch_at_one_time
+            return launch(DeviceDisplacementStep, positions, search_radius, self._warn_once)
 
     @property
     def num_allocations(self) -> int:

@@ -1,5 +1,6 @@
 """A line search on a tape: its passes are kept, and one function is recorded that goes through them backwards."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -26,7 +27,12 @@ class TapedLineSearch:
 
     The shortened positions stand where the wished ones stood, and so do their gradients: the backward pass turns the
     one into the other, in the same array.
+
+    Attributes:
+        on_backward: Called at the begin of the backward pass, where there is something to say; else None.
     """
+
+    on_backward: Callable[[], None] | None = None
 
     def __init__(
         self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: tuple[Any, Any], radius: wp.array | None
@@ -95,6 +101,8 @@ class TapedLineSearch:
 
     def _backward(self) -> None:
         """Turn the gradient of the shortened positions into that of the wished ones, and add the others."""
+        if self.on_backward is not None:
+            self.on_backward()
         topology = self._step.topology
         gradients = self._caller_arrays.gradients(topology)
         vertex_rating, of_passes = self._rated()

@@ -1,6 +1,7 @@
 """A launch on a tape: what its backward pass needs is kept, and one function is recorded."""
 
 import ctypes
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -18,7 +19,13 @@ from ccd_warp._runtime.tape import active_tape
 
 
 class TapedLaunch:
-    """A launch whose tois get gradients by the positions at both ends and by radii."""
+    """A launch whose tois get gradients by the positions at both ends and by radii.
+
+    Attributes:
+        on_backward: Called at the begin of the backward pass, where there is something to say; else None.
+    """
+
+    on_backward: Callable[[], None] | None = None
 
     def __init__(
         self, step: DeviceStep, prepared: PreparedLaunch, positions: tuple[Any, Any], radius: wp.array | None
@@ -46,6 +53,8 @@ class TapedLaunch:
         minima = {name: tois[of] for name, of in TOIS.items() if name != "world" or tois[of] is not tois["toi"]}
 
         def backward() -> None:
+            if self.on_backward is not None:
+                self.on_backward()
             of_minima = {name: x.grad for name, x in minima.items()}
             if check.is_read:
                 of_minima = {name: x for name, x in of_minima.items() if check.may_touch and x.numpy().any()}

@@ -159,6 +159,7 @@ class Arcs(Motion):
         """How the vertices turn in a slice, as the struct of the kernels."""
         turns = Turns()
         turns.velocity, turns.omega, turns.slack = self._velocity, self._paths.columns["omega"], self._slack
+        turns.excess = self._paths.columns["excess"]
         turns.vertex_body = self._topology.vertex_body
         turns.t_begin, turns.t_end = times
         return turns

@@ -227,7 +227,7 @@ class MotionWorlds:
             hidden = hidden or result.hidden_gaps
         mesh, options = self._mesh, self._pipeline._options
         frames = MovingVertices(mesh, *self._ends, WorldPaths.of_worlds(mesh, self._motion._body_paths))
-        scale, radius = length_scale_of(mesh, options), mesh.radius if mesh.is_thick else None
+        scale, radius = length_scale_of(mesh, options), mesh.radius
         touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
         return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 

@@ -629,8 +629,8 @@ class CollisionMesh(ReadOnly):
 
     @lazy_property
     def is_thick(self) -> bool:
-        """Whether a vertex that takes part has a radius above 0."""
-        return self._largest_radius > 0.0
+        """Whether vertices have radii: also of 0, in whose place launches may read others."""
+        return self.radius is not None
 
     @lazy_property
     def _largest_radius(self) -> float:

@@ -376,7 +376,7 @@ class DistributedMesh:
         """The largest radius of the primitives around each vertex, and that of each body; zeros without radii."""
         self.box_radius = np.zeros(len(self.numbers))
         self.body_radius: NDArray[np.float64] | None = None
-        self.is_thick = False
+        self.is_thick = self.radius is not None
         if self.radius is None:
             return
         self.copies.forward([(self.radius, self.radius)])
@@ -388,7 +388,6 @@ class DistributedMesh:
         body_radius = np.zeros(self.num_bodies)
         np.maximum.at(body_radius, self.bodies, np.where(self.is_unused, 0.0, self.radius))
         self.body_radius = self.ranks.most(body_radius)
-        self.is_thick = bool(self.body_radius.any())
 
     def _choose_samples(self) -> None:
         """The numbers of the vertices from which one process would choose its quantization; see Topology.samples."""

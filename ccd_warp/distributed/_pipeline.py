@@ -116,7 +116,7 @@ class DistributedPipeline:
             self._options = options_of("DistributedPipeline", MeshOptions, rank_options)  # type: ignore[arg-type]
             self._device = resolve_device(self._options.device)
             self._check_same_options()
-            norm_of(_Thickness(mesh.body_radius, mesh.is_thick), self._options)  # type: ignore[arg-type]
+            norm_of(_Thickness(mesh.body_radius), self._options)  # type: ignore[arg-type]
             self._number = ranks.next_pipeline()
         self._plan: Plan | None = None
         self._workspace: Workspace | None = None
@@ -653,7 +653,6 @@ class _Thickness(NamedTuple):
     """What `norm_of` reads of a mesh."""
 
     radius: NDArray[np.float64] | None
-    is_thick: bool
 
 
 def _device_of(local_rank: int) -> str | None:

@@ -24,6 +24,7 @@ _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
 _EIGHTH_UP = wp.constant(wp.float64(EIGHTH_UP))
+_SHARE_UP = wp.constant(wp.float64(1.0 + 8.0 * UNIT_ROUNDOFF[wp.float64]))
 # Of a coordinate, on all axes together.
 _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
@@ -79,15 +80,20 @@ def meeting_on_arc(
     size = largest_coordinate(x0, x1, p0, p1)
     motion = wp.max(wp.max(wp.abs(x1 - x0)), wp.max(wp.max(wp.abs(p1 - p0)), wp.max(wp.abs(velocity))))
     error = turns.slack[v] + (_ERROR * size + _MOTION_ERROR * motion)
+    excess = turns.excess[body]
     if planes.vertex.shape[0] > 0 and planes.vertex[k] >= 0:  # the point of one that moves is rounded between slices
         error += turns.slack[planes.vertex[k]]
+        excess += turns.excess[planes.body[k]]
     along = wp.length(wp.cross(spin, planes.unit[k])) + _UNIT * wp.length(spin)
     amplitude = wp.sqrt(wp.dot(velocity, velocity) + _SQUARE) * along
     if not along > _ZERO:
         amplitude = _ZERO
+    share = _ONE  # of a length along the normal in one of the norm of the distance
+    if query.is_euclidean == 0:
+        share = planes.length[k] / length_of_normal(planes, k, query) * _SHARE_UP
     is_inside = bool(False)
     if query.keeps_start_distance != 0:
-        at_start = start_distance(x0, p0, radius, error, planes, k, query)
+        at_start = start_distance(x0, p0, radius, error + excess, planes, k, query)
         if at_start < query.distance + radius:
             is_inside = at_start < _ZERO
             query.distance = at_start
@@ -108,13 +114,14 @@ def meeting_on_arc(
         bulge = _EIGHTH_UP * window.h * window.h * amplitude
         p_a = p0 + window.begin * (p1 - p0)
         p_b = p0 + end * (p1 - p0)
-        meeting = meeting_of(a, b, p_a, p_b, radius + (bulge + error), planes, k, query)
+        off = bulge + (error + excess)
+        meeting = meeting_of(a, b, p_a, p_b, radius + share * off, planes, k, query)
         windows += 1
         is_free = meeting.toi > _ONE
         t = reached(window, end, is_free, wp.where(is_free, _ONE, meeting.toi))
         is_open = wp.where(is_free, end < _ONE, bulge > error) and windows < _MOST_WINDOWS
         if not is_open and (not is_free or end < _ONE):
             meeting.toi = wp.where(is_inside, t_begin, in_step(t, t_begin, t_length))
-            meeting.gap += _TWO * (bulge + error)
+            meeting.gap += _TWO * off
         window = next_window(window, t, is_free)
     return meeting

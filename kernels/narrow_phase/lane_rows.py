@@ -259,4 +259,6 @@ if has_arcs(norm):
         else:
             of_b = simd.greatest(of_b, of_second)
         r.slack = of_a + of_b
+        of_both = gathered_number(turns.excess, body)
+        r.excess = of_both + gathered_number(turns.excess, of_vertex(turns.vertex_body, i.i3))
         return r

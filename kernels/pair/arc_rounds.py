@@ -163,19 +163,21 @@ def advance_on_arcs(
     at_end: Points,
     options: LaneOptions,
     sagitta: simd64.Vec3,
+    rounding: simd64.Lanes,
     lanes: wp.uint32,
     num_rounds: int,
 ) -> LaneAnswer:
     """Advance the pairs of the given lanes through a window by some rounds; times are shares of it.
 
-    The sagitta is that of the window, and that of the options what is added to the separation at all times.
+    The sagitta is that of the window, and that of the options what is added to the separation at all times, of which
+    this much is for rounding.
     Invariant: each pair is free of contact on [0, t).
     """
     is_face = kind == VERTEX_FACE
     n = normalise(kind, at_begin, at_end, options)
     bow64 = simd64.scaled(sagitta, n.scale)
     open = n.is_valid & lanes & simd64.bits_of(simd64.is_less(simd64.greatest_of(bow64), far))
-    slack64 = simd64.scaled(options.sagitta, n.scale)
+    slack64 = simd64.scaled(simd64.vec(rounding, rounding, rounding), n.scale)
     slack = vec(narrowed(slack64.x), narrowed(slack64.y), narrowed(slack64.z))
     bow = sagitta_up * vec(narrowed(bow64.x), narrowed(bow64.y), narrowed(bow64.z))
     volume = volume_of(kind, at_begin, at_end, n, n.separation + (bow + bow), True)

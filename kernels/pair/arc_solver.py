@@ -41,6 +41,7 @@ def arcs_of_pair(kind: int, first: wp.vec3i, second: wp.vec3i, turns: Turns) -> 
     r.spin_a = r.t_length * turns.omega[body]
     r.spin_b = r.t_length * turns.omega[turns.vertex_body[second[0]]]
     r.slack = radius_of(turns.slack, first) + radius_of(turns.slack, second)
+    r.excess = turns.excess[body] + turns.excess[turns.vertex_body[second[0]]]
     if arcs.turns_anywhere(r):
         r.v0 = turns.velocity[first[0]]
         if kind == EDGE_EDGE:
@@ -61,7 +62,7 @@ class Tangents:
     a: Points
     b: Points
     t: wp.float64  # the time between these ends
-    slack: wp.float64  # by how much rounding may bring the two primitives closer
+    slack: wp.float64  # how far both primitives may be from there, together
 
 
 @wp.func
@@ -74,7 +75,7 @@ def tangents_of_arcs(
     r.a = a
     r.b = b
     r.t = in_slice(t, turning.t_begin, turning.t_length)
-    r.slack = turning.slack
+    r.slack = turning.slack + turning.excess
     if not arcs.turns_anywhere(turning):
         return r
     x = points_at(kind, a, b, turning, r.t)
@@ -109,7 +110,8 @@ def solve_on_arcs(
     """
     turning = arcs_of_pair(kind, first, second, options.turns)
     amplitudes = arcs.amplitude(kind, turning)
-    error = arcs.error_of(a, b, turning.slack, amplitudes)
+    rounding = arcs.error_of(a, b, turning.slack, amplitudes)
+    error = rounding + turning.excess
     of_window = options
     of_window.t_end = real(1.0)
     of_window.t_max = one
@@ -152,7 +154,7 @@ def solve_on_arcs(
             outcome.gap = corotating.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
-        is_sharp = wp.max(chords) <= lane_windows.sharpness(error, kind, at_begin)
+        is_sharp = wp.max(chords) <= lane_windows.sharpness(rounding, kind, at_begin)
         t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:

@@ -66,6 +66,7 @@ class Arcs:
     spin_a: simd.Vec3  # rotation vectors of the bodies of the first primitive and of the second
     spin_b: simd.Vec3
     slack: simd.Lanes  # by how much rounding may bring the two closer
+    excess: simd.Lanes  # and how far both may be from their arcs besides
     t_begin: simd.Lanes  # the slice as part of the step
     t_length: simd.Lanes
 

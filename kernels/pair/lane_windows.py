@@ -89,7 +89,8 @@ def advance_to_meeting(
     """
     arcs = lane_options.arcs
     amplitudes = amplitude(kind, arcs)
-    error = error_of(a, b, arcs.slack, amplitudes)
+    rounding = error_of(a, b, arcs.slack, amplitudes)
+    error = rounding + arcs.excess
     nothing = simd.spread(zero)
     if lane_options.keeps_start_distance != _NONE:
         # what starts at the distance that it keeps has the error of its arcs to begin with
@@ -129,11 +130,11 @@ def advance_to_meeting(
         else:
             ends.begin = in_slice(answer.t, arcs.t_begin, arcs.t_length)
             ends.at_begin = points_at(kind, a, b, arcs, ends.begin)
-        sharp = sharpness(error, kind, ends.at_begin)
+        sharp = sharpness(rounding, kind, ends.at_begin)
         if not starts:
             shrinks = simd.is_less(most, answer.iterations)
             seeking = open & ~simd.bits_of(shrinks)
-            met = meeting(kind, a, b, arcs, lane_options.minimum_separation, ends.begin, seeking)
+            met = meeting(kind, a, b, arcs, lane_options.minimum_separation + arcs.excess, ends.begin, seeking)
             # beyond the time of meeting the window goes on until the sagitta there is of the size of rounding errors
             ahead = simd.least(met.t - ends.begin, one - ends.begin) + tiny_time
             beyond = simd.least(sharp / (simd.greatest_of(amplitudes) * ahead), ahead)
@@ -149,7 +150,7 @@ def advance_to_meeting(
         window.begin = ends.begin
         window.h = ends.end - ends.begin
         chords = sagitta(amplitudes, window.h)
-        excess = error
+        of_frame = nothing
         is_corotating = none
         if open & shared != _NONE:
             of_body = corotating_window(kind, a, b, arcs, ends.at_begin, ends.at_end, ends.begin, window.h)
@@ -157,14 +158,16 @@ def advance_to_meeting(
             is_corotating = simd.mask_of(shared) & simd.is_less(all_of_body, simd.greatest_of(chords))
             ends.at_end = selected(is_corotating, of_body.at_end, ends.at_end)
             chords = simd.select(is_corotating, simd.vec(of_body.sagitta, of_body.sagitta, of_body.sagitta), chords)
-            excess = simd.select(is_corotating, error + of_body.error, error)
-        lane_options.sagitta = simd.vec(excess, excess, excess)
-        of_window = advance_on_arcs(kind, ends.at_begin, ends.at_end, lane_options, chords, open, rounds)
+            of_frame = simd.select(is_corotating, of_body.error, nothing)
+        off_arc = error + of_frame
+        lane_options.sagitta = simd.vec(off_arc, off_arc, off_arc)
+        blur = rounding + of_frame
+        of_window = advance_on_arcs(kind, ends.at_begin, ends.at_end, lane_options, chords, blur, open, rounds)
         is_open = simd.mask_of(open)
         is_free = simd.mask_of(of_window.free)
         off_chord = (four * of_window.t * (one - of_window.t)) * simd.greatest_of(chords)
         t = reached(window, ends.end, is_free, of_window.t)
-        gap = of_window.gap + two * (excess + off_chord)
+        gap = of_window.gap + two * (off_arc + off_chord)
         gap = simd.select(is_corotating, longest_turned * gap, gap)
         is_contact = simd.mask_of(of_window.contact)
         answer.contact = answer.contact | of_window.contact

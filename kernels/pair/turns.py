@@ -10,6 +10,7 @@ class Turns:
     velocity: wp.array[wp.vec3d]  # of each vertex: the part of its velocity at the start that turns with its body
     omega: wp.array[wp.vec3d]  # rotation vector of each body in the whole step; 0 where it does not turn
     slack: wp.array[wp.float64]  # of each vertex: by how much rounding may move it
+    excess: wp.array[wp.float64]  # of each body: how far its points may be from their arcs besides
     vertex_body: wp.array[wp.int32]
     t_begin: wp.array[wp.float64]  # of each body: the slice as part of the step
     t_end: wp.array[wp.float64]

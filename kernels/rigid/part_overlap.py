@@ -48,6 +48,8 @@ _PLACE_POSITION = wp.constant(wp.float64(4.0 * PLACE_POSITION * UNIT_ROUNDOFF[wp
 _PLACE = wp.constant(wp.float64(4.0 * PLACE * UNIT_ROUNDOFF[wp.float64]))
 # Of lengths, whose squares vanish below 1e-162 and are rounded coarsely up to 1e-154; a smaller turn has no axis.
 _UNDERFLOW = wp.constant(wp.float64(1e-150))
+# The narrow phase may count as touching what is off in the corner of a box: the square root of three, rounded up.
+_DIAGONAL = wp.constant(wp.float64(1.75))
 # Of half sides and radii.
 _UP = wp.constant(wp.float64(1.0 + 64.0 * UNIT_ROUNDOFF[wp.float64]))
 # No distance whose square overflows is less.
@@ -147,7 +149,7 @@ def moved_body(paths: BodyPaths, row: int, t: wp.float64, h: wp.float64) -> Move
         start = paths.start[row]
         far = wp.max(wp.max(wp.abs(start)), wp.max(wp.abs(start + r.line)))
         r.wrong = _PLACE * (_ONE + _HALF * r.turn) * (_ONE + h * r.turn)
-        r.excess = paths.excess[row] + _PLACE_POSITION * far
+        r.excess = _DIAGONAL * paths.excess[row] + _PLACE_POSITION * far
         r.excess += r.wrong * (wp.length(r.pivot) + r.turning + wp.length(r.line))
     return r
 

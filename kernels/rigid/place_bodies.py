@@ -218,6 +218,7 @@ def place_vertices(
     v = vec3d()
     bulge = _ZERO
     error = _ZERO
+    excess = _ZERO
     if paths.is_rigid[body] != 0:
         arm = x - paths.pivot[body]
         from_pivot = rotated(of_bodies.rotation[body], arm)
@@ -227,7 +228,8 @@ def place_vertices(
         omega = length * paths.omega[body]
         v = wp.cross(omega, from_pivot) + length * of_bodies.turning[body]
         bulge = _EIGHTH_UP * wp.length(omega) * wp.sqrt(wp.dot(v, v) + _SQUARE_UNDERFLOW)
-        error = slack_of(paths, body, arm, x) + paths.excess[body]
+        error = slack_of(paths, body, arm, x)
+        excess = paths.excess[body]
     else:
         error = _INTERPOLATION * wp.max(wp.max(wp.abs(x)), wp.max(wp.abs(b)))
         if not (x == b):  # what stays is not moved by rounding
@@ -236,7 +238,7 @@ def place_vertices(
             if ends < _ONE:
                 b = (_ONE - ends) * x + ends * vertices_t1[i]
     error += _UNDERFLOW
-    bulge += error
+    bulge += error + excess
     slack[i] = error
     at_begin[i] = a
     at_end[i] = b

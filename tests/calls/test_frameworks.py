@@ -128,6 +128,25 @@ def test_bad_use_is_told(library):
             call()
 
 
+def test_pairs_and_contacts_without_a_place_are_an_error(library):
+    """With a gradient and without, of tois and of shortened positions; never a gradient of 0 without a word."""
+    ours, make, numbers, *_ = library
+    pipeline, *given = thrown()
+    ends = [make(x) for x in given]
+    for capacities, flag in (({"max_pairs": 1}, "PAIRS"), ({"max_pairs": 1000, "max_contacts": 1}, "CONTACTS")):
+        pipeline.reserve(**capacities)
+        for call in (
+            lambda: ours.toi_is_regular(pipeline, *ends),
+            lambda: ours.line_search_is_regular(pipeline, *ends),
+        ):
+            with pytest.raises(RuntimeError, match=rf"{flag}_OVERFLOW[\s\S]*reserve"):
+                numbers(call())
+    pipeline.reserve(max_pairs=1)
+    for call in (ours.toi, ours.collision_free_step, ours.line_search):
+        with pytest.raises(RuntimeError, match=r"PAIRS_OVERFLOW[\s\S]*reserve"):
+            numbers(call(pipeline, *ends))
+
+
 # ---- Poses of bodies that turn ---------------------------------------------------------------------------------------
 
 PIVOTS = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.1]])

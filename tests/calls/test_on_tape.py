@@ -1,5 +1,7 @@
 """Tois and line searches on a tape of Warp: forms of the input, what is recorded, kept and flagged, and bad use."""
 
+import warnings
+
 import numpy as np
 import pytest
 import warp as wp
@@ -13,6 +15,14 @@ PER = ("scene", "world", "body", "vertex")
 
 def pipeline_of(mesh, **options):
     return ccd.CollisionPipeline(mesh, **{"minimum_distance": 0.1, "tolerance": 1e-12} | options)
+
+
+def warnings_of(call):
+    """What a call warns of."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        call()
+    return [str(warning.message) for warning in said]
 
 
 def pulled(tape, result, given, end_grad=None):
@@ -254,9 +264,30 @@ def test_contacts_of_any_pass_that_have_no_gradient_are_flagged_and_have_one_aft
     assert result.flags.numpy()[0] == 0 and result.to_host().num_contacts > 1  # the last pass lists none
     for flag in (ccd.LaunchFlag.CONTACTS_OVERFLOW, 0):
         given = [array(start), array(end)]
-        _, result = taped(lambda g=given: pipeline.launch_line_search(*g, per="vertex"))
+        tape, result = taped(lambda g=given: pipeline.launch_line_search(*g, per="vertex"))
         assert result.flags.numpy()[0] == flag
+        said = warnings_of(tape.backward)
+        assert len(said) == (wp.get_device().is_cpu and bool(flag)) and all(
+            "is none, and adds 0; reserve" in text for text in said
+        )
         pipeline.reserve(max_contacts=2 * result.to_host().num_contacts)
+
+
+def test_a_launch_that_overflows_and_its_backward_pass_say_so_once():
+    mesh, start, end = scene()
+    pipeline, is_said = pipeline_of(mesh, max_pairs=1), wp.get_device().is_cpu
+    for count in (int(is_said), 0):
+        given, made = [array(start), array(end)], []
+        said = warnings_of(lambda x=given, m=made: m.extend(taped(lambda: pipeline.launch(*x))))
+        tape, result = made
+        most = result.num_pairs.numpy()[:4].max()
+        assert len(said) == count and all(f"reserve(max_pairs={2 * most})" in text for text in said)
+        said = warnings_of(lambda t=tape, r=result: t.backward(r.toi))
+        assert len(said) == count and all("PAIRS_OVERFLOW" in text for text in said)
+        assert result.toi.numpy()[0] == 0.0 and not given[1].grad.numpy().any()
+    finder, x = ccd.CollisionPipeline(mesh, max_contacts=1), array(start, requires_grad=False)
+    said = warnings_of(lambda: [finder.launch_proximity(x, 0.4) for _ in range(2)])
+    assert sum("max_contacts is 1," in text for text in said) == is_said
 
 
 def test_nothing_is_recorded_where_no_gradient_is_asked_for():

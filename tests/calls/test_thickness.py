@@ -129,7 +129,5 @@ def test_radii_of_a_pipeline_are_its_own_and_are_kept_as_more_is_reserved():
     pipeline.reserve(max_pairs=1 << 13)
     assert pipeline.launch(mesh.vertices, end).toi.numpy()[0] == pytest.approx(0.25)
     assert mesh.radius.max() == 0.2 and pipeline.mesh_ccd(mesh.vertices, end).toi == pytest.approx(0.35)
-    separated = ccd.CollisionPipeline(sheet_and_bead(0.0), minimum_separation=0.01)  # whose radii the device may change
-    assert separated.mesh_ccd(mesh.vertices, end).toi < 0.5
     with pytest.raises(ValueError, match=r"minimum_separation is 0.01 and the mesh has a radius of up to 0"):
-        separated.launch(mesh.vertices, end)
+        ccd.CollisionPipeline(sheet_and_bead(0.0), minimum_separation=0.01)  # whose radii the device may change

@@ -98,6 +98,7 @@ def test_bodies_that_nothing_comes_near_have_no_boxes_that_count_and_trees_apart
     for motion, is_free in (([0, 1.0, 0], True), ([5.5, 0, 0], False)):
         end = mesh.vertices + (mesh.vertex_body == 0)[:, None] * motion
         assert (pipeline.collision_free_step(mesh.vertices, end) == 1.0) == is_free
+        assert pipeline.counts.num_active_bodies == 2 - is_free  # one that is static has boxes all the same
         assert any(pipeline.counts.num_searches.values()) == (not is_free)
 
 

@@ -72,6 +72,14 @@ def apart(num_together=1):
     return mesh, mesh.vertices, mesh.vertices + rng.uniform(-0.5, 0.5, (40, 3))[mesh.vertex_body]
 
 
+def parting():
+    """A ball within its distance above another, which slides off it and rises."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
+    mesh = ccd.CollisionMesh.from_trimesh([ball, ball], static=[1], self_collision=False)
+    start = mesh.vertices + [0, 0, 1.005] * (mesh.vertex_body == 0)[:, None]
+    return mesh, start, start + [0.3, 0, 0.2] * (mesh.vertex_body == 0)[:, None]
+
+
 def slender():
     """Needles around an axis, squeezed, whose pairs are searched in a frame of their own, as they are many."""
     turn = np.linalg.qr([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]])[0]
@@ -115,7 +123,9 @@ ON_DEVICE = {
     "tree lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS)),
     "thick lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
     "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
+    "thickness of 0": StepCase(lambda: crowd(40, 15, radius=0.0)),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
+    "parting": StepCase(parting, {"minimum_distance": 0.02}),
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
     "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
@@ -181,7 +191,10 @@ def test_earlier_calls_change_no_bit(call, scene):
     assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
 
 
-@pytest.mark.parametrize("scene", [*range(40), "sheet", "worlds", "apart", "radii", "few iterations", "crowd"])
+_REPEATED = [*range(40), "sheet", "worlds", "apart", "radii", "parting", "few iterations", "crowd"]
+
+
+@pytest.mark.parametrize("scene", _REPEATED)
 def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
     """Of one pipeline, or mesh, whose steps leave each other what stays the same, and of new ones with a limit."""
     case = case_of(scene)
@@ -240,12 +253,17 @@ def test_a_graph_changes_no_bit(scene):
     assert different(found, truth) == []
 
 
-@pytest.mark.parametrize("scene", [*range(24), *(scene for scene in ON_DEVICE if scene != "slender")])
+_PLATE = np.array([[-1.0, -1, -1], [4.5, -4.5, 0], [0, 1.5, -4.5]])
+_LAUNCHED = [*range(24), *(scene for scene in ON_DEVICE if scene != "slender"), *(f"arcs {k}" for k in range(12))]
+
+
+@pytest.mark.parametrize("scene", _LAUNCHED)
 def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
     """Of positions of both types, and as displacements, which are added in float64."""
     case = case_of(scene)
     mesh, start, end = case.make()
-    pipeline, motion = case.pipeline(mesh, precision_of(scene)), case.motion()
+    pipeline = case.pipeline(mesh, precision_of(scene), max_pairs=90_000, max_contacts=90_000)
+    motion = case.motion()
     finder = ccd.CollisionPipeline(mesh, max_pairs=90_000, max_contacts=90_000)
     for dtype in PRECISIONS:
         x, moves = start.astype(dtype), (end - start).astype(dtype)
@@ -268,6 +286,32 @@ def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
         assert different({"": bounds}, {"": ccd.displacement_bounds(mesh, x.astype(float), distance)}) == []
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_launch_of_worlds_on_paths_gives_the_bits_of_the_call_on_the_host(seed):
+    """Of bodies that are far from their paths, over a half-space or a face, for which launches look in another way."""
+    rng, count = np.random.default_rng([8, seed]), 60
+    normal, shape = rng.normal(size=3), trimesh.convex.convex_hull(rng.normal(size=(5, 3)))
+    normal /= np.linalg.norm(normal)
+    plate = 2.0 * (np.linalg.qr(np.column_stack([normal, rng.normal(size=(3, 2))]))[0] @ _PLATE).T
+    ground = ccd.HalfSpace(-2.0 * normal, normal) if seed % 4 else (plate, [[0, 1, 2]])
+    bodies = [(0.5 * shape.vertices, shape.faces)] * (1 + seed // 4)
+    rigid = np.arange(len(bodies))
+    mesh = ccd.CollisionMesh.from_arrays([*bodies, ground], rigid=rigid, static=[] if seed % 4 else [len(bodies)])
+    poses, twist = (rng.normal(size=(count, len(bodies), n)) for n in (7, 6))
+    poses[..., :3] *= 0.8
+    twist *= [2.0] * 3 + [(0.3, 3.0, 20.0)[seed % 3]] * 3
+    motion = ccd.RigidMotion(poses, twist=twist, within=0.3 * rng.integers(0, 2, (count, len(bodies))))
+    pipeline = ccd.CollisionPipeline(mesh, max_pairs=90_000, max_contacts=80_000)
+    for dtype in PRECISIONS[::-1]:
+        x = mesh.vertices.astype(dtype)
+        launched = pipeline.launch(on_device(x, dtype), on_device(x, dtype), motion=motion)
+        assert len(launched.contacts.toi) == 80_000
+        found, host = launched.to_host(), ccd.mesh_ccd(mesh, *2 * [x.astype(float)], motion=motion)
+        np.testing.assert_array_equal(found.world_toi, host.world_toi)
+        np.testing.assert_array_equal(np.sort(found.contacts.toi), np.sort(host.contacts.toi))
+        assert not found.flags & ccd.LaunchFlag.PAIRS_OVERFLOW and host.toi < 1.0
+
+
 def assert_shared_bits(launched, host, *names):
     """What both results have is equal in every bit, and has these names."""
     launched, host = outputs_of(launched), outputs_of(host)
@@ -278,7 +322,7 @@ def assert_shared_bits(launched, host, *names):
 
 # --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
 
-_SEARCHED = ("levels", "tree lists", "thick lists", "slender")
+_SEARCHED = ("thickness of 0", "parting", "levels", "tree lists", "thick lists", "slender")
 ON_OTHER = [(NAMES[seed % len(NAMES)], seed) for seed in range(2 * len(NAMES))]
 ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene not in _SEARCHED for call in ("launches", "steps")]
 _MORE = {

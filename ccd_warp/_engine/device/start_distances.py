@@ -59,7 +59,7 @@ class DeviceStartDistances:
         length_scale = length_scale_of(mesh, options)
         separation = options.separation(length_scale)
         distance = largest_start_distance(mesh, options, mesh._largest_radius)
-        norm = norm_of(mesh, options, may_change=True, on_arcs=on_arcs)
+        norm = norm_of(mesh, options, on_arcs=on_arcs)
         self._norm = shape_of(norm)
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")

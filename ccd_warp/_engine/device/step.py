@@ -95,7 +95,7 @@ class DeviceStep(Plan):
         self._mesh = mesh = topology.mesh
         self._flag = StopFlag(topology.device)
         execution = Execution(topology.device, options.threads, self._flag)
-        norm = norm_of(mesh, options, may_change=True, on_arcs=self.on_arcs)
+        norm = norm_of(mesh, options, on_arcs=self.on_arcs)
         super().__init__(topology, options, execution, self.goal, norm)
         _ = topology.corners, topology.collision_filter, topology.body_kinematic  # computed now, not during a capture
         self._options, self._vertices, self._radius = options, vertices, radius

@@ -162,7 +162,7 @@ class ContactStep(ImpactStep):
 
     def _place(self) -> tuple[Any, ...]:
         """Where contacts are, what counts as touching, if it is one thing for all pairs, and what is how thick."""
-        radius, radii = self.mesh.radius if self.mesh.is_thick else None, None
+        radius, radii = self.mesh.radius, None
         if radius is not None:
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
         is_euclidean = is_ball(self.plan.norm)

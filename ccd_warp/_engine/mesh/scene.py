@@ -43,21 +43,19 @@ def norm_of(
     mesh: "CollisionMesh",
     options: "Options",
     *,
-    may_change: bool = False,
     on_arcs: bool = False,
 ) -> str:
-    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii or a minimum distance.
+    """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii, even of 0, or a minimum distance.
 
     Args:
         mesh: The bodies.
         options: The options of the call.
-        may_change: Whether radii of 0 may be replaced by others, as on the device.
         on_arcs: Whether bodies turn, for which the norm of either shape has one of its own.
 
     Raises:
         ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
     """
-    if mesh.radius is None or not (may_change or mesh.is_thick):
+    if mesh.radius is None:
         if on_arcs:
             return ARC_BALL_NORM if is_ball(options.norm) else ARC_BOX_NORM
         return options.norm

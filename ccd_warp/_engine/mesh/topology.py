@@ -157,7 +157,7 @@ class Topology:
 
     @property
     def is_thick(self) -> bool:
-        """Whether a vertex has a radius above 0."""
+        """Whether vertices have radii."""
         return self.mesh.is_thick
 
     def of_vertices(self, active: wp.array) -> list[wp.array]:

@@ -84,8 +84,9 @@ def _are_same(positions: NDArray[np.float64] | None, start: NDArray[np.float64])
 
 
 def reach_of(mesh: CollisionMesh, options: Options) -> float:
-    """A Euclidean distance beyond which bodies do not come within the separation of a pair, besides their radii."""
-    return 2.0 * options.separation(length_scale_of(mesh, options))
+    """A Euclidean distance beyond which pairs do not count as touching, besides their radii: with the tolerance."""
+    length_scale = length_scale_of(mesh, options)
+    return 2.0 * (options.separation(length_scale) + options.tolerance * length_scale)
 
 
 def find_near(
