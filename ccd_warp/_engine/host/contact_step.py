@@ -93,6 +93,7 @@ class ContactStep(ImpactStep):
         )
         num_hidden = of_status[int(CCDStatus.ROUNDING_LIMIT)] if gathered["toi"] <= 0.0 else 0
         self.oddities.is_stuck = num_hidden > 0
+        self.oddities.touches_at_start = of_status[int(CCDStatus.INITIAL_CONTACT)] > 0
         within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
         hidden = hidden_sentence(num_hidden, self.mesh, self.positions, within)
         gathered |= {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
