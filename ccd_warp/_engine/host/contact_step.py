@@ -27,12 +27,10 @@ class ContactStep(ImpactStep):
     """The contacts.
 
     Attributes:
-        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
         beside: Contacts of the step of which those without such a vertex are part of the result.
     """
 
     goal = "contacts"
-    among: NDArray[np.bool_] | None = None
     beside: Contacts | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
