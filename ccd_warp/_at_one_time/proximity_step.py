@@ -8,6 +8,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound
+from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
@@ -46,6 +47,12 @@ class StepAtOneTime(Step):
         plan.set_search(1.0, half_rounded_up(distance), distance)
         return plan
 
+    def note_distance(self, distance: float) -> None:
+        """Note that a distance which the caller has given is many edges long, if it is."""
+        rings = self.mesh.exclusion_rings
+        of_search = DistanceInEdges.of(self.topology, self.positions[0], distance, rings=rings)
+        self.oddities.distance = of_search and of_search._replace(is_searched=True)
+
     def least_of_vertices(
         self, plan: HostPlan, batches: Iterator[Batch], sink: int, found: wp.array
     ) -> NDArray[np.float64]:
@@ -68,6 +75,7 @@ class ProximityStep(StepAtOneTime):
     def proximities(self, distance: float, *, unique: bool = False) -> Proximities:
         """All pairs within a distance and their radii, or each two closest features once."""
         plan = self.search(distance)
+        self.note_distance(distance)
         with self.timed("pairs"):
             store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
             plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
@@ -102,6 +110,7 @@ class DisplacementStep(StepAtOneTime):
         kept = self.options.minimum_distance
         distance = add_rounded_up(search_radius, kept)
         plan = self.search(distance)
+        self.note_distance(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
             largest = largest_bound(search_radius, self.mesh._moves_alone)

@@ -257,7 +257,8 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
-        motion: How rigid bodies turn, or bodies stretch, whose rows are in their own frames.
+        motion: How rigid bodies turn, or bodies stretch, whose rows are in their own frames: a pose for each body in
+            ``rigid`` of the mesh, and for no others.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -293,6 +294,7 @@ def rigid_ccd(
     path: Literal["linear", "screw"] = "linear",
     pivot: ArrayLike | None = None,
     twist: ArrayLike | None = None,
+    within: ArrayLike = 0.0,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
     """Earliest times of impact of bodies that are all rigid, and turn: what :func:`mesh_ccd` finds with a ``motion``.
@@ -310,6 +312,7 @@ def rigid_ccd(
         path: "linear" or "screw".
         pivot: Points about which the bodies turn, in their own frames.
         twist: In place of ``poses_t1``, motion in the whole step, linear part first.
+        within: How far points of the bodies may be from these paths, a length, or one for each body.
         **options: Options of :class:`ccd_warp.MeshOptions`.
 
     Returns:
@@ -323,8 +326,8 @@ def rigid_ccd(
     Guarantee: that of :mod:`ccd_warp`, for the trajectories of :class:`ccd_warp.RigidMotion`, on which vertices move on
     arcs: no toi is late, and ``inf`` is certain.
     """
-    checked_options = options_of("rigid_ccd", MeshOptions, options, others=["path", "pivot", "twist"])
-    motion = RigidMotion(poses_t0, poses_t1, path=path, pivot=pivot, twist=twist)
+    checked_options = options_of("rigid_ccd", MeshOptions, options, others=["path", "pivot", "twist", "within"])
+    motion = RigidMotion(poses_t0, poses_t1, path=path, pivot=pivot, twist=twist, within=within)
     check_instance("mesh", mesh, CollisionMesh)
     bodies = mesh._all_rigid
     count, worlds = int(bodies.rigid.sum()), motion.num_worlds if mesh.num_worlds > 1 else 1

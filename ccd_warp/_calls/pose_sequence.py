@@ -14,7 +14,8 @@ from ccd_warp._files.poses import read_poses as read_table
 from ccd_warp._files.sequence import Frames, checked_static
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.half_space import HalfSpace
-from ccd_warp._scene.input.arguments import check_choice, check_flag, check_items, check_path
+from ccd_warp._scene.input.arguments import check_choice, check_flag, check_path
+from ccd_warp._scene.input.mesh_checks import listed_bodies
 from ccd_warp._scene.input.messages import printable
 from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.mesh import CollisionMesh
@@ -96,8 +97,8 @@ def read_poses(
     poses_path: str | Path,
     *,
     path: Literal["linear", "screw"] = "linear",
-    static: Iterable[str | Path | HalfSpace] = (),
-    kinematic: Iterable[int | str] = (),
+    static: Iterable[str | Path | HalfSpace] | None = (),
+    kinematic: Iterable[int | str] | None = (),
     split: bool = False,
 ) -> PoseSequence:
     """Read rigid bodies and their poses at several times, as ``ccd-warp run`` and ``sequence`` do with ``--poses``.
@@ -121,6 +122,6 @@ def read_poses(
     """
     files = check_path("mesh_path", mesh_path), check_path("poses_path", poses_path)
     check_choice("path", path, ("linear", "screw"))
-    scripted, split = check_items("kinematic", kinematic, "a list of body indices"), check_flag("split", split)
+    scripted, split = listed_bodies("kinematic", kinematic), check_flag("split", split)
     obstacles = static_bodies(checked_static(static), split=split)
     return PoseSequence(*files, path, obstacles, partial(mesh_of, kinematic=scripted), split=split)

@@ -15,6 +15,7 @@ from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import check_flag, check_items, check_path, shown
 from ccd_warp._scene.input.cells import warn_of_midsides
+from ccd_warp._scene.input.mesh_checks import listed_bodies
 from ccd_warp._scene.input.messages import printable
 from ccd_warp._scene.mesh import CollisionMesh
 
@@ -143,8 +144,8 @@ def read_frames(
     start_path: str | Path,
     end_path: str | Path,
     *,
-    static: Iterable[str | Path | HalfSpace] = (),
-    kinematic: Iterable[int | str] = (),
+    static: Iterable[str | Path | HalfSpace] | None = (),
+    kinematic: Iterable[int | str] | None = (),
     self_collision: bool | Sequence[bool] = True,
     surface: bool = False,
     split: bool = False,
@@ -190,7 +191,7 @@ def read_frames(
 
 def checked_static(static: Any) -> list[Path | HalfSpace]:
     """Paths of mesh files and half-spaces, or a ValueError."""
-    items = check_items("static", static, "a list of paths and half-spaces")
+    items = [] if static is None else check_items("static", static, "a list of paths and half-spaces")
     return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]
 
 
@@ -198,8 +199,8 @@ def checked_static(static: Any) -> list[Path | HalfSpace]:
 def read_sequence(
     paths: str | Path | Iterable[str | Path],
     *,
-    static: Iterable[str | Path | HalfSpace] = (),
-    kinematic: Iterable[int | str] = (),
+    static: Iterable[str | Path | HalfSpace] | None = (),
+    kinematic: Iterable[int | str] | None = (),
     self_collision: bool | Sequence[bool] = True,
     displacement: str | None = None,
     surface: bool = False,
@@ -231,6 +232,5 @@ def read_sequence(
     how: dict[str, Any] = {"surface": check_flag("surface", surface)}
     series = find_series([check_path("paths", path) for path in items], displacement=displacement, **how)
     bodies = static_bodies(checked_static(static), split=check_flag("split", split), **how)
-    kinematic_bodies = check_items("kinematic", kinematic, "a list of body indices")
-    make_mesh = partial(mesh_of, kinematic=kinematic_bodies, self_collision=self_collision)
+    make_mesh = partial(mesh_of, kinematic=listed_bodies("kinematic", kinematic), self_collision=self_collision)
     return FrameSequence(series, bodies, make_mesh, split=bool(split))

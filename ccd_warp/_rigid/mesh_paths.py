@@ -13,7 +13,7 @@ from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice, Slices
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arc_factors, arcs, cross, in_space, rotated
-from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.display import counted, listed
 from ccd_warp._scene.input.names import body_label
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
@@ -187,8 +187,9 @@ def check_rows(mesh: CollisionMesh, bodies: NDArray[np.intp], num_rows: int) -> 
         count, left = divmod(num_rows, len(bodies))
         worlds = "" if left or count < 2 else f", or for {count} worlds mesh.replicate({count})"
         raise ValueError(
-            f"motion has {counted(num_rows, 'row', 'rows')} for "
-            f"{counted(len(bodies), 'rigid body', 'rigid bodies')} of the mesh; expected one a body{worlds}"
+            f"motion has {counted(num_rows, 'row', 'rows')} for {counted(len(bodies), 'rigid body', 'rigid bodies')} "
+            f"of the mesh, {listed([body_label(body, mesh.names) for body in bodies.tolist()])}; expected one a "
+            f"body, or more bodies in rigid= where the mesh is built{worlds}"
         )
 
 

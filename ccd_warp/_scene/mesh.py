@@ -24,13 +24,14 @@ from ccd_warp._scene.input.arrays import (
     is_float64,
     validated_positions,
 )
-from ccd_warp._scene.input.body_arrays import joined_bodies
+from ccd_warp._scene.input.body_arrays import check_bodies, joined_bodies
 from ccd_warp._scene.input.body_options import BodyOptions
 from ccd_warp._scene.input.cells import cells_by_type, with_surfaces
 from ccd_warp._scene.input.edges import unique_edges
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs, PairsFound, joined_pairs, validated_excluded_pairs
 from ccd_warp._scene.input.half_spaces import planes_of, points_of
 from ccd_warp._scene.input.mesh_checks import (
+    listed_bodies,
     validated_body_pairs,
     validated_flags,
     validated_radius,
@@ -239,14 +240,14 @@ class CollisionMesh(ReadOnly):
     def from_arrays(
         cls,
         bodies: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace],
-        static: Iterable[int | str] = (),
+        static: Iterable[int | str] | None = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
-        kinematic: Iterable[int | str] = (),
-        rigid: Iterable[int | str] = (),
+        kinematic: Iterable[int | str] | None = (),
+        rigid: Iterable[int | str] | None = (),
         names: Sequence[str] | None = None,
-        body_pairs: ArrayLike | None = None,
+        body_pairs: ArrayLike | Iterable[Any] | None = None,
         exclusion_rings: int = 1,
         exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
@@ -262,7 +263,8 @@ class CollisionMesh(ReadOnly):
                 vertices of shape [V_b, 2]; the vertices of a body without edges are codimensional points. In place of
                 a tuple a :class:`ccd_warp.HalfSpace`; at least one body has vertices. Bodies may be given one list of
                 nodes: of each the vertices that its faces and edges use take part.
-            static: Indices or names of the bodies that do not move; their end positions are their start positions.
+            static: Indices or names of the bodies that do not move; their end positions are their start positions. Of
+                this and of the other lists of bodies None is an empty one.
             self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
             codimensional_points: Whether the vertices of a body that no face and no edge uses are codimensional points:
                 one flag for all bodies or one for each. Without it they take no part, unless the body has neither.
@@ -273,8 +275,9 @@ class CollisionMesh(ReadOnly):
                 a ``motion`` take their vertices in their own frames.
             names: Names of the bodies, by which messages, reports and contacts call them, each a printable text of its
                 own. By default "body 0", "body 1" and so on.
-            body_pairs: Which pairs of different bodies may collide, symmetric, bool, shape [B, B]; the diagonal is
-                ignored (see ``self_collision``). By default all pairs may.
+            body_pairs: Which pairs of different bodies may collide: the pairs, of indices or names of bodies, as
+                ``[("tool", "clamp"), ("holder", "clamp")]``, shape [k, 2]; or a flag for each, symmetric, bool or 0 and
+                1, shape [B, B], whose diagonal is ignored (see ``self_collision``). By default all pairs may.
             exclusion_rings: 1 excludes pairs that share a vertex; n also excludes pairs with two vertices that fewer
                 than n edges connect. For n of 2 or more, the first call that needs them lists the vertices this near to
                 each vertex, 4 bytes each, and raises a ValueError if there are more than 2²⁷ of them. A value above the
@@ -303,6 +306,7 @@ class CollisionMesh(ReadOnly):
         bodies = check_items("bodies", bodies, expected)
         if len(bodies) == 0:
             raise ValueError("bodies is empty; expected at least one body")
+        check_bodies(bodies)
         names = validated_names(names, len(bodies))
         with_points = validated_flags(codimensional_points, len(bodies), "codimensional_points")
         bodies, is_of_cells = with_surfaces(bodies, names)
@@ -362,14 +366,14 @@ class CollisionMesh(ReadOnly):
     def from_trimesh(
         cls,
         bodies: Any,
-        static: Iterable[int | str] = (),
+        static: Iterable[int | str] | None = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
         *,
-        kinematic: Iterable[int | str] = (),
-        rigid: Iterable[int | str] = (),
+        kinematic: Iterable[int | str] | None = (),
+        rigid: Iterable[int | str] | None = (),
         names: Sequence[str] | None = None,
-        body_pairs: ArrayLike | None = None,
+        body_pairs: ArrayLike | Iterable[Any] | None = None,
         exclusion_rings: int = 1,
         exclude_pairs: Mapping[str, Any] | None = None,
         vertex_world: ArrayLike | None = None,
@@ -494,11 +498,11 @@ class CollisionMesh(ReadOnly):
         shape: Any,
         count: int,
         others: Any = (),
-        static: Iterable[int | str] = (),
+        static: Iterable[int | str] | None = (),
         *,
-        rigid: Iterable[int | str] = (),
+        rigid: Iterable[int | str] | None = (),
         names: Sequence[str] | None = None,
-        body_pairs: ArrayLike | None = None,
+        body_pairs: ArrayLike | Iterable[Any] | None = None,
         exclude_pairs: Mapping[str, Any] | None = None,
         radius: ArrayLike | None = None,
     ) -> CollisionMesh:
@@ -530,7 +534,7 @@ class CollisionMesh(ReadOnly):
             [*[shape] * count, *objects_of(others)],
             static,
             self_collision=False,
-            rigid=[*range(count), *check_items("rigid", rigid, "numbers or names of bodies")],
+            rigid=[*range(count), *listed_bodies("rigid", rigid)],
             names=names,
             body_pairs=body_pairs,
             exclude_pairs=exclude_pairs,

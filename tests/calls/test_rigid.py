@@ -63,6 +63,8 @@ def test_blade_that_sweeps_a_point_meets_it_where_the_arc_does():
         mesh, poses = fan([0.0], [at_angle(0.7 * turn)])
         result = ccd.rigid_ccd(mesh, poses, [about_z(turn), poses[1]])
         assert result.toi == pytest.approx(0.7, abs=1e-11 / turn) and result.toi <= 0.7
+        early = ccd.rigid_ccd(mesh, poses, [about_z(turn), poses[1]], within=[1e-3 * turn, 0]).toi
+        assert 0.69 < early <= 0.7 - 1e-3 / 1.5  # the point is 1.5 from the axis
         assert result.contacts.points == pytest.approx(np.array([at_angle(0.7 * turn)]), abs=1e-10)
         normal = [-np.sin(0.7 * turn), np.cos(0.7 * turn), 0.0]  # the blade has no thickness, and comes from behind
         assert result.contacts.normal[0] @ normal == pytest.approx(1.0, abs=1e-9)
@@ -416,7 +418,7 @@ def test_motions_that_do_not_fit_are_refused_by_name():
         return lambda: ccd.rigid_ccd(bar, [AT_REST, pose], twist=[[0] * 6, twist])
 
     for call, message in (
-        (moved(mesh, one), "1 row for 2 rigid bodies"),
+        (moved(mesh, one), "1 row for 2 rigid bodies of the mesh, body 0, body 1; expected one a body, or more bodies"),
         (moved(mesh, spins(poses, 1, 1)), "body 1, which is static"),
         (moved(mesh, ccd.RigidMotion(poses, poses, within=0.1)), "within of the motion lets body 1 leave .* is static"),
         (moved(mesh, motion, 1e-9 * np.eye(4, 1)), "another row for vertex 0"),

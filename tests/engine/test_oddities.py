@@ -7,6 +7,7 @@ import warnings
 import numpy as np
 import pytest
 import scenes
+import trimesh
 import warp as wp
 from exact import rows
 
@@ -132,6 +133,52 @@ def test_a_distance_of_many_edges_is_named_and_answered_without_the_search(thick
         assert not pipeline.is_step_collision_free(mesh.vertices, end)
         assert not any(pipeline.counts.num_after_cull.values())
         assert pipeline.mesh_ccd(mesh.vertices, end).toi == 0.0 < sum(pipeline.counts.num_after_cull.values())
+
+
+@pytest.mark.parametrize("thickness", ["distance", "radius"])
+def test_a_search_for_what_is_near_within_many_edges_is_named_once(thickness):
+    mesh, _ = thick(thickness, 0.0 if thickness == "distance" else 0.5)
+    pipeline, radii = ccd.CollisionPipeline(mesh), ", radii included," if thickness == "radius" else ""
+    sentence = (
+        rf"^the distance in which pairs are searched{radii} is 1\.5, 6 times the median edge of 0\.25; neighbours"
+    )
+    for call in (pipeline.find_proximity, pipeline.displacement_bounds):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            call(mesh.vertices, 0.24)
+        pipeline._workspace._said.clear()
+        with pytest.warns(RuntimeWarning, match=sentence) as warned:
+            for _ in range(2):
+                call(mesh.vertices, 1.0 if radii else 1.5)
+        assert [each.filename for each in warned] == [__file__]
+
+
+def test_a_body_with_vertices_in_one_place_as_files_of_stl_have_is_told_once_that_it_touches_itself():
+    triangles = SHEET[FACES].reshape(-1, 3) * [1, 1, -0.0]
+    corners = np.arange(len(triangles)).reshape(-1, 3)
+    apart = [(SHEET + [0, 0, 1], FACES), (triangles, corners)]
+    mesh = ccd.CollisionMesh.from_arrays(apart, names=["cloth", "part"])
+    sentence = (
+        r"^body 1 \(part\) has 71 vertices where another of it is, such .*toi is 0: .*merge_vertices\(\) of trimesh"
+    )
+    for name in ("mesh_ccd", "collision_free_step", "is_step_collision_free", "line_search"):
+        pipeline = ccd.CollisionPipeline(mesh)
+        with pytest.warns(RuntimeWarning, match=sentence) as warned:
+            for _ in range(2):
+                getattr(pipeline, name)(mesh.vertices, mesh.vertices + [0, 0, 0.1])
+        assert len(warned) == 1
+    part = mesh.vertex_body == 1
+    merged = trimesh.Trimesh(triangles, corners, process=False)
+    merged.merge_vertices()
+    fine = [ccd.CollisionMesh.from_arrays([(merged.vertices, merged.faces)])]
+    fine += [ccd.CollisionMesh.from_arrays(apart, **leaving_out) for leaving_out in ({"static": [1]}, {"rigid": [1]})]
+    fine += [mesh.excluding({"vertices": np.argwhere(np.triu(np.multiply.outer(part, part)))})]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        warnings.filterwarnings("ignore", "motion is None")
+        for each in fine:  # of which something may touch even so, one sheet on the other
+            start = each.vertices * [1, 1, 0]
+            assert ccd.mesh_ccd(each, start, start).toi == (np.inf if each.num_bodies == 1 else 0.0)
 
 
 def test_a_warning_that_is_an_error_hides_no_interrupt(monkeypatch):

@@ -74,12 +74,12 @@ ARGUMENTS = {
     "others of CollisionMesh.from_volume": (r"\d+, one a body|a list of bodies|a pair \(vertices, faces\)", [], ()),
     "others of CollisionMesh.from_instances": (rf"{OF_TRIMESH}|\d+, one a body", [], ()),
     "cells": (rf"(integers and shape )?\(n, corners\)|{CELLS}", [3], ()),
-    "static": ("a list of (body|paths)|body indices in|a path", [[3], [-1], [True], 0], NO_BODIES),
-    "kinematic": ("a list of body indices|body indices in", [["lid"]], NO_BODIES),
-    "rigid": ("a list of body indices|body indices in|numbers or names of bodies", [[2]], NO_BODIES),
+    "static": ("a list of (body|paths)|body indices in|a path", [[3], [-1], [True], 0], (*NONE, *NO_BODIES)),
+    "kinematic": ("a list of body indices|body indices in", [["lid"]], (*NONE, *NO_BODIES)),
+    "rigid": ("a list of body indices|body indices in", [[2]], (*NONE, *NO_BODIES)),
     "self_collision": ("a bool or one bool a body", [1, [0, 1]], FLAGS),
     "codimensional_points": (r"a bool or (one bool a body|\(2,\))", [1, [0], [True, False, True]], FLAGS),
-    "body_pairs": (r"bool and (shape )?\(2, 2\)", [np.ones((2, 2))], NONE),
+    "body_pairs": (r"pairs of bodies that .*bool and shape \(2, 2\)", [np.ones((2, 2))], (*NONE, *EMPTY)),
     "exclude_pairs": (OPTIONAL_PAIRS, [[[0, 1]], {"edge_edge"}], (*NONE, "empty dict")),
     "exclude_pairs of CollisionMesh.excluding": (OPTIONAL_PAIRS, [[[0, 1]]], ("empty dict",)),
     "names": (r"\d, one a body|(a list of|printable) texts", ["cloth", ["cloth", 7]], (*NONE, "array of texts")),
@@ -368,7 +368,19 @@ TOGETHER = {
     "CollisionMesh.from_arrays": [
         ({"kinematic": [1]}, r"static and kinematic both hold body 1 \(cable\); expected it in one of them"),
         ({"static": ["bal"]}, r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"),
+        (
+            {"static": [False, True]},
+            r"static holds False; .* names of bodies; of one flag a body np.flatnonzero\(static\)",
+        ),
         ({"body_pairs": [[True, False], [True, True]]}, r"differs at \(0, 1\) and \(1, 0\), body 0 \(face\) and"),
+        (
+            {"body_pairs": {"bodies": [("face", "cable")]}},
+            r"body_pairs is {'bodies.*; expected pairs .* as \[\(0, 1\)\]",
+        ),
+        ({"body_pairs": [("face", "lid")]}, "body_pairs holds 'lid'; expected indices or names of the mesh's bodies"),
+        ({"body_pairs": [(0, 2)]}, r"body_pairs holds body 2 in row 0; expected an index in \[0, 2\)"),
+        ({"body_pairs": [(1, 1)]}, r"body_pairs holds body 1 \(cable\) with itself; expected pairs of two bodies"),
+        ({"body_pairs": [(1, 0), (0, 1)]}, r"\[\[1, 0\], \[0, 1\]\], by flags no two bodies and by pairs both; exp"),
         ({"names": ["cloth", "cloth"]}, "names holds 'cloth' twice; expected a name of its own"),
         ({"names": ["cloth", "a\nb"]}, r"names holds 'a\\nb'; expected printable texts"),
         ({"vertex_world": [-1, 0, 0, 0, 0, 0]}, "holds -1; expected worlds from 0 on, below the number of vertices, 6"),
@@ -401,6 +413,11 @@ A_C_D = [EYE, EYE, (np.zeros((2, 3)), FACE[:0])]
 # Bodies that make no mesh, with options; and the message.
 MESHES = [
     ([], {}, "bodies is empty; expected at least one body"),
+    *(
+        (bodies, {"static": FACE}, "body 0 is a .*expected a pair .*, all bodies in one list: from_arrays")
+        for bodies in (EYE, EYE[0], EYE[0].tolist())
+    ),
+    (EYE, {"names": ["cloth"]}, "body 0 is a ndarray; .*all bodies in one list"),
     *(
         ([body], {}, f"{words}; expected {expected}")
         for body, words, expected in [

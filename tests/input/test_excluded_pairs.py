@@ -27,6 +27,16 @@ def test_duplicates_and_either_order_are_one_pair_and_more_are_added_to_those_be
     assert alone.self_collision.tolist() == [True, False] and not alone.exclude_pairs
 
 
+STAR = [[0, 1, 1], [1, 0, 0], [1, 0, 0]]
+LISTS = [[("c", "a"), ("b", "a")], [(2, "a"), ("a", "b")], {(0, 1), (0, 2)}, zip("aa", "bc", strict=True)]
+
+
+@pytest.mark.parametrize("pairs", [*LISTS, STAR, np.array(STAR, dtype=np.uint8), np.array(STAR, dtype=bool)])
+def test_pairs_of_bodies_that_may_touch_are_listed_by_name_or_index_or_flagged_by_0_and_1(pairs):
+    mesh = ccd.CollisionMesh.from_arrays(BODIES, names=list("abc"), body_pairs=pairs)
+    assert mesh.body_pairs.dtype == bool and mesh.body_pairs.astype(int).tolist() == STAR
+
+
 @pytest.mark.parametrize("values", [{}, {"bodies": []}, {"edge_edge": np.zeros((0, 2), dtype=int)}, {"vertices": [[]]}])
 def test_no_pairs_are_no_filter(values):
     mesh = ccd.CollisionMesh.from_arrays(BODIES, exclude_pairs=values)

@@ -162,6 +162,23 @@ def test_an_array_that_cannot_be_shared_is_named(call, arrays, message):
         call(*arrays)
 
 
+def test_a_single_row_or_world_with_odd_strides_is_bound_in_place():
+    """Such as the first of every eight: along an axis of one entry no stride matters."""
+    wall = ccd.CollisionMesh.from_arrays([(BULLET[:1], []), (WALL, [[0, 1, 2]])], static=[1])
+    moved, worlds = np.tile([2.0, 0, 0], (8, 1)), np.tile(END, (8, 1, 1))
+    rows = [moved[::8], wp.array(moved, dtype=wp.float64, device="cpu")[::8]]
+    rows += [wp.array(moved, dtype=wp.vec3d, device="cpu")[::8]]
+    of_worlds = [worlds[::8], wp.array(worlds, dtype=wp.float64, device="cpu")[::8]]
+    for mesh, start, ends in ((wall, START[[0]], rows), (MESH, START, of_worlds)):
+        pipeline, begin = ccd.CollisionPipeline(mesh, device="cpu"), wp.array(start, dtype=wp.vec3d, device="cpu")
+        whole = np.concatenate([ends[0].reshape(-1, 3), WALL])[: len(mesh.vertices)]
+        expected = ccd.mesh_ccd(mesh, mesh.vertices, whole).toi
+        pipeline.launch(mesh.vertices, mesh.vertices)
+        for end in ends:
+            assert pipeline.launch(begin, end).toi.numpy()[0] == expected < 1
+    assert ccd.vertex_face_ccd(*(as_warp(np.tile(x, (8, 1, 1))[::8], "x") for x in PAIR)).toi.numpy()[0] < 1
+
+
 def test_tensors_that_cannot_be_read_are_named():
     torch = pytest.importorskip("torch")
     good, strided = torch.zeros(6, 3, dtype=torch.float64), torch.zeros(6, 6, dtype=torch.float64)[:, :3]

@@ -5,6 +5,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import warp as wp
+from scenes import sheet as sheet_of
 from slides import SLIDERS, slides_of
 
 import ccd_warp as ccd
@@ -140,25 +141,48 @@ def test_what_touches_at_the_start_and_stops_is_listed(seed):
     assert stopped <= {*rows_of(result.touching)} <= {*rows_of(on_the_way)}
 
 
+def columns_of(contacts):
+    return [getattr(contacts, name).tolist() for name in ("kind", "primitives", "toi", "status", "gap")]
+
+
+def contacts_with(chosen, pipeline, start, end, among=None):
+    """The contacts with a chosen vertex, of a search of all or for those of some vertices."""
+    contacts = pipeline._on_step(ContactStep, start, end, lambda step: step.of_vertices(among).contacts()).contacts
+    return columns_of(contacts[chosen[contacts.vertices].any(axis=1)])
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_search_for_pairs_of_some_vertices_finds_all_of_them(seed, monkeypatch):
     scene, mesh, start, end, _ = scene_of(seed)
     chosen = np.random.default_rng(seed).random(mesh.num_vertices) < 0.2
-    pipeline, columns = ccd.CollisionPipeline(mesh, **scene.options), ("kind", "primitives", "toi", "status", "gap")
-
-    def of(contacts):
-        return [getattr(contacts, name).tolist() for name in columns]
-
-    def found(among):
-        contacts = pipeline._on_step(ContactStep, start, end, lambda step: step.of_vertices(among).contacts()).contacts
-        return of(contacts[chosen[contacts.vertices].any(axis=1)])
-
-    searched = []
+    pipeline, searched = ccd.CollisionPipeline(mesh, **scene.options), []
     for most in (0.0, 1.0):  # as a share of all blocks: search all queries, and as few as it can
         monkeypatch.setattr(some_queries, "_MOST_BLOCKS", most)
+        monkeypatch.setattr(some_queries, "_LEAST_BLOCKS", 0)
         result = ccd.line_search(mesh, start, end, per="vertex", safety=SAFETY, **scene.without_end())
-        searched.append([found(chosen), result.vertices.tolist(), of(result.touching)])
-    assert searched[0] == searched[1] and searched[0][0] == found(None)
+        found = contacts_with(chosen, pipeline, start, end, among=chosen)
+        searched.append([found, result.vertices.tolist(), columns_of(result.touching)])
+    assert searched[0] == searched[1] and searched[0][0] == contacts_with(chosen, pipeline, start, end)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_search_for_pairs_of_some_vertices_of_sheets_finds_all_of_them(seed, monkeypatch):
+    """Boxes of many blocks, of which most are left out; on a lattice, where boxes often meet in a plane."""
+    monkeypatch.setattr(some_queries, "_LEAST_BLOCKS", 0)
+    rng, (sheet, faces) = np.random.default_rng(seed), sheet_of(32, size=32.0)
+    mesh = ccd.CollisionMesh.from_arrays([(sheet, faces), (sheet + [*rng.integers(-3, 4, 2), 2], faces)])
+    pipeline, start = (
+        ccd.CollisionPipeline(mesh),
+        mesh.vertices + [0, 0, 1] * rng.integers(0, 2, (mesh.num_vertices, 1)),
+    )
+    end = start + rng.choice(7, start.shape, p=[0.03, 0.03, 0.03, 0.82, 0.03, 0.03, 0.03]) - 3.0
+    least = [len(contacts_with(np.ones(len(start), dtype=bool), pipeline, start, end)[0])]
+    for _ in range(16):
+        chosen = np.abs(start[:, :2] - rng.integers(-16, 16, 2)).max(axis=1) <= rng.integers(1, 5)
+        found = contacts_with(chosen, pipeline, start, end, among=chosen)
+        assert found == contacts_with(chosen, pipeline, start, end)
+        least.append(len(found[0]))
+    assert least[0] > sum(least[1:]) / 16 > 10
 
 
 @pytest.mark.parametrize("count", [1000, pytest.param(12000, marks=pytest.mark.long)])

@@ -15,20 +15,23 @@ from ccd_warp._engine.boxes.box_sets import WIDTH
 from ccd_warp._engine.boxes.trees import Tree, TreePair
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS
 
-# Of the blocks of a tree, how many may have such a vertex, and of pairs of boxes, how many are tested at a time.
-_MOST_BLOCKS, _MOST_TESTS = 0.25, 1 << 21
+# Blocks of a tree from which on this is worth its time, and of these, how many may have such a vertex; and of pairs of
+# boxes, how many are tested at a time.
+_LEAST_BLOCKS, _MOST_BLOCKS, _MOST_TESTS = 256, 0.25, 1 << 21
 _Blocks = NDArray[np.bool_]
 
 
 def with_some_queries(
     tree_pair: TreePair, is_wanted: NDArray[np.bool_], allocate: Callable[[str, int], wp.array]
 ) -> TreePair | None:
-    """The pair with the queries that wanted vertices need, in an array of a name and a length; None if they are many.
+    """The pair with the queries that wanted vertices need, in an array of a name and a length; None if it needs all.
 
     A pair of primitives of which one has a wanted vertex is found as in a search of all; of others some are.
     """
     query, target = tree_pair.query, tree_pair.target
     if not isinstance(query, Tree) or not isinstance(target, Tree):
+        return None
+    if query.levels[0] < _LEAST_BLOCKS:
         return None
     blocks, of_target = (_blocks_with(tree, is_wanted) for tree in (query, target))
     if blocks.sum() > _MOST_BLOCKS * len(blocks) or of_target.sum() > _MOST_BLOCKS * len(of_target):

@@ -27,12 +27,10 @@ class ContactStep(ImpactStep):
     """The contacts.
 
     Attributes:
-        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
         beside: Contacts of the step of which those without such a vertex are part of the result.
     """
 
     goal = "contacts"
-    among: NDArray[np.bool_] | None = None
     beside: Contacts | None = None
     bytes_beside = BYTES_PER_CONTACT
     counts_survivors = True
@@ -93,6 +91,7 @@ class ContactStep(ImpactStep):
         )
         num_hidden = of_status[int(CCDStatus.ROUNDING_LIMIT)] if gathered["toi"] <= 0.0 else 0
         self.oddities.is_stuck = num_hidden > 0
+        self.oddities.touches_at_start = of_status[int(CCDStatus.INITIAL_CONTACT)] > 0
         within = 0.0 if self.paths is None else float(self.paths.excess.max(initial=0.0))
         hidden = hidden_sentence(num_hidden, self.mesh, self.positions, within)
         gathered |= {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}

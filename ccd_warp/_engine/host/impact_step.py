@@ -36,9 +36,11 @@ class ImpactStep(Step):
         lets_part: Whether what starts within its distance may part and slide.
         start_distances: How near each vertex was to anything at the start, on the device; None where none keeps that.
         far_distance: The distance of pairs, if it is many edges long.
+        among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
     """
 
     is_for_impacts, lets_part = True, False
+    among: NDArray[np.bool_] | None = None
     start_distances: wp.array | None = None
     far_distance: DistanceInEdges | None = None
 
@@ -99,7 +101,7 @@ class ImpactStep(Step):
             plan.set_search(shared.t_end, self.inflation, self.separation)
         boxes_end = time.perf_counter()
         self.reset(plan)
-        batch = plan.search(shared.most_pairs)
+        batch = plan.search(shared.most_pairs, among=self.among)
         if batch is not None:
             self.survivors |= batch.num_pairs
             self.workspace.last_step = None if plan.is_idle else shared

@@ -49,7 +49,7 @@ class LeastToiStep(ImpactStep):
             best = self._least_of(part, best)
         if batch is not None and batch.num_pairs:
             best = self._least_of_all(batch)
-        self.oddities.is_stuck = best <= 0.0
+        self.oddities.is_stuck = self.oddities.touches_at_start = best <= 0.0
         self.finish()
         return 0.0 if start_distances is not None and self._is_lost(best) else best
 

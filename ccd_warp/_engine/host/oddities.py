@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._runtime.display import shortened
+from ccd_warp._scene.input.mesh_checks import vertices_without_primitive
+from ccd_warp._scene.input.names import body_label
 from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
@@ -34,6 +36,8 @@ _MANY_PAIRS_EACH = 16
 _MOST_SAMPLED = 1 << 12
 # Of these pairs, those of the bodies that it names: fewer say nothing.
 _LEAST_SHARE = 0.1
+# Odd numbers without a pattern, by which the bits of three coordinates become one number.
+_FACTORS = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 
 
 class Farthest(NamedTuple):
@@ -77,11 +81,13 @@ class DistanceInEdges(NamedTuple):
         distance: At which a typical pair counts as touching, a length.
         edge: The median length of an edge.
         has_radius: Whether radii are part of it.
+        is_searched: Whether pairs within it are asked for, and do not touch.
     """
 
     distance: float
     edge: float
     has_radius: bool
+    is_searched: bool = False
 
     @classmethod
     def of(
@@ -120,7 +126,9 @@ class DistanceInEdges(NamedTuple):
 
     def described(self) -> str:
         """How many edges the distance is, and what to do."""
-        name = "distance of a pair, radii included," if self.has_radius else "distance at which pairs touch"
+        name = "distance in which pairs are searched" if self.is_searched else "distance at which pairs touch"
+        if self.has_radius:
+            name = "distance of a pair, radii included," if not self.is_searched else f"{name}, radii included,"
         return (
             f"the {name} is {self.distance:.6g}, {self.distance / self.edge:.3g} times the median edge of "
             f"{self.edge:.6g}; neighbours are within it: exclusion_rings of the mesh leaves them out, or is the unit "
@@ -135,11 +143,12 @@ class Oddities:
         distance: The distance of pairs, where it is many edges long.
         overlaps: A sentence on pairs that are so many that parts of the scene seem to lie in each other.
         is_stuck: Whether rounding may be why a toi is 0.
+        touches_at_start: Whether something touches at the start.
     """
 
     distance: DistanceInEdges | None = None
     overlaps = ""
-    is_stuck = False
+    is_stuck = touches_at_start = False
 
     def note_pairs(self, plan: "HostPlan", num_pairs: int, batch: "Mapping[PairKind, int]") -> None:
         """Note so many pairs left by the cull, and of which bodies most of those in a batch are, the last one.
@@ -163,9 +172,12 @@ class Oddities:
         """Warn of each oddity, once for a mesh; of a part, whose vertices have other numbers, of none of them."""
         mesh = workspace.topology.mesh
         if self.distance is not None:
-            workspace.warn_once("distance", self.distance.described)
+            key = "distance of a search" if self.distance.is_searched else "distance"
+            workspace.warn_once(key, self.distance.described)
         if self.overlaps:
             workspace.warn_once("overlaps", lambda: self.overlaps)
+        if self.touches_at_start and is_whole:
+            workspace.warn_once("doubled", lambda: _doubled_sentence(mesh, positions[0]))
         if self.is_stuck and is_whole:
             farthest = Farthest.of(positions)
             if farthest.hides_gaps(options.tolerance, length_scale_of(mesh, options)):
@@ -184,6 +196,30 @@ def hidden_sentence(count: int, mesh: "CollisionMesh", positions: "Positions", w
     if within > 0.0:
         return f"rounding, or within of the motion, up to {within:.3g}, hides {gaps} at the start, with toi 0"
     return f"rounding hides {gaps} at the start, with toi 0: {Farthest.of(positions).described(mesh)}"
+
+
+def _doubled_sentence(mesh: "CollisionMesh", start: NDArray[np.float64]) -> str:
+    """A sentence on vertices of a body in one place, as files of STL have, with which it touches itself; or empty."""
+    is_left_out = mesh.exclude_pairs.keys() - {"bodies"}
+    touches_itself = (mesh.self_collision & mesh._is_free)[mesh.vertex_body]
+    touches_itself[vertices_without_primitive(mesh.num_vertices, mesh.faces, mesh.edges)] = False
+    touches_itself[mesh.codimensional_points] = True
+    vertices = np.flatnonzero(touches_itself)
+    body, x = mesh.vertex_body[vertices], start[vertices] + 0.0  # which has no -0.0
+    bits = x.view(np.uint64)
+    order = np.argsort((bits ^ bits >> np.uint64(32)) @ _FACTORS + body.astype(np.uint64))  # a tenth of a lexsort
+    after, before = order[1:], order[:-1]
+    is_same = (body[after] == body[before]) & (x[after] == x[before]).all(axis=1)
+    if is_left_out or not is_same.any():
+        return ""
+    count = np.bincount(body[after[is_same]])
+    most = int(np.argmax(count))
+    at = int(np.argmax(is_same & (body[after] == most)))
+    return (
+        f"{body_label(most, mesh.names)} has {count[most]:,} vertices where another of it is, such as "
+        f"{vertices[before[at]]} and {vertices[after[at]]}, so it touches itself and toi is 0: merge them, as "
+        f"merge_vertices() of trimesh does, or leave pairs out by self_collision or exclude_pairs"
+    )
 
 
 def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:

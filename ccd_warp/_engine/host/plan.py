@@ -334,15 +334,11 @@ class HostPlan(Plan):
         return "pairs" in self._excess
 
     def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
-        """Those of the tree pairs that may meet, with the queries that some vertices need; None if these are many."""
+        """Those of the tree pairs that may meet, with the queries that some vertices need; None if each needs all."""
         allocate = lambda name, count: self._workspace.buffers.get(name, count, wp.float32)  # noqa: E731
-        some = []
-        for tree_pair in itertools.compress(tree_pairs, self._meets):
-            with_some = with_some_queries(tree_pair, among, allocate)
-            if with_some is None:
-                return None
-            some.append(with_some)
-        return some
+        pairs = list(itertools.compress(tree_pairs, self._meets))
+        some = [with_some_queries(tree_pair, among, allocate) for tree_pair in pairs]
+        return [a or b for a, b in zip(some, pairs, strict=True)] if any(some) else None
 
     def _search_some(self, tree_pairs: list[TreePair]) -> None:
         """Search tree pairs with some of their queries, now."""

@@ -57,10 +57,11 @@ class Workspace:
     def warn_once(self, what: object, message: Callable[[], str]) -> None:
         """Warn of something, with a message made only then, unless a step of this mesh has warned of it before.
 
-        A warning that is an error is raised each time.
+        A warning that is an error is raised each time; a message that is empty is none, and is not made again.
         """
         if what not in self._said:
-            warn(message())
+            if text := message():
+                warn(text)
             self._said.add(what)
 
     def at_one_time(self, goal: str, topology_of: Callable[[Topology], Topology] | None = None) -> "Workspace":

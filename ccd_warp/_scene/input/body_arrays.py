@@ -1,5 +1,6 @@
 """Positions and indices, checked, and those of bodies, joined into the arrays of one mesh."""
 
+import numbers
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -30,6 +31,22 @@ def common_dimension(vertices: Mapping[int, Any], names: Sequence[str]) -> int:
             f"{body_label(planar[0], names)} 2; expected all bodies in the plane, or none"
         )
     return 2 if planar else 3
+
+
+def check_bodies(bodies: Sequence[Any]) -> None:
+    """Check that bodies are half-spaces, and tuples of as many arrays as a body has.
+
+    Raises:
+        ValueError: If one is neither; so are the rows of a list of positions that is given in place of bodies.
+    """
+    for b, body in enumerate(bodies):
+        is_tuple = isinstance(body, (tuple, list)) and len(body) in (2, 3)
+        is_row = is_tuple and all(isinstance(number, numbers.Number) for number in body)
+        if is_row or not (is_tuple or isinstance(body, HalfSpace)):
+            raise ValueError(
+                f"body {b} is a {type(body).__name__}{' of numbers' if is_row else ''}; expected a pair (vertices, "
+                f"faces) or a triple (vertices, faces, edges), all bodies in one list: from_arrays([(vertices, faces)])"
+            )
 
 
 class JoinedBodies(NamedTuple):
@@ -63,12 +80,6 @@ def joined_bodies(
         ValueError: If an array is not as :meth:`ccd_warp.CollisionMesh.from_arrays` expects.
     """
     body_arrays = {b: body for b, body in enumerate(bodies) if not isinstance(body, HalfSpace)}
-    for b, body in body_arrays.items():
-        if not isinstance(body, (tuple, list)) or len(body) not in (2, 3):
-            raise ValueError(
-                f"{body_label(b, names)} is a {type(body).__name__}; "
-                f"expected a pair (vertices, faces) or a triple (vertices, faces, edges)"
-            )
     dimension = common_dimension({b: body[0] for b, body in body_arrays.items()}, names)
     all_vertices, all_faces, all_edges, offsets = [], [], [np.zeros((0, 2), dtype=np.int64)], [0]
     consists_of_points = np.zeros(len(bodies), dtype=bool)

@@ -23,13 +23,13 @@ class BodyOptions(TypedDict, total=False):
         radius: Half the thickness of sheets, the radius of cables and particles.
     """
 
-    static: Iterable[int | str]
+    static: Iterable[int | str] | None
     self_collision: bool | Sequence[bool]
     codimensional_points: bool | Sequence[bool]
-    kinematic: Iterable[int | str]
-    rigid: Iterable[int | str]
+    kinematic: Iterable[int | str] | None
+    rigid: Iterable[int | str] | None
     names: Sequence[str] | None
-    body_pairs: ArrayLike | None
+    body_pairs: ArrayLike | Iterable[Any] | None
     exclusion_rings: int
     exclude_pairs: Mapping[str, Any] | None
     vertex_world: ArrayLike | None

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import shown
 from ccd_warp._scene.input.arrays import as_array, as_positions, check_finite, validated_indices
 from ccd_warp._scene.input.messages import warn
@@ -77,7 +78,7 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
     """Bodies of :meth:`ccd_warp.CollisionMesh.from_arrays` with faces in place of cells, and which had cells."""
     is_of_cells = np.zeros(len(bodies), dtype=bool)
     for b, body in enumerate(bodies):
-        if isinstance(body, (tuple, list)) and len(body) in (2, 3) and isinstance(body[1], Mapping):
+        if not isinstance(body, HalfSpace) and isinstance(body[1], Mapping):
             label = body_label(b, names)
             vertices = as_positions(body[0], f"vertices of {label}", 3)
             cells, midsides = by_corners(body[1].items(), f"cells of {label}", len(vertices))

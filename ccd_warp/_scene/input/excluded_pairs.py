@@ -1,6 +1,6 @@
 """The pairs that ``exclude_pairs`` of a mesh leaves out: their validation, and the mapping that keeps them."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -92,8 +92,8 @@ def validated_excluded_pairs(values: Any, mesh: Any) -> ExcludedPairs:
             keys = ", ".join(map(repr, KEYS[:-1])) + f" or {KEYS[-1]!r}"
             raise ValueError(f"exclude_pairs has the key {shown(key)}; expected {keys}")
         name = f"exclude_pairs[{key!r}]"
-        rows = _with_indices(pairs, name, mesh.names) if key == "bodies" else pairs
-        by_key[key] = _validated_rows(rows, name, *_columns(key, mesh))
+        rows = with_indices(pairs, name, mesh.names) if key == "bodies" else pairs
+        by_key[key] = validated_rows(rows, name, *_columns(key, mesh))
     return ExcludedPairs(by_key)
 
 
@@ -118,12 +118,13 @@ def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | N
     return columns_of_key
 
 
-def _with_indices(pairs: Any, name: str, names: tuple[str, ...]) -> Any:
+def with_indices(
+    pairs: Any, name: str, names: Sequence[str], expected: str = "pairs of body indices or names of bodies"
+) -> Any:
     """Pairs of bodies in which an index stands for each name."""
     if hasattr(pairs, "dtype") and getattr(pairs.dtype, "kind", None) != "U":
         return pairs
     numbers = {body: index for index, body in enumerate(names)}
-    expected = "pairs of body indices or names of bodies"
     rows = []
     for pair in check_items(name, pairs, expected):
         items = check_items(name, pair, expected)
@@ -134,7 +135,7 @@ def _with_indices(pairs: Any, name: str, names: tuple[str, ...]) -> Any:
     return rows
 
 
-def _validated_rows(
+def validated_rows(
     values: Any, name: str, *columns: tuple[str, int, NDArray[np.int32] | None]
 ) -> NDArray[np.integer[Any]]:
     """Pairs of indices, shape [k, 2], or a ValueError; ``columns`` says what each column holds."""

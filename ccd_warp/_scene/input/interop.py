@@ -27,7 +27,7 @@ def as_warp(value: Any, name: str) -> wp.array:
         ValueError: If it is not such an array, or cannot be shared.
     """
     if isinstance(value, wp.array):
-        return value
+        return _without_odd_strides(value)
     start_warp()
     if isinstance(value, np.ndarray):
         check_unmasked(name, value)
@@ -35,7 +35,8 @@ def as_warp(value: Any, name: str) -> wp.array:
             raise ValueError(f"{name} has strides {value.strides}; expected a contiguous array, which needs no copy")
         if value.dtype not in (np.float32, np.float64):
             raise ValueError(f"{name} has dtype {shown(value.dtype)}; expected float32 or float64")
-        return wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
+        shared: wp.array = wp.array(value, dtype=wp.dtype_from_numpy(value.dtype), device="cpu", copy=False)
+        return _without_odd_strides(shared)
     if not has_dlpack(value):
         raise ValueError(f"{name} is a {type(value).__name__}; expected an array of Warp, NumPy, or with DLPack")
     kind, index = place_of(value, name)
@@ -43,9 +44,23 @@ def as_warp(value: Any, name: str) -> wp.array:
         names = ", ".join(device.alias for device in wp.get_devices())
         raise ValueError(f"{name} is a {type(value).__name__} on cuda:{index}; expected it on one of {names}")
     try:
-        return wp.from_dlpack(_exported(value, kind, index))  # type: ignore[return-value]
+        return _without_odd_strides(wp.from_dlpack(_exported(value, kind, index)))
     except Exception as error:  # whatever the other library raises
         raise ValueError(f"{name} is a {type(value).__name__} that cannot be shared: {reason_of(error)}") from error
+
+
+def _without_odd_strides(array: Any) -> wp.array:
+    """The array; a contiguous one in the same memory where strides along axes of length 1 alone are in the way."""
+    if array.is_contiguous or array.requires_grad:
+        return array  # type: ignore[no-any-return]
+    step = wp.types.type_size_in_bytes(array.dtype)
+    for length, stride in zip(array.shape[::-1], array.strides[::-1], strict=True):
+        if length != 1 and stride != step:
+            return array  # type: ignore[no-any-return]
+        step *= length
+    dense: wp.array = wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.shape, device=array.device, copy=False)
+    dense._ref = array  # type: ignore[assignment]  # keeps the memory alive
+    return dense
 
 
 def _exported(value: Any, kind: int, index: int) -> Any:

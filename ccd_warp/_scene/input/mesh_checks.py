@@ -1,13 +1,15 @@
 """Validation of what a mesh says of its bodies: which move and collide, their worlds, rings and radii."""
 
 import numbers
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._scene.input.arguments import check_count, check_items, check_real, shown
 from ccd_warp._scene.input.arrays import as_any_array, as_array, as_float64
+from ccd_warp._scene.input.excluded_pairs import validated_rows, with_indices
 from ccd_warp._scene.input.names import body_label, is_default_name
 
 
@@ -21,7 +23,7 @@ def vertices_without_primitive(
 
 
 def validated_static(
-    static: Iterable[int | str], kinematic: Iterable[int | str], names: Sequence[str]
+    static: Iterable[int | str] | None, kinematic: Iterable[int | str] | None, names: Sequence[str]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Which bodies are static, and which are kinematic, bool, shape [B] each, or a ValueError; none may be both."""
     is_static, is_kinematic = _listed_bodies("static", static, names), _listed_bodies("kinematic", kinematic, names)
@@ -31,7 +33,7 @@ def validated_static(
 
 
 def validated_rigid(
-    rigid: Iterable[int | str], names: Sequence[str], is_half_space: NDArray[np.bool_]
+    rigid: Iterable[int | str] | None, names: Sequence[str], is_half_space: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """Which bodies are rigid, bool, shape [B], or a ValueError; half-spaces have no shape to keep."""
     is_rigid = _listed_bodies("rigid", rigid, names)
@@ -40,20 +42,27 @@ def validated_rigid(
     return is_rigid
 
 
-def _listed_bodies(name: str, values: Iterable[int | str], names: Sequence[str]) -> NDArray[np.bool_]:
-    """Bodies given by their indices or names, bool, shape [B]."""
+def _listed_bodies(name: str, values: Iterable[int | str] | None, names: Sequence[str]) -> NDArray[np.bool_]:
+    """Bodies given by their indices or names, bool, shape [B]; None is none of them."""
     num_bodies = len(names)
     is_listed = np.zeros(num_bodies, dtype=bool)
-    for body in check_items(name, values, "a list of body indices"):
+    for body in listed_bodies(name, values):
         if isinstance(body, str) and body in names:
             body = names.index(body)
-        is_index = isinstance(body, numbers.Integral) and not isinstance(body, (bool, np.bool_))
-        if not is_index or not 0 <= body < num_bodies:
+        is_flag = isinstance(body, (bool, np.bool_))
+        if not isinstance(body, numbers.Integral) or is_flag or not 0 <= body < num_bodies:
+            of_flags = f"; of one flag a body np.flatnonzero({name})" if is_flag else ""
             raise ValueError(
-                f"{name} holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies"
+                f"{name} holds {shown(body)}; expected body indices in [0, {num_bodies}) or names of bodies{of_flags}"
             )
         is_listed[int(body)] = True
     return is_listed
+
+
+def listed_bodies(name: str, values: Iterable[int | str] | None) -> list[int | str]:
+    """The items of a list of bodies, none of None, or a ValueError where it is no list."""
+    expected = "a list of body indices or names, and all bodies in one list before it"
+    return [] if values is None else check_items(name, values, expected)
 
 
 def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -> NDArray[np.bool_]:
@@ -66,24 +75,46 @@ def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -
     return np.array(np.broadcast_to(array, (num_bodies,)))
 
 
-def validated_body_pairs(values: ArrayLike | None, names: Sequence[str]) -> NDArray[np.bool_] | None:
-    """A symmetric array, or a ValueError."""
+def validated_body_pairs(values: Any, names: Sequence[str]) -> NDArray[np.bool_] | None:
+    """Which bodies may collide, symmetric, bool, shape [B, B], of flags or of the pairs that may; or a ValueError."""
     if values is None:
         return None
     num_bodies = len(names)
-    array = as_array(values, "body_pairs", f"bool and shape {(num_bodies, num_bodies)}")
-    if array.dtype != bool or array.shape != (num_bodies, num_bodies):
+    shape = (num_bodies, num_bodies)
+    expected = f"pairs of bodies that may collide, as [(0, 1)] or by name, or bool and shape {shape}"
+    values = check_items("body_pairs", values, expected) if isinstance(values, (Set, Iterator)) else values
+    array = as_array(values, "body_pairs", expected)
+    if array.dtype.kind == "U":
+        array = as_array(with_indices(values, "body_pairs", names, expected), "body_pairs", expected)
+    elif array.shape == shape and (array.dtype == bool or (array.dtype.kind in "iu" and np.isin(array, (0, 1)).all())):
+        if array.tolist() == [[1, 0], [0, 1]] and array.dtype != bool:
+            raise ValueError(
+                "body_pairs is [[1, 0], [0, 1]], by flags no two bodies and by pairs both; expected bool, or [(0, 1)]"
+            )
+        return _symmetric(array, names)
+    if array.size and (array.ndim != 2 or array.shape[1] != 2 or array.dtype.kind not in "iu"):
+        raise ValueError(f"body_pairs has dtype {shown(array.dtype)} and shape {array.shape}; expected {expected}")
+    column = ("body", num_bodies, None)
+    a, b = validated_rows(array, "body_pairs", column, column).T
+    for body in a[a == b][:1].tolist():
         raise ValueError(
-            f"body_pairs has dtype {shown(array.dtype)} and shape {array.shape}; "
-            f"expected bool and {(num_bodies, num_bodies)}"
+            f"body_pairs holds {body_label(body, names)} with itself; expected pairs of two bodies, and self_collision "
+            f"for one"
         )
+    may_collide = np.zeros((num_bodies, num_bodies), dtype=bool)
+    may_collide[a, b] = may_collide[b, a] = True
+    return may_collide
+
+
+def _symmetric(array: NDArray[Any], names: Sequence[str]) -> NDArray[np.bool_]:
+    """Flags as bool, or a ValueError if they are not symmetric."""
     if not np.array_equal(array, array.T):
         a, b = np.argwhere(array != array.T)[0]
         pair = ""
         if not (is_default_name(names[a], int(a)) and is_default_name(names[b], int(b))):
             pair = f", {body_label(int(a), names)} and {body_label(int(b), names)}"
         raise ValueError(f"body_pairs differs at ({a}, {b}) and ({b}, {a}){pair}; expected a symmetric array")
-    return np.array(array)
+    return np.array(array, dtype=bool)
 
 
 def validated_rings(value: int) -> int:
