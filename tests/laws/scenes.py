@@ -64,7 +64,8 @@ def drawn(seed: int, family: str | None = None) -> Scene:
 
 def pressed(seed: int) -> Scene:
     """Flat sheets, or chains, each up to a thousand times as thick as another, apart or stacked, over a ground."""
-    drawing = _Drawing(np.random.default_rng([seed, *b"pressed"]), "pressed")
+    drawing = _Drawing(seed, "pressed")
+    drawing.rng = np.random.default_rng([seed, *b"pressed"])
     rng, size, dimension = drawing.rng, drawing.size, drawing.dimension
     turn, count = np.linalg.qr(rng.standard_normal((dimension, dimension)))[0], int(rng.integers(3, 5))
     options = {**drawing.options(), "start_gap_fraction": "hold"}
