@@ -183,7 +183,8 @@ def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dic
 
 def _row_type(element: _Element, order: str, lengths: np.ndarray) -> np.dtype:
     """The type of a row whose lists have these lengths."""
-    fields, of_list = [], dict(zip(element.count_types, lengths.tolist(), strict=True))
+    fields: list[Any] = []
+    of_list = dict(zip(element.count_types, lengths.tolist(), strict=True))
     for name, kind in element.types.items():
         if name in of_list:
             fields.append((f"length of {name}", order + element.count_types[name], ()))

@@ -22,6 +22,18 @@ _HEADER = "ply\nformat {} 1.0\ncomment a test\nelement vertex {}\nproperty doubl
 _HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
 
 
+_DAE = (
+    '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset/><library_geometries>'
+    '<geometry id="g"><mesh><source id="s"><float_array id="a" count="{}">{}</float_array><technique_common>'
+    '<accessor source="#a" count="{}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>'
+    '<param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input semantic="POSITION" '
+    'source="#s"/></vertices><polylist count="{}"><input semantic="VERTEX" source="#v" offset="0"/><vcount>{}</vcount>'
+    "<p>{}</p></polylist></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id='w'>"
+    "<node id='n'><instance_geometry url='#g'/></node></visual_scene></library_visual_scenes>"
+    "<scene><instance_visual_scene url='#w'/></scene></COLLADA>"
+)
+
+
 def text_ply(vertices=VERTICES, faces=FACES) -> str:
     rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
     rows += ["3 " + " ".join(map(str, face)) for face in np.asarray(faces).tolist()]
@@ -35,6 +47,28 @@ def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
     name = {"<": "binary_little_endian", ">": "binary_big_endian"}[order]
     header = _HEADER.format(name, len(vertices), len(faces))
     return header.encode() + np.asarray(vertices).astype(f"{order}f8").tobytes() + rows.tobytes()
+
+
+def polygon_file(name, vertices, polygons) -> str:
+    """A text file of polygons."""
+    rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
+    lists = [" ".join(map(str, polygon)) for polygon in polygons]
+    counts = [len(polygon) for polygon in polygons]
+    match name.rpartition(".")[2]:
+        case "obj":
+            lines = [f"v {row}" for row in rows] + [" ".join(["f", *(str(k + 1) for k in face)]) for face in polygons]
+        case "dae":
+            corners = [str(corner) for polygon in polygons for corner in polygon]
+            texts = " ".join(rows), " ".join(map(str, counts)), " ".join(corners)
+            lines = [_DAE.format(3 * len(rows), texts[0], len(rows), len(counts), *texts[1:])]
+        case kind:
+            head = (
+                _HEADER.format("ascii", len(rows), len(lists))
+                if kind == "ply"
+                else f"OFF\n{len(rows)} {len(lists)} 0\n"
+            )
+            lines = [head.rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
+    return "\n".join([*lines, ""])
 
 
 PLY = text_ply()
