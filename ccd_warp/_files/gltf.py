@@ -141,7 +141,7 @@ class _File:
         placed, total, k = np.zeros((len(positions), 3)), np.zeros((len(positions), 1)), 0
         while f"JOINTS_{k}" in attributes:
             joints = self.accessor(attributes[f"JOINTS_{k}"], "VEC4", len(positions)).astype(np.int64)
-            weights = self.accessor(attributes[f"WEIGHTS_{k}"], "VEC4", len(positions)).astype(np.float64)
+            weights = self.accessor(attributes[f"WEIGHTS_{k}"], "VEC4", len(positions))
             joints[weights == 0.0] = 0
             if joints.max(initial=0) >= len(matrices):
                 raise InputError(f"a vertex has the joint {joints.max()}, and its skin has {len(matrices)}; {CUT}")
@@ -155,7 +155,7 @@ class _File:
         return placed / total
 
     def accessor(self, k: int, kind: str, count: int | None = None) -> np.ndarray:
-        """The values of an accessor of this type, and of so many elements, shape [count, components]."""
+        """The values of an accessor of this type, and of so many elements: integers or float64, [count, components]."""
         stated = self.tree["accessors"][k]
         if stated["type"] != kind or (count is not None and stated["count"] != count):
             raise InputError(f"its accessor {k} has {stated['count']} {stated['type']}; expected {count or ''} {kind}")
@@ -172,7 +172,7 @@ class _File:
             values[index[:, 0]] = self._view(sparse["values"], sparse["count"], size, component)
         if stated.get("normalized"):
             values = np.maximum(values / np.iinfo(values.dtype).max, -1.0)
-        return values
+        return values if values.dtype.kind in "iu" else values.astype(np.float64)
 
     def _view(self, place: dict[str, Any], count: int, size: int, component: str) -> np.ndarray:
         """So many elements at a place in a part of a buffer."""
