@@ -15,6 +15,7 @@ _BESIDE = frozenset(
     b"vn vt vp s mg usemtl mtllib usemap maplib bevel c_interp d_interp lod shadow_obj trace_obj ctech stech".split()
 )
 _VERTEX_LENGTHS = (3, 4, 6, 7)  # with a weight, a colour, or a colour with its opacity
+_MANY = 8  # faces of as many corners, before a last one that may have lost some is taken for whole
 _ELEMENTS = {b"f": ("face", 3), b"l": ("line", 2), b"p": ("point", 1)}  # and their least number of corners
 
 
@@ -51,7 +52,7 @@ def read_obj(data: bytes) -> Part:
     numbers: dict[tuple[bytes, bytes], int] = {(b"", b""): 0}  # of objects and groups
     part = group = line = keyword = b""
     label = num_vertices = 0
-    text = re.sub(rb"\\\r?\n", b" ", re.sub(rb"#[^\r\n]*", b"", data))
+    text = re.sub(rb"\\(?:\r?\n|\r)", b" ", re.sub(rb"#[^\r\n]*", b"", data))
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
         if not words:
@@ -88,7 +89,7 @@ def read_obj(data: bytes) -> Part:
         except (ValueError, OverflowError):
             raise InputError(f"line {number} holds {shown(line)}; expected numbers: {CUT}") from None
     faces, counts, face_names = elements[b"f"].arrays("face", num_vertices)
-    if not data.endswith((b"\n", b"\r")):
+    if not text.endswith((b"\n", b"\r")):  # nor a backslash before it
         _check_last_face(data, line, counts, num_vertices)
     chains, chain_counts, chain_names = elements[b"l"].arrays("line", num_vertices)
     points, point_counts, point_names = elements[b"p"].arrays("point", num_vertices)
@@ -108,7 +109,9 @@ def read_obj(data: bytes) -> Part:
 
 
 def _check_last_face(data: bytes, line: bytes, counts: np.ndarray, num_vertices: int) -> None:
-    """Refuse a last line without an end, but that of a face that cannot have lost a corner or a digit of its vertex.
+    """Refuse a last line without an end, but that of a face like many others that has lost no digit of its vertex.
+
+    It may only be one of more corners than all before it.
 
     Args:
         data: The file.
@@ -117,7 +120,7 @@ def _check_last_face(data: bytes, line: bytes, counts: np.ndarray, num_vertices:
         num_vertices: Number of vertices.
     """
     words = line.split() if data.endswith(line) else [b"#"]
-    if words[:1] == [b"f"] and len(counts) > 1 and counts[-1] == counts[:-1].max():
+    if words[:1] == [b"f"] and counts[-1] == counts.max() and (counts == counts.max()).sum() > _MANY:
         vertex, slash, _ = words[-1].partition(b"/")
         if slash:  # and another number of this corner has begun
             return

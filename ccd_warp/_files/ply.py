@@ -21,6 +21,7 @@ _FORMATS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">
 _AXES = ("x", "y", "z")
 _CORNERS = ("vertex_indices", "vertex_index")
 _ENDS = ("vertex1", "vertex2")
+_BESIDE = ("range_grid",)  # of a scanner, which pixel is which vertex
 # The numbers of a property, and how many each row has: one, or those of its list.
 _Column = tuple[np.ndarray, np.ndarray]
 
@@ -78,8 +79,10 @@ def read_ply(data: bytes) -> Part:
                 raise InputError("the header gives its edges no integers vertex1 and vertex2; export the file again")
             edges = np.column_stack([_indices(columns[end][0], part, columns[end][1]) for end in _ENDS])
             last_index = int(edges[-1, 1]) if [*element.types] == [*_ENDS] else None
-        elif element.name == "tristrips":
-            raise InputError("holds strips of triangles, which are not read; export the file with faces")
+        elif element.name not in _BESIDE and {*_CORNERS, *_ENDS} & element.types.keys():
+            raise InputError(
+                f"holds {shown(element.name.encode())} of vertices, which is not read; export it with faces"
+            )
     if rows is None:
         if at != len(data):
             raise InputError(f"holds {len(data) - at} bytes more than its header says; {CUT}")
@@ -204,10 +207,10 @@ def _lengths(data: bytes, at: int, element: _Element, order: str, count: int) ->
                 at += size
                 continue
             length = int.from_bytes(data[at : at + width], byte_order, signed=count_type[0] == "i")
-            if length < 0:
+            at += width + length * size
+            if length < 0 or at > len(data):
                 element.refuse_count(k)
             lengths.append(length)
-            at += width + length * size
         if at > len(data):
             element.refuse_count(k)
         begins.append(at)
