@@ -185,14 +185,14 @@ def test_drawn_files_are_read_exactly_and_damaged_ones_never_in_part(suffix, mon
     An OBJ says nowhere how much it holds: of one that is cut the whole lines are read, or it is refused.
     """
     rng, kinds = np.random.default_rng(ord(suffix[1])), set()
-    for number in range({".ply": 24, ".off": 8}.get(suffix, 20)):
+    for number in range({".ply": 24, ".off": 8}.get(suffix, 16)):
         data, whole = DRAWN[suffix](rng)
         is_text = not (b"binary" in data or (suffix == ".stl" and b"endsolid" not in data))
         assert content(suffix, data) == whole, data
         kinds.add((is_text, whole.polygons == [], len({*map(len, whole.polygons)}) > 1))
         for end in range(len(data)):
             found = content(suffix, data[:end])
-            if suffix == ".obj":
+            if suffix == ".obj" and found is not None:
                 line = data.find(b"\n", end)
                 before = end if data[:end].endswith(b"\n") else line + 1
                 while data[:before].endswith(b"\\\n"):  # and the line goes on
@@ -229,7 +229,7 @@ def test_drawn_files_are_read_exactly_and_damaged_ones_never_in_part(suffix, mon
 
 
 @pytest.mark.parametrize("behind", ["", "/1", "//1"])
-def test_an_obj_without_its_last_line_end_is_read_where_its_last_face_is_like_the_others(behind):
+def test_an_obj_without_its_last_line_end_is_read_where_its_last_face_is_like_others(behind):
     """Of vertices of two digits, the last of which may have lost one; and refused where it may have lost a corner."""
     faces = [(k, k + 1, k + 2) for k in range(12)]
     lines = ["v 0 0 0"] * 14 + [" ".join(["f", *(f"{corner + 1}{behind}" for corner in face)]) for face in faces]

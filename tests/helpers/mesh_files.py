@@ -2,7 +2,6 @@
 
 import base64
 import json
-import re
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -16,8 +15,6 @@ import ccd_warp as ccd
 # Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
 VERTICES = np.round(np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3)), 3)
 FACES = np.array([[0, 1, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [8, 9, 10], [9, 1, 10]])
-ROWS = [" ".join(map(repr, row)) for row in VERTICES.tolist()]
-COUNTED = ["3 " + " ".join(map(str, face)) for face in FACES.tolist()]
 _HEADER = "ply\nformat {} 1.0\ncomment a test\nelement vertex {}\nproperty double x\nproperty double y\n"
 _HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
 
@@ -32,12 +29,6 @@ _DAE = (
     "<node id='n'><instance_geometry url='#g'/></node></visual_scene></library_visual_scenes>"
     "<scene><instance_visual_scene url='#w'/></scene></COLLADA>"
 )
-
-
-def text_ply(vertices=VERTICES, faces=FACES) -> str:
-    rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
-    rows += ["3 " + " ".join(map(str, face)) for face in np.asarray(faces).tolist()]
-    return _HEADER.format("ascii", len(vertices), len(faces)) + "\n".join([*rows, ""])
 
 
 def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
@@ -71,9 +62,7 @@ def polygon_file(name, vertices, polygons) -> str:
     return "\n".join([*lines, ""])
 
 
-PLY = text_ply()
-OFF = "\n".join(["OFF", "12 6 0", *ROWS, *COUNTED, ""])
-OBJ = "\n".join([*(f"v {row}" for row in ROWS), *(f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()), ""])
+PLY = polygon_file("a.ply", VERTICES, FACES.tolist())
 
 
 def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
@@ -116,19 +105,6 @@ def _gltf() -> bytes:
 
 
 WHOLE = {
-    "ascii.ply": lambda: PLY.encode(),
-    "coloured.ply": lambda: re.sub(
-        r"(?m)^(3 .*)$", r"\1 255", PLY.replace("vertex_indices\n", "vertex_indices\nproperty uchar red\n")
-    ).encode(),
-    "binary.ply": ply,
-    "big_endian.ply": lambda: ply(order=">"),
-    "text.off": lambda: OFF.encode(),
-    "commented.off": lambda: "\n".join(
-        ["OFF # it is", "", "12 6 0", *ROWS, "# faces", *(row + " 0.5 0.5 1" for row in COUNTED), "# the end", ""]
-    ).encode(),
-    "text.obj": lambda: OBJ.encode(),
-    "binary.stl": lambda: exported("stl"),
-    "ascii.stl": lambda: exported("stl_ascii"),
     "scene.glb": lambda: exported("glb"),
     "scene.gltf": _gltf,
     "scene.dae": lambda: of_extra("collada", "dae"),
