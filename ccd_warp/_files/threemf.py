@@ -25,8 +25,12 @@ def read_3mf(data: bytes) -> list[Part]:
     Raises:
         InputError: If the file is cut or too large, or trimesh reads other triangles than those of the build.
     """
-    import trimesh
-
+    try:
+        import lxml  # noqa: F401
+        import networkx  # noqa: F401
+        import trimesh
+    except ImportError as error:
+        raise InputError(f"{error.name} reads it; install with: pip install networkx lxml") from error
     stated = _stated_triangles(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
