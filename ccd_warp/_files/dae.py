@@ -35,9 +35,10 @@ def read_dae(data: bytes) -> list[Part]:
             if isinstance(primitive, collada.polylist.Polylist):
                 counts, primitive = np.asarray(primitive.vcounts, dtype=np.int64), primitive.triangleset()
             if isinstance(primitive, collada.triangleset.TriangleSet) and primitive.vertex is not None:
-                used, corners = np.unique(primitive.vertex_index, return_inverse=True)
-                vertices = transformed(primitive.vertex[used], bound.matrix)
-                parts.append(Part(vertices, corners.reshape(-1, 3), counts, names=[name]))
+                used, first, corners = np.unique(primitive.vertex_index, return_index=True, return_inverse=True)
+                order = np.argsort(first)  # by appearance
+                vertices = transformed(primitive.vertex[used[order]], bound.matrix)
+                parts.append(Part(vertices, np.argsort(order)[corners.reshape(-1, 3)], counts, names=[name]))
     if not stated <= (num_read := sum(len(part.faces) for part in parts)):
         raise InputError(f"says that it has {stated} triangles, and {num_read} of its scene can be read; {CUT}")
     return parts

@@ -4,7 +4,6 @@ import io
 import warnings
 import xml.etree.ElementTree as ET
 import zipfile
-from functools import cache
 from typing import IO
 
 import numpy as np
@@ -61,11 +60,17 @@ def _stated_triangles(data: bytes) -> int:
                 with archive.open(name) as file:
                     _read_model(name.lower(), file, triangles, components, items)
 
-    @cache
-    def of_object(key: _Object) -> int:
-        return triangles[key] + sum(of_object(component) for component in components[key])
+    used: dict[_Object, int] = {}
 
-    return sum(map(of_object, items))
+    def of_object(key: _Object) -> int:
+        if key not in used:
+            used[key] = triangles[key] + sum(map(of_object, components[key]))
+        return used[key]
+
+    total = sum(map(of_object, items))
+    if unused := [name for (model, name), count in triangles.items() if count and (model, name) not in used]:
+        raise InputError(f"its object {unused[0]!r} is in no item of its build; export it as one")
+    return total
 
 
 def _read_model(

@@ -103,6 +103,8 @@ def test_objects_of_a_3mf_stand_as_often_as_its_build_says(tmp_path, monkeypatch
     assert np.unique(read('objectid="2"', f'objectid="1" {far}')[:, 2]).tolist() == [0.0, 5.0, 9.0]
     with pytest.raises(ValueError, match="says that it has 2 triangles, and 1 of its build are read"):
         read('objectid="1" partnumber="a"', f'objectid="1" partnumber="a" {far}')
+    with pytest.raises(ValueError, match="its object '1' is in no item of its build"):
+        read()
     monkeypatch.setattr("ccd_warp._files.threemf._MOST_BYTES", 100)
     with pytest.raises(ValueError, match=r"a.3mf: holds \d+ bytes when unpacked; expected at most 100"):
         read('objectid="2"')
