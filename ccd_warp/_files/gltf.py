@@ -3,7 +3,6 @@
 import base64
 import json
 from collections.abc import Iterator
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, unquote_to_bytes
@@ -54,7 +53,7 @@ class _File:
         self.nodes: list[dict[str, Any]] = self.tree.get("nodes", [])
         if any("EXT_mesh_gpu_instancing" in node.get("extensions", ()) for node in self.nodes):
             raise InputError("has instances by EXT_mesh_gpu_instancing, which are not read; export a node for each")
-        self.buffers: dict[int, bytes] = {}
+        self.places, self.buffers = self._places(), dict[int, bytes]()
 
     def parts(self) -> Iterator[Part]:
         """The primitives of each node of the scene that has triangles."""
@@ -85,17 +84,16 @@ class _File:
             raise InputError("one of its nodes is at two places of the scene; export the file again")
         return order
 
-    @cached_property
-    def places(self) -> list[np.ndarray]:
+    def _places(self) -> list[np.ndarray]:
         """The transformation of each node to the scene, shape [4, 4]."""
         parents = {child: k for k, node in enumerate(self.nodes) for child in node.get("children", ())}
         own = [_matrix(node) for node in self.nodes]
         places = []
         for node, place in enumerate(own):
-            parent = parents.get(node)
-            for _ in self.nodes:  # at most as many are above it, and a circle has an end
-                if parent is not None:
-                    place, parent = own[parent] @ place, parents.get(parent)
+            parent, above = parents.get(node), 0
+            while parent is not None and above < len(own):  # and a circle has an end
+                with np.errstate(all="ignore"):
+                    place, parent, above = own[parent] @ place, parents.get(parent), above + 1
             places.append(place)
         return places
 

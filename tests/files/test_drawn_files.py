@@ -231,8 +231,8 @@ def test_drawn_files_are_read_exactly_and_damaged_ones_never_in_part(suffix, mon
 @pytest.mark.parametrize("behind", ["", "/1", "//1"])
 def test_an_obj_without_its_last_line_end_is_read_where_its_last_face_is_like_others(behind):
     """Of vertices of two digits, the last of which may have lost one; and refused where it may have lost a corner."""
-    faces = [(k, k + 1, k + 2) for k in range(12)]
-    lines = ["v 0 0 0"] * 14 + [" ".join(["f", *(f"{corner + 1}{behind}" for corner in face)]) for face in faces]
+    faces = [(k, k + 1, k + 2, k + 3) for k in range(12)]
+    lines = ["v 0 0 0"] * 15 + [" ".join(["f", *(f"{corner + 1}{behind}" for corner in face)]) for face in faces]
     data = "\n".join(lines).encode()
     assert content(".obj", data).polygons == faces
     assert (content(".obj", data + b" ") or Content()).polygons == faces

@@ -66,15 +66,17 @@ def _triangles(polygon, turned) -> np.ndarray:
     return triangulated(points, fan(corners, np.array([len(polygon)])), np.array([len(polygon)]))
 
 
-@pytest.mark.parametrize("size", [4, 7, 1000, 2**26])
-def test_every_simple_polygon_is_covered_once(size):
+@pytest.mark.parametrize("size, shear", [(4, 0), (7, 0), (1000, 0), (7, 2**13)])
+def test_every_simple_polygon_is_covered_once(size, shear):
     """Triangles of one orientation whose sides cancel but for those of the polygon cover it as often as it goes round.
 
-    A convex polygon keeps its fan, and one of which two sides cross is refused.
+    A convex polygon keeps its fan, and one of which two sides cross is refused. Sheared to a line but for roundings, of
+    which signs of rounded areas are none, it is covered, too.
     """
     rng, refused = np.random.default_rng(size), 0
     for polygon in KNOWN + [_drawn(rng, size) for _ in range(60)]:
         n, turned = len(polygon), rng.permutation(3)
+        polygon = [(x + shear * y, y + shear * (x + shear * y)) for x, y in polygon]
         start, way = int(rng.integers(n)), int(rng.choice([1, -1]))
         polygon = (polygon[start:] + polygon[:start])[::way]
         faces = _triangles(polygon, turned)
@@ -85,16 +87,16 @@ def test_every_simple_polygon_is_covered_once(size):
         sides.subtract(pairwise([*corners, corners[0]]))
         assert all(count == sides[b, a] for (a, b), count in [*sides.items()])
         turns = {np.sign(_area(polygon[k - 2], polygon[k - 1], polygon[k])) for k in range(n)}
-        if len(turns) == 1:
+        if len(turns) == 1 and not shear:
             assert faces.tolist() == [[0, k, k + 1] for k in range(1, n - 1)]
         i, j = rng.choice(n, 2, replace=False)
         polygon[i], polygon[j] = polygon[j], polygon[i]
         sides = pairwise([*polygon, polygon[0]])
-        if any(_crosses(*one, *two) for one, two in combinations(sides, 2)):
+        if not shear and any(_crosses(*one, *two) for one, two in combinations(sides, 2)):
             with pytest.raises(ValueError, match=f"face 0, counted from 0, of {n} corners, is no simple polygon"):
                 _triangles(polygon, turned)
             refused += 1
-    assert refused > 10
+    assert refused > 10 or shear
 
 
 def test_frames_have_the_triangles_of_the_first_and_a_doorway_lets_a_ball_through(tmp_path):
