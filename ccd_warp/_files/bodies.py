@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._files.content import Mesh
+from ccd_warp._files.content import NO_EDGES, Mesh
 from ccd_warp._files.mesh import read_mesh
 from ccd_warp._files.parts import parts_of
+from ccd_warp._files.polygons import triangulated
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.cells import warn_of_midsides
 from ccd_warp._scene.input.messages import InputError
@@ -28,6 +29,8 @@ class Body:
         source_index: Index of each vertex in its file (the first of merged ones), shape [n].
         is_static: True for an obstacle that does not move.
         num_merged: Number of the file's vertices that were merged into others.
+        edges: Vertex indices of codimensional edges, shape [k, 2].
+        has_points: Whether its vertices that no face and no edge uses are codimensional points.
         half_space: The half-space that it is in place of a mesh; None of a file.
         is_surface: Whether its faces are the surface of volumes, so that the other vertices are inside them.
     """
@@ -38,13 +41,16 @@ class Body:
     source_index: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     is_static: bool = True
     num_merged: int = 0
+    edges: np.ndarray = field(default_factory=lambda: NO_EDGES)
+    has_points: bool = False
     half_space: HalfSpace | None = None
     is_surface: bool = False
 
     @property
     def arrays(self) -> tuple[Any, ...] | HalfSpace:
         """What :meth:`ccd_warp.CollisionMesh.from_arrays` takes of it: the vertices inside take no part."""
-        return self.half_space or (self.vertices, {"triangle": self.faces} if self.is_surface else self.faces)
+        faces = {"triangle": self.faces} if self.is_surface else self.faces
+        return self.half_space or (self.vertices, faces, *([self.edges] if len(self.edges) else []))
 
 
 class FileBodies:
@@ -62,22 +68,30 @@ class FileBodies:
         self._first = first
         index = np.arange(len(first.vertices))
         merged, vertex = _merge(first) if first.has_copies else (index, index)
-        faces, copies = vertex[first.faces], np.bincount(vertex, minlength=len(merged)) - 1
-        names, part = parts_of(first, faces, len(merged), name, split=split)
-        vertices, of_part = (_by_part(parts, len(names)) for parts in (part, part[faces[:, 0]]))
+        faces, edges, copies = vertex[first.faces], vertex[first.edges], np.bincount(vertex, minlength=len(merged)) - 1
+        names, part = parts_of(first, vertex[first.elements], len(merged), name, split=split)
+        if first.counts is not None:
+            try:
+                faces = triangulated(first.vertices[merged], faces, first.counts)
+            except InputError as error:
+                raise InputError(f"{first.path}: {error}") from None
+        by_part = (_by_part(parts, len(names)) for parts in (part, part[faces[:, 0]], part[edges[:, 0]]))
+        has_points = np.bincount(part[vertex[first.points]], minlength=len(names)) > 0
         local = np.empty(len(merged), dtype=np.int64)
         self.bodies: list[Body] = []
-        for body_name, body_vertices, body_faces in zip(names, vertices, of_part, strict=True):
+        for k, (body_vertices, body_faces, body_edges) in enumerate(zip(*by_part, strict=True)):
             local[body_vertices] = np.arange(len(body_vertices))
             source_index = merged[body_vertices]
             self.bodies.append(
                 Body(
-                    body_name,
+                    names[k],
                     first.vertices[source_index],
                     local[faces[body_faces]],
                     source_index,
                     is_static,
                     int(copies[body_vertices].sum()),
+                    local[edges[body_edges]],
+                    bool(has_points[k]),
                     is_surface=first.is_surface,
                 )
             )
@@ -92,19 +106,22 @@ class FileBodies:
             InputError: If it differs in topology, or vertices that are one in the first frame part.
         """
         first = self._first
-        for noun in ("vertices", "faces"):
-            if len(getattr(first, noun)) != len(getattr(frame, noun)):
+        for noun in ("vertices", "faces", "edges", "points"):
+            a, b = (len(getattr(mesh, noun)) for mesh in (first, frame))
+            if a != b:
                 raise InputError(
                     f"topology differs: {first.path} has {len(first.vertices)} vertices and {len(first.faces)} faces, "
                     f"{frame.path} has {len(frame.vertices)} vertices and {len(frame.faces)} faces; "
                     f"both frames need the same {noun} in the same order"
                 )
-        different = np.flatnonzero((first.faces != frame.faces).any(axis=1))
-        if different.size:
-            k = int(different[0])
+        if not all(np.array_equal(a, b) for a, b in zip(_topology(first), _topology(frame), strict=True)):
+            ours, theirs = (_corners_of(mesh) for mesh in (first, frame))
+            different = [k for k, (a, b) in enumerate(zip(ours, theirs, strict=False)) if a != b]
+            k = different[0]
+            is_turned = len(ours) == len(theirs) and all(_is_turned(ours[k], theirs[k]) for k in different)
             raise InputError(
-                f"topology differs: face {k} is {first.faces[k].tolist()} in {first.path} "
-                f"and {frame.faces[k].tolist()} in {frame.path} ({different.size} of {len(first.faces)} faces differ); "
+                f"topology differs: face {k} is {ours[k]} in {first.path} and {theirs[k]} in {frame.path} "
+                f"({len(different)} of {len(ours)} faces differ{', and in their orientation alone' * is_turned}); "
                 "both frames need the same faces in the same order"
             )
         torn = np.flatnonzero((frame.vertices[self._copies] != frame.vertices[self._copied]).any(axis=1))
@@ -121,8 +138,8 @@ class FileBodies:
 def _merge(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """The first of each set of vertices that are one, in order of appearance, and for each vertex the set's number."""
     node = np.zeros((len(mesh.vertices), 1))
-    if mesh.face_name is not None:
-        node[mesh.faces, 0] = mesh.face_name[:, None]
+    if mesh.element_name is not None:
+        node[mesh.elements, 0] = mesh.element_name[:, None]
     # Adding 0.0 turns -0.0 into 0.0, because they are the same position; bits compare what is no number, too.
     rows = (np.hstack([mesh.vertices, node]) + 0.0).view(np.int64)
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
@@ -130,6 +147,26 @@ def _merge(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
     return first[order], rank[inverse.reshape(-1)]
+
+
+def _topology(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """The elements, and the number of corners of each polygon."""
+    return mesh.elements, np.zeros(0) if mesh.counts is None else mesh.counts
+
+
+def _corners_of(mesh: Mesh) -> list[list[int]]:
+    """The corners of each polygon, then the ends of each edge and the vertex of each point, for a message."""
+    corners = mesh.faces.tolist()
+    if mesh.counts is not None:
+        fans = np.split(mesh.faces, np.cumsum(mesh.counts - 2)[:-1])
+        corners = [[*of_face[0, :2].tolist(), *of_face[:, 2].tolist()] for of_face in fans]
+    return [*corners, *mesh.edges.tolist(), *mesh.points[:, None].tolist()]
+
+
+def _is_turned(corners: list[int], others: list[int]) -> bool:
+    """Whether others are the same ones the other way round, from any of them on."""
+    back = others[::-1]
+    return any(back[k:] + back[:k] == corners for k in range(len(back)))
 
 
 def _by_part(parts: np.ndarray, count: int) -> list[np.ndarray]:
@@ -160,6 +197,7 @@ def mesh_of(bodies: Sequence[Body], **options: Any) -> CollisionMesh:
     return CollisionMesh.from_arrays(
         [body.arrays for body in bodies],
         static=[b for b, body in enumerate(bodies) if body.is_static],
+        codimensional_points=[body.has_points for body in bodies],
         names=distinct_names([body.name for body in bodies]),
         **options,
     )

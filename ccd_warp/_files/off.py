@@ -2,16 +2,16 @@
 
 import re
 
-import numpy as np
-
-from ccd_warp._files.text import CUT, check_last_index, fan, integers, lists_in, shown, text_rows
+from ccd_warp._files.content import Part
+from ccd_warp._files.polygons import fan
+from ccd_warp._files.text import CUT, check_last_index, integers, lists_in, shown, text_rows
 from ccd_warp._scene.input.messages import InputError
 
 _MOST_BEHIND = 4  # numbers of a colour that may follow the corners of a face
 
 
-def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of an OFF file; polygons become fans.
+def read_off(data: bytes) -> Part:
+    """Vertices and polygons of an OFF file.
 
     Raises:
         InputError: If the file is malformed or does not hold what its counts say.
@@ -48,4 +48,4 @@ def read_off(data: bytes) -> tuple[np.ndarray, np.ndarray]:
     )
     last_index = int(corners[-1]) if len(faces) and faces.counts[-1] == counts[-1] + 1 else None
     check_last_index(text, last_index, num_vertices)
-    return points.numbers().reshape(-1, length)[:, :3], fan(corners, counts)
+    return Part(points.numbers().reshape(-1, length)[:, :3], fan(corners, counts), counts)

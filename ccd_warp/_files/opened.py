@@ -1,17 +1,23 @@
 """The files that are read: regular ones, because reading a pipe or a device might wait for ever."""
 
+import contextlib
 from pathlib import Path
 
 from ccd_warp._scene.input.messages import InputError
 
+_POINTER = b"version https://git-lfs.github.com/spec/"
+
 
 def check_file(path: Path) -> None:
-    """Refuse what is missing, or no regular file.
+    """Refuse what is missing, no regular file, or a pointer of Git LFS in place of a file.
 
     Raises:
         InputError: If it is one of these.
     """
     if path.is_file():
+        with contextlib.suppress(OSError), path.open("rb") as file:  # reading it says why it cannot be read
+            if file.read(len(_POINTER)) == _POINTER:
+                raise InputError(f"{path}: is a pointer of Git LFS and not the file; get that by: git lfs pull")
         return
     if path.exists():
         raise InputError(f"{path}: no such file but a folder, a pipe or a device; expected a regular file")

@@ -17,14 +17,14 @@ def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: boo
 
     Args:
         mesh: The mesh.
-        faces: Its faces, of vertices of which those that are one are merged.
+        faces: Its elements, three vertices each, of which those that are one are merged.
         count: Number of these vertices.
         name: Name of the file.
         split: Whether parts are divided into their connected components, with ``#0``, ``#1`` and so on behind the name.
     """
     names, part = [name], np.zeros(count, dtype=np.int64)
-    if mesh.face_name is not None:
-        names, part = _groups(mesh.names, mesh.face_name, faces, count)
+    if mesh.element_name is not None:
+        names, part = _groups(mesh.names, mesh.element_name, faces, count)
         names = [part_name or name for part_name in names] if len(names) > 1 else [name]
     if split:
         names, part = _components(names, part, faces if mesh.cells is None else mesh.cells, count)

@@ -1,11 +1,14 @@
 """Read ASCII and binary PLY files, exactly as many elements as the header says, and write them in double precision."""
 
+from array import array
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._files.text import CUT, NO_INDICES, Rows, check_last_index, fan, integers, lists_in, shown, text_rows
+from ccd_warp._files.content import NO_EDGES, NO_INDICES, Part
+from ccd_warp._files.polygons import fan
+from ccd_warp._files.text import CUT, Rows, check_last_index, integers, lists_in, shown, text_rows
 from ccd_warp._scene.input.messages import InputError
 
 _TYPES = {
@@ -17,6 +20,8 @@ _TYPES = {
 _FORMATS = {b"ascii": "", b"binary_little_endian": "<", b"binary_big_endian": ">"}
 _AXES = ("x", "y", "z")
 _CORNERS = ("vertex_indices", "vertex_index")
+_ENDS = ("vertex1", "vertex2")
+_BESIDE = ("range_grid",)  # of a scanner, which pixel is which vertex
 # The numbers of a property, and how many each row has: one, or those of its list.
 _Column = tuple[np.ndarray, np.ndarray]
 
@@ -41,35 +46,43 @@ class _Element(NamedTuple):
         raise InputError(f"holds {count} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
 
 
-def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and triangles of a PLY file; polygons become fans.
+def read_ply(data: bytes) -> Part:
+    """Vertices, polygons and edges of a PLY file; without both, the vertices are points.
 
     Raises:
         InputError: If the file is malformed or does not hold what its header says.
     """
     order, elements, start, num_lines = _header(data)
     rows = text_rows(data[start:], num_lines + 1) if not order else None
-    vertices, faces, counts, at, last_index = np.zeros((0, 3)), NO_INDICES, NO_INDICES, start if order else 0, None
+    vertices, faces, counts, edges = np.zeros((0, 3)), NO_INDICES, NO_INDICES, NO_EDGES
+    at, last_index = start if order else 0, None
     for element in elements:
         if not element.num_rows:
             continue
-        if rows is None:
+        part = None if rows is None else rows.part(at, at + element.num_rows)
+        if part is None:
             columns, at = _binary(data, at, element, order)
         else:
-            part, at = rows.part(at, at + element.num_rows), at + element.num_rows
-            columns, last_index = _text(part, element), None
+            columns, at, last_index = _text(part, element), at + element.num_rows, None
         if element.name == "vertex":
             if not {*_AXES} <= element.types.keys() - element.count_types.keys():
                 raise InputError("the header gives its vertices no x, y and z; export the file again")
             vertices = np.column_stack([columns[axis][0].astype(np.float64) for axis in _AXES])
         elif element.name == "face":
-            numbers, counts = columns[element.corners()]
-            faces = numbers.astype(np.int64) if rows is None else integers(numbers, part, counts)
+            corners, counts = columns[element.corners()]
+            faces = _indices(corners, part, counts)
             if (counts < 3).any():
                 raise InputError(f"face {int(np.argmax(counts < 3))} has fewer than 3 corners; {CUT}")
             last_index = int(faces[-1]) if len(element.types) == 1 else None
-        elif element.name == "tristrips":
-            raise InputError("holds strips of triangles, which are not read; export the file with faces")
+        elif element.name == "edge":
+            if any(element.types.get(end, "f")[0] == "f" or end in element.count_types for end in _ENDS):
+                raise InputError("the header gives its edges no integers vertex1 and vertex2; export the file again")
+            edges = np.column_stack([_indices(columns[end][0], part, columns[end][1]) for end in _ENDS])
+            last_index = int(edges[-1, 1]) if [*element.types] == [*_ENDS] else None
+        elif element.name not in _BESIDE and {*_CORNERS, *_ENDS} & element.types.keys():
+            raise InputError(
+                f"holds {shown(element.name.encode())} of vertices, which is not read; export it with faces"
+            )
     if rows is None:
         if at != len(data):
             raise InputError(f"holds {len(data) - at} bytes more than its header says; {CUT}")
@@ -77,7 +90,8 @@ def read_ply(data: bytes) -> tuple[np.ndarray, np.ndarray]:
         if at < len(rows):
             raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
         check_last_index(rows.text, last_index, len(vertices))
-    return vertices, fan(faces, counts)
+    points = np.arange(len(vertices)) if not len(faces) and not len(edges) else NO_INDICES
+    return Part(vertices, fan(faces, counts), counts, edges, points)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int, int]:
@@ -138,38 +152,69 @@ def _text(rows: Rows, element: _Element) -> dict[str, _Column]:
     return columns
 
 
-def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dict[str, _Column], int]:
-    """The properties of the rows of an element that begin at a byte, and where they end.
+def _indices(numbers: np.ndarray, rows: Rows | None, counts: np.ndarray) -> np.ndarray:
+    """Indices of vertices; of a text, which may hold other numbers, those of these rows."""
+    return numbers.astype(np.int64) if rows is None else integers(numbers, rows, counts)
 
-    All lists of a property must be as long as that of the first row.
-    """
-    fields: list[tuple] = []
-    size = 0
+
+def _binary(data: bytes, start: int, element: _Element, order: str) -> tuple[dict[str, _Column], int]:
+    """The properties of the rows of an element that begin at a byte, and where they end."""
+    (first,), _ = _lengths(data, start, element, order, 1)
+    row = _row_type(element, order, first)
+    end = start + row.itemsize * element.num_rows
+    if end <= len(data):
+        rows = np.frombuffer(data, row, element.num_rows, start)
+        if all((rows[f"length of {name}"] == rows[f"length of {name}"][0]).all() for name in element.count_types):
+            return {
+                name: (rows[name].reshape(-1), np.full(len(rows), rows[name].shape[1])) for name in element.types
+            }, end
+    lengths, begins = _lengths(data, start, element, order, element.num_rows)
+    counts = dict(zip(element.count_types, lengths.T, strict=True))
+    columns = {}
     for name, kind in element.types.items():
-        length, count_type = 1, np.dtype(order + element.count_types.get(name, "u1"))
-        if name in element.count_types:
-            if len(data) < start + size + count_type.itemsize:
-                element.refuse_count(0)
-            length = int(np.frombuffer(data, count_type, 1, start + size)[0])
-            fields.append((f"length of {name}", count_type))
-            size += count_type.itemsize
-        size += length * np.dtype(kind).itemsize
-        if length < 0 or start + size > len(data):
-            element.refuse_count(0)
-        fields.append((name, order + kind, (length,)))
-    num_read = min(element.num_rows, (len(data) - start) // max(size, 1))
-    rows = np.frombuffer(data, np.dtype(fields), num_read, start)
-    columns = {name: (rows[name].reshape(-1), np.full(num_read, rows[name].shape[1])) for name in element.types}
-    for name in element.count_types:
-        lengths = rows[f"length of {name}"]
-        if (lengths != lengths[:1]).any():
-            raise InputError(
-                f"the lists of {element.name} differ in length, {lengths[0]} and {lengths[lengths != lengths[0]][0]}, "
-                "which is read in ASCII alone; save triangles, or copy the file again if it was cut"
-            )
-    if num_read < element.num_rows:
-        element.refuse_count(num_read)
-    return columns, start + size * element.num_rows
+        of_name = counts.get(name, np.ones(len(lengths), dtype=np.int64))
+        columns[name] = np.empty(of_name.sum(), order + kind), of_name
+    content = np.frombuffer(data, np.uint8)
+    for alike in np.unique(lengths, axis=0):
+        numbers, row = np.flatnonzero((lengths == alike).all(axis=1)), _row_type(element, order, alike)
+        rows = content[begins[numbers, None] + np.arange(row.itemsize)].view(row)[:, 0]
+        for name, (values, of_name) in columns.items():
+            first = (np.cumsum(of_name) - of_name)[numbers]
+            values[first[:, None] + np.arange(rows[name].shape[1])] = rows[name]
+    return columns, int(begins[-1])
+
+
+def _row_type(element: _Element, order: str, lengths: np.ndarray) -> np.dtype:
+    """The type of a row whose lists have these lengths."""
+    fields: list[Any] = []
+    of_list = dict(zip(element.count_types, lengths.tolist(), strict=True))
+    for name, kind in element.types.items():
+        if name in of_list:
+            fields.append((f"length of {name}", order + element.count_types[name], ()))
+        fields.append((name, order + kind, (of_list.get(name, 1),)))
+    return np.dtype(fields)
+
+
+def _lengths(data: bytes, at: int, element: _Element, order: str, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The lengths of the lists in each row, shape [count, lists], and where each row begins, and the last one ends."""
+    lengths, begins = array("q"), array("q", [at])
+    sizes = [(element.count_types.get(name), np.dtype(kind).itemsize) for name, kind in element.types.items()]
+    steps = [(count_type and np.dtype(count_type).itemsize, count_type, size) for count_type, size in sizes]
+    byte_order: Any = "big" if order == ">" else "little"
+    for k in range(count):
+        for width, count_type, size in steps:
+            if not width or not count_type:
+                at += size
+                continue
+            length = int.from_bytes(data[at : at + width], byte_order, signed=count_type[0] == "i")
+            at += width + length * size
+            if length < 0 or at > len(data):
+                element.refuse_count(k)
+            lengths.append(length)
+        if at > len(data):
+            element.refuse_count(k)
+        begins.append(at)
+    return np.array(lengths, dtype=np.int64).reshape(count, -1), np.array(begins)
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from ccd_warp._scene.input.messages import InputError
 
 CUT = "the file is damaged or cut short; copy or export it again"
-NO_INDICES = np.zeros(0, dtype=np.int64)
 _IS_SPACE = np.zeros(256, dtype=bool)
 _IS_SPACE[list(b" \t\n\r\v\f")] = True  # as bytes.split
 _BLOCK = 1 << 15  # rows split into words at a time, which take some ten times the memory of their text
@@ -157,21 +156,6 @@ def lists_in(rows: Rows, values: np.ndarray, at: np.ndarray) -> tuple[np.ndarray
     )
     begins = np.cumsum(counts) - counts
     return values[np.arange(counts.sum()) + np.repeat(at + 1 - begins, counts)], counts
-
-
-def fan(corners: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Triangles (0, k, k + 1) of every polygon, in the order of the polygons.
-
-    Args:
-        corners: Vertices of all polygons, one polygon after another.
-        counts: Number of corners of each, at least 3.
-    """
-    if (counts == 3).all():
-        return corners.reshape(-1, 3)
-    triangles = counts - 2
-    first = np.repeat(np.cumsum(counts) - counts, triangles)
-    k = np.arange(len(first)) - np.repeat(np.cumsum(triangles) - triangles, triangles)
-    return corners[np.stack([first, first + k + 1, first + k + 2], axis=1)]
 
 
 def all_numbers(text: bytes, kind: type) -> Any:

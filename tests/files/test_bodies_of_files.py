@@ -1,8 +1,11 @@
 """Objects, groups, nodes and files of an archive are bodies with their names, told apart by reports and answers."""
 
+import zipfile
+
 import numpy as np
 import pytest
 import trimesh
+from mesh_files import polygon_file
 
 import ccd_warp as ccd
 
@@ -61,6 +64,50 @@ def test_vertices_of_bodies_are_found_again_in_the_file(tmp_path):
     assert frames.mesh.names == ("even", "odd/side") and frames.source_index.tolist() == [0, 2, 4, 1, 3, 5, 6]
     assert frames.mesh.faces.tolist() == [[0, 1, 2], [2, 1, 0], [3, 4, 5]]
     assert np.array_equal(frames.vertices_t0, vertices[frames.source_index])
+
+
+def test_lines_and_points_of_files_are_cables_and_particles(tmp_path):
+    """Beside a face, too; a file of vertices alone, of which another could have been cut, is one of PLY."""
+    rope, drops = _vertices(np.arange(9.0).reshape(3, 3)), _vertices(np.arange(6.0).reshape(2, 3) + 50.0)
+    text = f"o rope\n{rope}l -3 -2 -1\no drops\n{drops}p -2 -1\n" + _obj(("o face", TRIANGLE + 90.0))
+    mesh = _read(tmp_path / "a.obj", text).mesh
+    assert mesh.names == ("rope", "drops", "face") and mesh.num_faces == 1
+    assert mesh.vertex_body[mesh.edges[mesh.codimensional_edges]].tolist() == [[0, 0]] * 2
+    assert mesh.vertex_body[mesh.codimensional_points].tolist() == [1, 1] and not len(mesh.unused_vertices)
+    cloud = _read(tmp_path / "b.ply", polygon_file("b.ply", TRIANGLE, [])).mesh
+    assert cloud.codimensional_points.tolist() == [0, 1, 2]
+    with pytest.raises(ValueError, match="holds no triangles"):
+        _read(tmp_path / "a.obj", rope)
+
+
+def test_objects_of_a_3mf_stand_as_often_as_its_build_says(tmp_path, monkeypatch):
+    """An object that is a component twice, and two items of one part number, of which trimesh reads one."""
+    pytest.importorskip("lxml")
+    vertices = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in TRIANGLE)
+    triangles = '<triangles><triangle v1="0" v2="1" v3="2"/></triangles>'
+    objects = f'<object id="1"><mesh><vertices>{vertices}</vertices>{triangles}</mesh></object>'
+    objects += '<object id="2"><components><component objectid="1"/><component objectid="1" '
+    objects += 'transform="1 0 0 0 1 0 0 0 1 0 0 9"/></components></object>'
+
+    def read(*items):
+        with zipfile.ZipFile(tmp_path / "a.3mf", "w") as archive:
+            build = "".join(f"<item {item}/>" for item in items)
+            archive.writestr(
+                "3D/3dmodel.model",
+                '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">'
+                f"<resources>{objects}</resources><build>{build}</build></model>",
+            )
+        return _read(tmp_path / "a.3mf").vertices_t0
+
+    far = 'transform="1 0 0 0 1 0 0 0 1 0 0 5"'
+    assert np.unique(read('objectid="2"', f'objectid="1" {far}')[:, 2]).tolist() == [0.0, 5.0, 9.0]
+    with pytest.raises(ValueError, match="says that it has 2 triangles, and 1 of its build are read"):
+        read('objectid="1" partnumber="a"', f'objectid="1" partnumber="a" {far}')
+    with pytest.raises(ValueError, match="its object '1' is in no item of its build"):
+        read()
+    monkeypatch.setattr("ccd_warp._files.threemf._MOST_BYTES", 100)
+    with pytest.raises(ValueError, match=r"a.3mf: holds \d+ bytes when unpacked; expected at most 100"):
+        read('objectid="2"')
 
 
 # ---- Parts of a file that names none ---------------------------------------------------------------------------------

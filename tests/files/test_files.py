@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import FACES, exported, of_meshio, ply, read, text_ply, whole
+from mesh_files import FACES, exported, of_meshio, ply, read, whole
 
 import ccd_warp as ccd
 
@@ -13,15 +13,6 @@ TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
 # A sphere whose coordinates need all 53 bits.
 _SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=1.0 / 3.0)
 BALL, BALL_FACES = np.asarray(_SPHERE.vertices) + np.pi, np.asarray(_SPHERE.faces).astype(np.int32)
-
-
-def _obj(vertices, faces, corner="{0}") -> str:
-    """With a material and a texture seam at every other face, where trimesh would split vertices and sort faces."""
-    rows = [" ".join(["v", *map(repr, row)]) for row in vertices.tolist()]
-    rows += [f"vt 0.{k} 0.5\nvn 0 {k} 1" for k in range(len(vertices))]
-    for k, row in enumerate(faces.tolist()):
-        rows += [f"usemtl {'red' if k % 2 else 'blue'}", "f " + " ".join(corner.format(v + 1, k % 7 + 1) for v in row)]
-    return "\n".join(["mtllib none.mtl", "o ball", *rows, ""])
 
 
 def _of_cells(name, **options):
@@ -34,10 +25,6 @@ def _of_cells(name, **options):
 
 FORMATS = {
     "binary.ply": ply,
-    "text.ply": text_ply,
-    "a.off": lambda *mesh: f"OFF\n{len(mesh[0])} {len(mesh[1])} 0\n" + text_ply(*mesh).partition("end_header\n")[2],
-    "0.obj": _obj,
-    "1.obj": lambda *mesh: _obj(*mesh, "{0}/{1}/{1}"),
     **{name: _of_cells(name) for name in ("a.vtu", "a.vtk")},
     "text.vtk": _of_cells("a.vtk", binary=False),
     "a.xdmf": _of_cells("a.xdmf", data_format="XML"),

@@ -2,7 +2,6 @@
 
 import base64
 import json
-import re
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -16,16 +15,20 @@ import ccd_warp as ccd
 # Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
 VERTICES = np.round(np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3)), 3)
 FACES = np.array([[0, 1, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [8, 9, 10], [9, 1, 10]])
-ROWS = [" ".join(map(repr, row)) for row in VERTICES.tolist()]
-COUNTED = ["3 " + " ".join(map(str, face)) for face in FACES.tolist()]
 _HEADER = "ply\nformat {} 1.0\ncomment a test\nelement vertex {}\nproperty double x\nproperty double y\n"
 _HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
 
 
-def text_ply(vertices=VERTICES, faces=FACES) -> str:
-    rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
-    rows += ["3 " + " ".join(map(str, face)) for face in np.asarray(faces).tolist()]
-    return _HEADER.format("ascii", len(vertices), len(faces)) + "\n".join([*rows, ""])
+_DAE = (
+    '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset/><library_geometries>'
+    '<geometry id="g"><mesh><source id="s"><float_array id="a" count="{}">{}</float_array><technique_common>'
+    '<accessor source="#a" count="{}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>'
+    '<param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input semantic="POSITION" '
+    'source="#s"/></vertices><polylist count="{}"><input semantic="VERTEX" source="#v" offset="0"/><vcount>{}</vcount>'
+    "<p>{}</p></polylist></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id='w'>"
+    "<node id='n'><instance_geometry url='#g'/></node></visual_scene></library_visual_scenes>"
+    "<scene><instance_visual_scene url='#w'/></scene></COLLADA>"
+)
 
 
 def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
@@ -37,9 +40,29 @@ def ply(vertices=VERTICES, faces=FACES, order="<") -> bytes:
     return header.encode() + np.asarray(vertices).astype(f"{order}f8").tobytes() + rows.tobytes()
 
 
-PLY = text_ply()
-OFF = "\n".join(["OFF", "12 6 0", *ROWS, *COUNTED, ""])
-OBJ = "\n".join([*(f"v {row}" for row in ROWS), *(f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()), ""])
+def polygon_file(name, vertices, polygons) -> str:
+    """A text file of polygons."""
+    rows = [" ".join(map(repr, row)) for row in np.asarray(vertices).tolist()]
+    lists = [" ".join(map(str, polygon)) for polygon in polygons]
+    counts = [len(polygon) for polygon in polygons]
+    match name.rpartition(".")[2]:
+        case "obj":
+            lines = [f"v {row}" for row in rows] + [" ".join(["f", *(str(k + 1) for k in face)]) for face in polygons]
+        case "dae":
+            corners = [str(corner) for polygon in polygons for corner in polygon]
+            texts = " ".join(rows), " ".join(map(str, counts)), " ".join(corners)
+            lines = [_DAE.format(3 * len(rows), texts[0], len(rows), len(counts), *texts[1:])]
+        case kind:
+            head = (
+                _HEADER.format("ascii", len(rows), len(lists))
+                if kind == "ply"
+                else f"OFF\n{len(rows)} {len(lists)} 0\n"
+            )
+            lines = [head.rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
+    return "\n".join([*lines, ""])
+
+
+PLY = polygon_file("a.ply", VERTICES, FACES.tolist())
 
 
 def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
@@ -82,19 +105,6 @@ def _gltf() -> bytes:
 
 
 WHOLE = {
-    "ascii.ply": lambda: PLY.encode(),
-    "coloured.ply": lambda: re.sub(
-        r"(?m)^(3 .*)$", r"\1 255", PLY.replace("vertex_indices\n", "vertex_indices\nproperty uchar red\n")
-    ).encode(),
-    "binary.ply": ply,
-    "big_endian.ply": lambda: ply(order=">"),
-    "text.off": lambda: OFF.encode(),
-    "commented.off": lambda: "\n".join(
-        ["OFF # it is", "", "12 6 0", *ROWS, "# faces", *(row + " 0.5 0.5 1" for row in COUNTED), "# the end", ""]
-    ).encode(),
-    "text.obj": lambda: OBJ.encode(),
-    "binary.stl": lambda: exported("stl"),
-    "ascii.stl": lambda: exported("stl_ascii"),
     "scene.glb": lambda: exported("glb"),
     "scene.gltf": _gltf,
     "scene.dae": lambda: of_extra("collada", "dae"),
