@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ccd_warp._files.content import NO_EDGES, Mesh
+from ccd_warp._files.cells import with_boundary
+from ccd_warp._files.content import NO_EDGES, Mesh, elements_of
 from ccd_warp._files.mesh import read_mesh
 from ccd_warp._files.parts import parts_of
 from ccd_warp._files.polygons import triangulated
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.cells import warn_of_midsides
-from ccd_warp._scene.input.messages import InputError
+from ccd_warp._scene.input.messages import InputError, warn
 from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.mesh import CollisionMesh
 
@@ -69,12 +70,18 @@ class FileBodies:
         index = np.arange(len(first.vertices))
         merged, vertex = _merge(first) if first.has_copies else (index, index)
         faces, edges, copies = vertex[first.faces], vertex[first.edges], np.bincount(vertex, minlength=len(merged)) - 1
-        names, part = parts_of(first, vertex[first.elements], len(merged), name, split=split)
-        if first.counts is not None:
-            try:
+        try:
+            if first.counts is not None:
                 faces = triangulated(first.vertices[merged], faces, first.counts)
-            except InputError as error:
-                raise InputError(f"{first.path}: {error}") from None
+            if first.volumes:
+                volumes = {kind: vertex[rows] for kind, rows in first.volumes.items()}
+                faces = with_boundary(first.vertices[merged], faces, first.counts, volumes)
+        except ValueError as error:
+            raise InputError(f"{first.path}: {error}") from None
+        self._midsides, self._merged, self._faces = vertex[first.midsides], merged, faces
+        elements = elements_of(faces, edges, vertex[first.points])
+        cells = [vertex[rows] for rows in (first.elements, *first.volumes.values())]
+        names, part = parts_of(first, elements, cells, len(merged), name, split=split)
         by_part = (_by_part(parts, len(names)) for parts in (part, part[faces[:, 0]], part[edges[:, 0]]))
         has_points = np.bincount(part[vertex[first.points]], minlength=len(names)) > 0
         local = np.empty(len(merged), dtype=np.int64)
@@ -124,6 +131,9 @@ class FileBodies:
                 f"({len(different)} of {len(ours)} faces differ{', and in their orientation alone' * is_turned}); "
                 "both frames need the same faces in the same order"
             )
+        for kind, rows in first.volumes.items():
+            if not np.array_equal(frame.volumes.get(kind), rows):
+                raise InputError(f"topology differs: {first.path} and {frame.path} have other cells of the type {kind}")
         torn = np.flatnonzero((frame.vertices[self._copies] != frame.vertices[self._copied]).any(axis=1))
         if torn.size:
             a, b = int(self._copies[torn[0]]), int(self._copied[torn[0]])
@@ -133,6 +143,13 @@ class FileBodies:
                 "PLY for example"
             )
         return frame.vertices[self.source_index]
+
+    def warn(self, *frames: Mesh) -> None:
+        """Say what was left out of the file, and how far quadratic cells are off their corners in these frames."""
+        for note in self._first.notes:
+            warn(f"{self._first.path.name}: {note}")
+        positions = (frame.vertices[self._merged] for frame in frames)
+        warn_of_midsides(f"cells of {self._first.path.name}", self._midsides, self._faces, *positions)
 
 
 def _merge(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -177,8 +194,9 @@ def _by_part(parts: np.ndarray, count: int) -> list[np.ndarray]:
 def file_bodies(path: Path, *, surface: bool, split: bool, is_static: bool = False) -> list[Body]:
     """The bodies of a file that is read once."""
     mesh = read_mesh(path, surface=surface)
-    warn_of_midsides(f"cells of {path.name}", mesh.midsides, mesh.faces, mesh.vertices)
-    return FileBodies(mesh, path.name, split=split, is_static=is_static).bodies
+    of_file = FileBodies(mesh, path.name, split=split, is_static=is_static)
+    of_file.warn(mesh)
+    return of_file.bodies
 
 
 def static_bodies(static: Sequence[Path | HalfSpace], *, surface: bool = False, split: bool = False) -> list[Body]:

@@ -1,6 +1,6 @@
 """What a mesh file holds, whatever its format, and what no file may hold."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -46,12 +46,12 @@ class Mesh:
         names: Names of its objects, groups and nodes; "" stands for what has none.
         element_name: Index of the name of each element, shape [m + k + p]; None where there is one name.
         is_surface: Whether it is the surface of volumes, so that the other vertices are inside them.
-        cells: Cells that hang together by the vertices that they share, shape [k, corners] each; None where the faces
-            do.
         midsides: Of quadratic cells the ends and the node of each edge, shape [e, 3].
         counts: Number of corners of each polygon; None where all are triangles.
         edges: Edges of curves, shape [k, 2].
         points: Vertices that are particles, shape [p].
+        volumes: Corners of volume cells by type, of which the boundary surface stands for them.
+        notes: What is said of it once.
     """
 
     path: Path
@@ -61,11 +61,12 @@ class Mesh:
     names: Sequence[str] = ("",)
     element_name: np.ndarray | None = None
     is_surface: bool = False
-    cells: Sequence[np.ndarray] | None = None
     midsides: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), dtype=np.int64))
     counts: np.ndarray | None = None
     edges: np.ndarray = field(default_factory=lambda: NO_EDGES)
     points: np.ndarray = field(default_factory=lambda: NO_INDICES)
+    volumes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    notes: Sequence[str] = ()
 
     @property
     def elements(self) -> np.ndarray:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ccd_warp._files.by_meshio import read_with_meshio
 from ccd_warp._files.cells import mesh_of_grid, reading
 from ccd_warp._files.content import Mesh, Part, check_part
 from ccd_warp._files.dae import read_dae
@@ -16,7 +17,6 @@ from ccd_warp._files.ply import read_ply
 from ccd_warp._files.stl import read_stl
 from ccd_warp._files.threemf import read_3mf
 from ccd_warp._files.vtk import read_vtk
-from ccd_warp._files.vtu import read_vtu
 from ccd_warp._files.xdmf import Xdmf
 from ccd_warp._scene.input.messages import InputError, printable, reason_of
 
@@ -38,7 +38,8 @@ _ADVICE = "save it as PLY, OBJ, STL, OFF or GLB"
 MESH_SUFFIXES = (*_READERS, *_SCENES)
 # Endings of files of cells, which may hold fields, too.
 XDMF_SUFFIXES = (".xdmf", ".xmf")
-CELL_SUFFIXES = (".vtu", ".vtk", *XDMF_SUFFIXES)
+_VTK_SUFFIXES = (".vtu", ".vtp", ".pvtu", ".pvtp", ".vtk")
+CELL_SUFFIXES = (*_VTK_SUFFIXES, ".msh", ".mesh", ".inp", *XDMF_SUFFIXES)
 
 
 def read_mesh(path: Path, *, displacement: str | None = None, surface: bool = False) -> Mesh:
@@ -60,7 +61,7 @@ def read_mesh(path: Path, *, displacement: str | None = None, surface: bool = Fa
         return xdmf.read(0)
     if suffix in CELL_SUFFIXES:
         with reading(path):
-            grid = read_vtk(path) if suffix == ".vtk" else read_vtu(read_file(path))
+            grid = read_vtk(path, displacement) if suffix in _VTK_SUFFIXES else read_with_meshio(path)
             return mesh_of_grid(path, grid, displacement, surface)
     parts = _read_parts(path, suffix)
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts])

@@ -9,7 +9,9 @@ from ccd_warp._files.content import Mesh
 _MOST_NAMES = 3  # of the groups of a body, in its name
 
 
-def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: bool) -> tuple[list[str], np.ndarray]:
+def parts_of(
+    mesh: Mesh, faces: np.ndarray, cells: Sequence[np.ndarray], count: int, name: str, *, split: bool
+) -> tuple[list[str], np.ndarray]:
     """The names of the parts of a mesh, and to which of them each vertex belongs.
 
     Objects, groups and nodes that share a vertex are one part, called by their names; a part that is alone has the name
@@ -18,6 +20,7 @@ def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: boo
     Args:
         mesh: The mesh.
         faces: Its elements, three vertices each, of which those that are one are merged.
+        cells: What hangs together, shape [k, corners] each, of the same vertices.
         count: Number of these vertices.
         name: Name of the file.
         split: Whether parts are divided into their connected components, with ``#0``, ``#1`` and so on behind the name.
@@ -27,7 +30,7 @@ def parts_of(mesh: Mesh, faces: np.ndarray, count: int, name: str, *, split: boo
         names, part = _groups(mesh.names, mesh.element_name, faces, count)
         names = [part_name or name for part_name in names] if len(names) > 1 else [name]
     if split:
-        names, part = _components(names, part, faces if mesh.cells is None else mesh.cells, count)
+        names, part = _components(names, part, cells, count)
     if len(names) == 1:
         return names, np.zeros(count, dtype=np.int64)
     last = np.maximum.accumulate(np.where(part >= 0, np.arange(count), -1))
@@ -50,12 +53,11 @@ def _groups(names: Sequence[str], group: np.ndarray, faces: np.ndarray, count: i
 
 
 def _components(
-    names: Sequence[str], part: np.ndarray, cells: np.ndarray | Sequence[np.ndarray], count: int
+    names: Sequence[str], part: np.ndarray, cells: Sequence[np.ndarray], count: int
 ) -> tuple[list[str], np.ndarray]:
     """The connected components of each part, in the order of its cells."""
-    blocks = [cells] if isinstance(cells, np.ndarray) else cells
-    root = _roots(count, np.concatenate([_pairs(block) for block in blocks]))
-    roots, first = np.unique(root[np.concatenate([block[:, 0] for block in blocks])], return_index=True)
+    root = _roots(count, np.concatenate([_pairs(block) for block in cells]))
+    roots, first = np.unique(root[np.concatenate([block[:, 0] for block in cells])], return_index=True)
     order = np.lexsort((first, part[roots]))
     number = np.full(count, -1)
     number[roots[order]] = np.arange(len(order))

@@ -14,7 +14,6 @@ from ccd_warp._files.series import FileSeries, Series, find_series
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import check_flag, check_items, check_path, shown
-from ccd_warp._scene.input.cells import warn_of_midsides
 from ccd_warp._scene.input.mesh_checks import listed_bodies
 from ccd_warp._scene.input.messages import printable
 from ccd_warp._scene.mesh import CollisionMesh
@@ -85,8 +84,7 @@ class FrameSequence:
             first, second = frames.read(0), frames.read(1)
             self._files.append(of := FileBodies(first, frames.name, split=split))
             ends.append([of.positions(first), of.positions(second)])
-            label = f"cells of {first.path.name}"
-            warn_of_midsides(label, first.midsides, first.faces, first.vertices, second.vertices)
+            of.warn(first, second)
         self._bodies = [*(body for file in self._files for body in file.bodies), *static]
         self._static = [body.vertices for body in static]
         self._read = {k: np.concatenate([*(of_file[k] for of_file in ends), *self._static]) for k in (0, 1)}

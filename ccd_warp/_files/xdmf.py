@@ -1,16 +1,18 @@
-"""Read XDMF files, a grid or a temporal collection, with arrays in the XML or in HDF5 of exactly the stated shape."""
+"""Read XDMF files, a grid or a temporal collection, by meshio: arrays in the XML or in HDF5 of exactly the stated shape."""
 
+import copy
 import math
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
-import numpy as np
-
-from ccd_warp._files.cells import Grid, load_meshio, mesh_of_grid, reading
+from ccd_warp._files.by_meshio import quiet_meshio
+from ccd_warp._files.cells import Grid, grid_of_meshio, load_meshio, mesh_of_grid, reading
 from ccd_warp._files.content import Mesh
 from ccd_warp._files.opened import check_file, read_file
-from ccd_warp._files.text import CUT, all_numbers
+from ccd_warp._files.text import CUT
 from ccd_warp._scene.input.messages import InputError
 
 
@@ -35,7 +37,7 @@ class Xdmf:
                 raise InputError("holds other grids than one, or one temporal collection and one beside it")
             self._base = beside[0] if beside else self.frames[0]  # has the points and cells that a frame lacks
             if displacement is None and any(frame.find("Geometry") is None for frame in self.frames[1:]):
-                names = ", ".join(map(repr, self._fields(0))) or "no field at the points"
+                names = ", ".join(repr(field.get("Name")) for field in self._fields(0)) or "no field at the points"
                 raise InputError(
                     "all its frames have the same geometry; expected --displacement NAME with the field that moves "
                     f"it, and found {names}"
@@ -51,28 +53,36 @@ class Xdmf:
             return mesh_of_grid(path, self._grid(k), self.displacement, self.surface)
 
     def _grid(self, k: int) -> Grid:
+        """A frame as meshio reads a file of it alone, of which other fields are only named."""
         load_meshio()
-        from meshio.xdmf.common import translate_mixed_cells, xdmf_to_meshio_type
+        from meshio.xdmf import main
 
-        geometry, topology = self._part(k, "Geometry"), self._part(k, "Topology")
-        layout, kind = (part.get("Type") or part.get(f"{part.tag}Type") or "XYZ" for part in (geometry, topology))
-        points, corners = _array(self.path, geometry, "f"), _array(self.path, topology, "iu")
-        if layout != "XYZ":
-            raise InputError(f"has a geometry of the type {layout!r}; expected XYZ")
-        if kind == "Mixed":
-            blocks = [(block.type, block.data) for block in translate_mixed_cells(corners)]
-        else:
-            blocks = [(xdmf_to_meshio_type[kind], corners)]
-        stated, count = topology.get("NumberOfElements"), sum(len(cells) for _, cells in blocks)
+        class Reader(main.XdmfReader):
+            def _read_data_item(self, item: ET.Element, root: ET.Element | None = None) -> Any:
+                return _checked(self.filename, item, partial(super()._read_data_item, item, root))
+
+        fields, topology = self._fields(k), self._part(k, "Topology")
+        asked = [field for field in fields if field.get("Name") == self.displacement]
+        root = ET.Element("Xdmf")
+        grid = ET.SubElement(ET.SubElement(root, "Domain"), "Grid")
+        for part in copy.deepcopy([self._part(k, "Geometry"), topology, *asked]):
+            default = {"Geometry": ("GeometryType", "XYZ"), "Attribute": ("Center", "Node")}.get(part.tag)
+            if default and "Type" not in part.attrib:
+                part.attrib.setdefault(*default)
+            grid.append(part)
+        with quiet_meshio():
+            mesh = Reader(self.path).read_xdmf3(root)
+        stated, count = topology.get("NumberOfElements"), sum(len(block.data) for block in mesh.cells)
         if stated is not None and math.prod(map(int, stated.split())) != count:
             raise InputError(f"holds {count} cells, and says that it has {stated}; {CUT}")
-        return Grid(points, blocks, {name: partial(_array, self.path, x, "fiu") for name, x in self._fields(k).items()})
+        return grid_of_meshio(mesh)._replace(
+            fields={name: mesh.point_data.get(name) for name in (field.get("Name", "") for field in fields)}
+        )
 
-    def _fields(self, k: int) -> dict[str, ET.Element]:
+    def _fields(self, k: int) -> list[ET.Element]:
         """The fields at the points."""
-        attributes = [field for field in self.frames[k].findall("Attribute") if field.get("Center", "Node") == "Node"]
-        fields = {field.get("Name", ""): field for field in attributes}
-        if len(fields) != len(attributes):
+        fields = [field for field in self.frames[k].findall("Attribute") if field.get("Center", "Node") == "Node"]
+        if len({field.get("Name") for field in fields}) != len(fields):
             raise InputError(f"frame {k} has two fields of one name; {CUT}")
         return fields
 
@@ -83,35 +93,18 @@ class Xdmf:
         return elements[0]
 
 
-def _array(path: Path, parent: ET.Element, kinds: str) -> np.ndarray:
-    """The array of a part of a grid, of numbers of one of these kinds: from the XML, or from a file of HDF5."""
-    items = parent.findall("DataItem")
-    if len(items) != 1 or items[0].get("ItemType", "Uniform") != "Uniform":
-        raise InputError(f"a {parent.tag} has {len(items)} DataItem; expected one, of the type Uniform: {CUT}")
-    text, shape = (items[0].text or "").strip(), tuple(map(int, items[0].attrib["Dimensions"].split()))
-    match items[0].get("Format"):
-        case "XML":
-            values = all_numbers(text.encode(), float if "f" in kinds else int)
-            values = values.reshape(shape) if len(values) == math.prod(shape) else values
-        case "HDF":
-            values = _of_hdf5(path, text)
-        case other:
-            raise InputError(f"the data of a {parent.tag} have the format {other!r}; expected XML or HDF")
-    if values.shape != shape or values.dtype.kind not in kinds:
-        expected = f"{'numbers' if 'f' in kinds else 'integers'} of shape {shape}"
-        raise InputError(
-            f"the data of a {parent.tag} are {values.dtype} of shape {values.shape}; expected {expected}: {CUT}"
-        )
+def _checked(path: Path, item: ET.Element, read: Callable[[], Any]) -> Any:
+    """What meshio reads of an item, which must be numbers in the XML or in HDF5, of the stated shape."""
+    form, shape = item.get("Format"), tuple(map(int, item.attrib["Dimensions"].split()))
+    is_float = item.get("DataType", item.get("NumberType", "Float")) == "Float"
+    if item.get("ItemType", "Uniform") != "Uniform" or "Reference" in item.attrib or form not in ("XML", "HDF"):
+        raise InputError(f"has data of the format {form!r}, or that refer to others; expected XML or HDF")
+    if form == "HDF":
+        check_file(path.parent / (item.text or "").strip().rpartition(":")[0])
+    elif is_float:
+        item.set("Precision", "8")  # decimals in full
+    values = read()
+    if values.shape != shape or values.dtype.kind not in ("f" if is_float else "iu"):
+        expected = f"{'numbers' if is_float else 'integers'} of shape {shape}"
+        raise InputError(f"its data are {values.dtype} of shape {values.shape}; expected {expected}: {CUT}")
     return values
-
-
-def _of_hdf5(path: Path, place: str) -> np.ndarray:
-    """A dataset of a file beside that of the XML."""
-    import h5py
-
-    name, _, key = place.rpartition(":")
-    check_file(path.parent / name)
-    with h5py.File(path.parent / name, "r") as file:
-        if not isinstance(dataset := file.get(key), h5py.Dataset):
-            raise InputError(f"in {place} is no dataset; {CUT}")
-        return np.asarray(dataset[()])

@@ -34,10 +34,11 @@ _QUADRATIC = {
     ),
     "triangle6": ("triangle", ((0, 1), (1, 2), (2, 0))),
     "quad8": ("quad", _RING),
+    "wedge15": ("wedge", ((0, 1), (1, 2), (2, 0), (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))),
+    "pyramid13": ("pyramid", (*_RING, *((a, 4) for a in range(4)))),
 }
-VOLUMES = (*_SIDES, "tetra10", "hexahedron20")
-SHELLS = (*_SHELLS, "triangle6", "quad8")
-_BY_CORNERS = {_CORNERS[kind]: kind for kind in _SIDES} | {10: "tetra10", 20: "hexahedron20"}
+_BY_CORNERS = {_CORNERS[kind]: kind for kind in _SIDES}
+_BY_CORNERS |= {10: "tetra10", 13: "pyramid13", 15: "wedge15", 20: "hexahedron20"}
 _EXPECTED = f"cells by type, {', '.join(_SIDES)}, {' or '.join(_SHELLS)}, or quadratic {', '.join(_QUADRATIC)}"
 # A node is on its edge if it is within so many lengths of this, more than single precision rounds.
 _STRAIGHT = 1e-6
