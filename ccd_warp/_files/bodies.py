@@ -131,8 +131,8 @@ class FileBodies:
                 f"({len(different)} of {len(ours)} faces differ{', and in their orientation alone' * is_turned}); "
                 "both frames need the same faces in the same order"
             )
-        for kind, rows in first.volumes.items():
-            if not np.array_equal(frame.volumes.get(kind), rows):
+        for kind in first.volumes.keys() | frame.volumes.keys():
+            if not np.array_equal(first.volumes.get(kind, NO_EDGES), frame.volumes.get(kind, NO_EDGES)):
                 raise InputError(f"topology differs: {first.path} and {frame.path} have other cells of the type {kind}")
         torn = np.flatnonzero((frame.vertices[self._copies] != frame.vertices[self._copied]).any(axis=1))
         if torn.size:

@@ -67,9 +67,8 @@ def reading(path: Path) -> Iterator[None]:
         if str(error).startswith(f"{path}"):
             raise
         reason = printable(reason_of(error))
-        if isinstance(error, KeyError):
-            key = error.args[0].item() if isinstance(error.args[0], np.generic) else error.args[0]
-            reason = printable(f"{key!r} is no type, name or number that its reader knows")
+        if isinstance(error, KeyError) and " " not in str(key := error.args[0]):  # a type of cells, or an attribute
+            reason = printable(f"its reader knows no {key.item() if isinstance(key, np.generic) else key!r}")
         if not isinstance(error, InputError):
             shown = reason if len(reason) <= _LONGEST_REASON else f"{reason[:_LONGEST_REASON]}…"
             reason = f"cannot be read ({shown}); write it again, or save it as VTU or PLY"
@@ -110,7 +109,7 @@ def grid_of(points: np.ndarray, blocks: Iterable[Block], fields: Mapping[str, An
         count = _CORNERS.get(base) or max(size, _LEAST_CORNERS.get(base, size))
         if base not in (*_CORNERS, *_LEAST_CORNERS):
             raise InputError(f"cell {numbers[0]} is a {name}, which is not read; save triangles, quads or tetrahedra")
-        if size < count or size > count and base == name:
+        if size < count or (size > count and base == name):
             raise InputError(f"cell {numbers[0]} is a {name} of {size} corners; expected {count}: it is damaged")
         if quadratic := _QUADRATIC.get((base, size)):  # cells with nodes on faces begin with those of their kin
             kin = rows[:, : int(quadratic.removeprefix(base))]
@@ -135,8 +134,8 @@ def grid_of(points: np.ndarray, blocks: Iterable[Block], fields: Mapping[str, An
     counts, begins = counts[order], begins[order]
     at = np.arange(counts.sum()) + np.repeat(begins - (np.cumsum(counts) - counts), counts)
     of_kind = {kind: np.concatenate(rows) for kind, rows in volumes.items()}
-    lists = (np.concatenate(rows) for rows in (edges, lone, midsides))
-    return Grid(points, corners[at], counts, of_kind, *lists, num_bent, fields, num_pieces)
+    all_edges, all_lone, all_midsides = (np.concatenate(rows) for rows in (edges, lone, midsides))
+    return Grid(points, corners[at], counts, of_kind, all_edges, all_lone, all_midsides, num_bent, fields, num_pieces)
 
 
 def mesh_of_grid(path: Path, grid: Grid, displacement: str | None, surface: bool) -> Mesh:
@@ -148,8 +147,8 @@ def mesh_of_grid(path: Path, grid: Grid, displacement: str | None, surface: bool
     edges, points = grid.edges, np.unique(grid.lone)
     if grid.volumes and not surface and not len(fans):
         raise InputError(
-            f"holds cells of the type {next(iter(grid.volumes))}; expected triangles and polygons; --surface, in Python "
-            "surface=True, takes the boundary surface"
+            f"holds cells of the type {next(iter(grid.volumes))}; expected triangles and polygons; --surface, in "
+            "Python surface=True, takes the boundary surface"
         )
     if len(fans) or grid.volumes:
         beside = [f"{len(rows)} {noun}" for rows, noun in ((edges, "edges of curves"), (points, "points")) if len(rows)]
@@ -171,7 +170,7 @@ def mesh_of_grid(path: Path, grid: Grid, displacement: str | None, surface: bool
         is_surface=len(grid.volumes) > 0 or len(grid.midsides) > 0,
         volumes=grid.volumes,
         midsides=grid.midsides,
-        counts=grid.counts,
+        counts=grid.counts if (grid.counts > 3).any() else None,
         edges=edges,
         points=points,
         notes=notes,

@@ -49,7 +49,7 @@ class _Content(NamedTuple):
     values: np.ndarray | None
     names: list[str]  # of all fields
     is_copy: np.ndarray  # which cells are those of another piece
-    num_pieces: int
+    num_pieces: int = 1
 
 
 def read_vtk(path: Path, field: str | None) -> Grid:
@@ -82,17 +82,17 @@ def read_vtk(path: Path, field: str | None) -> Grid:
 def _read_file(path: Path, field: str | None) -> _Content:
     data = read_file(path)
     kind, data, stated, num_pieces = (_announced_by_legacy if data.startswith(b"#") else _announced_by_xml)(data)
-    content = _Content(*_of_process(kind, data, field), num_pieces)
+    content = _Content(*_of_process(kind, data, field))._replace(num_pieces=num_pieces)
     if (found := (len(content.points), len(content.types), len(content.corners))) != stated:
         raise InputError(f"announces {_shown(stated)}, and {_shown(found)} can be read; {CUT}")
     return content
 
 
-def _shown(counts: tuple[int, int, int]) -> str:
+def _shown(counts: tuple[int, ...]) -> str:
     return "{} points and {} cells of {} corners".format(*counts)
 
 
-def _announced_by_legacy(data: bytes) -> tuple[str, bytes, tuple[int, int, int], int]:
+def _announced_by_legacy(data: bytes) -> tuple[str, bytes, tuple[int, ...], int]:
     """The dataset of a legacy file, its text, and how many points, cells and corners it says it has."""
     head = _HEAD.match(data)
     if not head or (kind := head[3].decode().upper()) not in _READ:
@@ -121,7 +121,7 @@ def _announced_by_legacy(data: bytes) -> tuple[str, bytes, tuple[int, int, int],
     return kind, data, tuple(counts.tolist()), 1
 
 
-def _announced_by_xml(data: bytes) -> tuple[str, bytes, tuple[int, int, int], int]:
+def _announced_by_xml(data: bytes) -> tuple[str, bytes, tuple[int, ...], int]:
     """The type of a file in XML, its text, how many points, cells and corners it has, and in how many pieces."""
     start = re.search(rb"<AppendedData[^>]*>", data)
     begin, end = (start.end(), data.rfind(b"</AppendedData>")) if start else (len(data), len(data))
@@ -194,7 +194,8 @@ class _Process:
     """The process that reads, which starts with the first file; one that a file has ended is followed by another."""
 
     def __init__(self) -> None:
-        self._lock, self._process, self._owner = threading.Lock(), None, 0
+        self._lock, self._owner = threading.Lock(), 0
+        self._process: subprocess.Popen[bytes] | None = None
 
     def read(self, *request: Any) -> Any:
         """What the process makes of a request."""

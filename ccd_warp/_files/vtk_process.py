@@ -15,8 +15,8 @@ from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
 from vtkmodules.vtkIOLegacy import vtkPolyDataReader, vtkUnstructuredGridReader
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
 
-_XML = {"UnstructuredGrid": vtkXMLUnstructuredGridReader, "PolyData": vtkXMLPolyDataReader}
-_LEGACY = {"UNSTRUCTURED_GRID": vtkUnstructuredGridReader, "POLYDATA": vtkPolyDataReader}
+_XML: dict[str, Any] = {"UnstructuredGrid": vtkXMLUnstructuredGridReader, "PolyData": vtkXMLPolyDataReader}
+_LEGACY: dict[str, Any] = {"UNSTRUCTURED_GRID": vtkUnstructuredGridReader, "POLYDATA": vtkPolyDataReader}
 _DUPLICATE = 1  # the bit of a cell that belongs to another piece
 
 
@@ -28,9 +28,10 @@ def _read(kind: str, data: bytes, field: str | None) -> tuple[Any, ...] | str:
         errors.append(message)
 
     note.CallDataType = "string0"  # type: ignore[attr-defined]
-    vtkOutputWindow.SetInstance(window := vtkStringOutputWindow())
+    window: Any = vtkStringOutputWindow()
+    vtkOutputWindow.SetInstance(window)
     window.AddObserver("ErrorEvent", note)
-    reader = (_XML | _LEGACY)[kind]()
+    reader: Any = (_XML | _LEGACY)[kind]()  # of which not all stubs say what it takes
     reader.ReadFromInputStringOn()
     if kind in _XML:
         reader.SetInputString(data)

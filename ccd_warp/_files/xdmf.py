@@ -1,4 +1,4 @@
-"""Read XDMF files, a grid or a temporal collection, by meshio: arrays in the XML or in HDF5 of exactly the stated shape."""
+"""Read XDMF files by meshio, a grid or a temporal collection, with arrays in the XML or in HDF5 as stated."""
 
 import copy
 import math
