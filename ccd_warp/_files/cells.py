@@ -108,7 +108,9 @@ def grid_of(points: np.ndarray, blocks: Iterable[Block], fields: Mapping[str, An
         base, size = re.sub(r"\d+$", "", name), rows.shape[1]
         count = _CORNERS.get(base) or max(size, _LEAST_CORNERS.get(base, size))
         if base not in (*_CORNERS, *_LEAST_CORNERS):
-            raise InputError(f"cell {numbers[0]} is a {name}, which is not read; save triangles, quads or tetrahedra")
+            raise InputError(
+                f"cell {numbers[0]} is of the type {name}, which is not read; save triangles, quads or tetrahedra"
+            )
         if size < count or (size > count and base == name):
             raise InputError(f"cell {numbers[0]} is a {name} of {size} corners; expected {count}: it is damaged")
         if quadratic := _QUADRATIC.get((base, size)):  # cells with nodes on faces begin with those of their kin

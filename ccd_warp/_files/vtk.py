@@ -71,7 +71,7 @@ def read_vtk(path: Path, field: str | None) -> Grid:
         kept = ~np.concatenate([piece.is_copy for piece in pieces])
     for number, size in np.unique(np.stack([types[kept], sizes[kept]]), axis=1).T.tolist():
         rows = np.flatnonzero(kept & (types == number) & (sizes == size))
-        name = _NAMES.get(number, f"VTK's number {number}")
+        name = _NAMES.get(number, f"VTK_{number}")
         blocks.append((name, corners[begins[rows, None] + np.arange(size)], rows))
     fields = dict.fromkeys(set(pieces[0].names).intersection(*(piece.names for piece in pieces)))
     if field in fields:

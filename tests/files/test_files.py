@@ -1,11 +1,12 @@
 """Reading frames: nothing is rounded, merged or reordered unless the format calls for it."""
 
 import re
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import FACES, exported, of_meshio, ply, read, whole
+from mesh_files import exported, of_meshio, ply
 
 import ccd_warp as ccd
 
@@ -25,7 +26,7 @@ def _of_cells(name, **options):
 
 FORMATS = {
     "binary.ply": ply,
-    **{name: _of_cells(name) for name in ("a.vtu", "a.vtk")},
+    **{name: _of_cells(name) for name in ("a.vtu", "a.vtk", "a.msh", "a.mesh", "a.inp")},
     "text.vtk": _of_cells("a.vtk", binary=False),
     "a.xdmf": _of_cells("a.xdmf", data_format="XML"),
 }
@@ -125,17 +126,85 @@ def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, me
 # ---- Files of cells --------------------------------------------------------------------------------------------------
 
 
-def test_a_vtu_of_several_pieces_is_refused_and_quadrilaterals_are_two_triangles(tmp_path):
-    data, faces = whole("text.vtu"), read(tmp_path / "a.vtu", whole("text.vtu"))[1].tolist()
-    piece = re.search(rb"<Piece.*</Piece>", data, re.DOTALL)[0]
-    assert faces == [*FACES[:5].tolist(), [9, 1, 10], [9, 10, 0]]
-    for damaged, message in (
-        (data.replace(piece, 2 * piece), "has 2 Piece in its UnstructuredGrid; expected one"),
-        (re.sub(rb"\b0\s+1\s+2\b", b"0 12 2", data, count=1), r"index 12"),
+def test_pieces_are_one_where_their_points_are_in_one_place(tmp_path):
+    """Two tetrahedra with a side in common, in pieces of a file and in a file each; a cell of two pieces is one."""
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    points, pieces = np.concatenate([np.eye(4, 3, k=-1), [[1.0, 1.0, 1.0]]]), []
+    for k, corners in enumerate(([0, 1, 2, 3], [1, 2, 3, 4])):
+        path = tmp_path / f"{k}.vtu"
+        meshio.Mesh(points[corners], [("tetra", [[0, 1, 2, 3]])]).write(path, binary=False)
+        pieces.append(re.search(r"(?s)<Piece.*</Piece>", path.read_text())[0])
+    text = path.read_text().replace(pieces[1], "".join(pieces))
+    (tmp_path / "a.vtu").write_text(text)
+    sources = "".join(f'<Piece Source="{k}.vtu"/>' for k in range(2))
+    (tmp_path / "a.pvtu").write_text(
+        f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{sources}</PUnstructuredGrid></VTKFile>'
+    )
+    ghost = '<CellData><DataArray type="UInt8" Name="vtkGhostType" format="ascii">{}</DataArray></CellData></Piece>'
+    copied = [piece.replace("</Piece>", ghost.format(k // 2)) for k, piece in enumerate([*pieces, pieces[0]])]
+    (tmp_path / "b.vtu").write_text(text.replace("".join(pieces), "".join(copied)))
+    for name in ("a.vtu", "a.pvtu", "b.vtu"):
+        frames = ccd.read_frames(tmp_path / name, tmp_path / name, surface=True)
+        assert frames.mesh.num_faces == 6 and len(frames.vertices_t0) == 5
+        assert {*map(tuple, frames.vertices_t0.tolist())} == {*map(tuple, points.tolist())}
+
+
+TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+BESIDE = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", [[0, 2, 1]]), ("tetra", [[0, 1, 2, 3]])]
+
+
+@pytest.mark.parametrize(
+    "suffix, options", [("vtu", {}), ("vtk", {}), ("msh", {"file_format": "gmsh22"}), ("mesh", {})]
+)
+def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffix, options):
+    """As Gmsh and meshio write physical groups; alone they are cables and particles."""
+    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    cells, path = BESIDE[suffix == "mesh" :], tmp_path / f"a.{suffix}"
+    meshio.Mesh(TETRAHEDRON, cells).write(path, **options)
+    said = "1 edges of curves beside" if suffix == "mesh" else "1 edges of curves and 1 points beside"
+    for surface in (False, True):
+        with pytest.warns(RuntimeWarning, match=rf"^a.{suffix}: {said} its faces and cells are left out$"):
+            mesh = ccd.read_frames(path, path, surface=surface).mesh
+        assert mesh.num_faces == 4 and not len(mesh.codimensional_edges)
+    if suffix != "mesh":  # which has no particles
+        meshio.Mesh(TETRAHEDRON, [("vertex", [[3]]), ("line", [[0, 1], [1, 2]])]).write(path, **options)
+        mesh = ccd.read_frames(path, path).mesh
+        assert mesh.edges.tolist() == [[0, 1], [1, 2]] and mesh.codimensional_points.tolist() == [3]
+
+
+def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
+    """Hexahedra, voxels, wedges and cells of Lagrange by their corners, mirrored ones turned outward."""
+    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    cube = np.array([*np.ndindex(2, 2, 2)], dtype=np.float64)[:, ::-1]  # in the order of a voxel
+    corners, path = [0, 1, 3, 2, 4, 5, 7, 6], tmp_path / "a.vtu"
+    middles = np.random.default_rng(0).uniform(size=(19, 3))
+    for kind, points, order in (
+        (11, cube, range(8)),
+        (12, cube, corners),
+        (12, cube * [1, 1, -1], corners),
+        (72, np.concatenate([cube, middles]), [*corners, *range(8, 27)]),
     ):
-        (tmp_path / "a.vtu").write_bytes(damaged)
-        with pytest.raises(ValueError, match=message):
-            ccd.read_frames(tmp_path / "a.vtu", tmp_path / "a.vtu")
+        pyvista.UnstructuredGrid([len(order), *order], [kind], points).save(path)
+        with pytest.warns(RuntimeWarning, match="quadratic") if kind == 72 else nullcontext():
+            mesh = ccd.read_frames(path, path, surface=True).mesh
+        a, b, c = np.moveaxis(points[mesh.faces], 1, 0)
+        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() == pytest.approx(6.0) and mesh.num_faces == 12
+
+
+def test_polygons_of_polydata_are_triangulated_once_by_area(tmp_path):
+    """An L that folds over: its fan about the first corner covers it in the second frame alone."""
+    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    points = np.array([[0.0, 2, 0], [0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [1, 2, 0]])
+    paths = [tmp_path / f"{k}.vtp" for k in range(2)]
+    for path, x in zip(paths, (points, points * [1, -1, 1]), strict=True):
+        pyvista.PolyData(x, faces=[6, *range(6)]).save(path)
+    frames = ccd.read_frames(*paths)
+    a, b, c = np.moveaxis(points[frames.mesh.faces], 1, 0)
+    areas = np.cross(b - a, c - a)[:, 2] / 2.0
+    assert areas.sum() == 3.0 and (areas > 0.0).all()
+    pyvista.PolyData(points, faces=[3, 0, 1, 2, 5, 2, 3, 4, 5, 0]).save(paths[1])
+    with pytest.raises(ValueError, match="topology differs"):
+        ccd.read_frames(*paths)
 
 
 def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
@@ -147,7 +216,7 @@ def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
     with pytest.warns(RuntimeWarning, match=r"^cells of a.vtu: quadratic ones .* up to 0\.1 off these, the long"):
         mesh = ccd.read_frames(path, path, surface=True).mesh
     assert np.array_equal(mesh.faces, ccd.CollisionMesh.from_volume(points, {"tetra": [[0, 1, 2, 3]]}).faces)
-    with pytest.raises(ValueError, match="holds cells of the type tetra10; expected triangles and quads"):
+    with pytest.raises(ValueError, match="holds cells of the type tetra; expected triangles and polygons"):
         ccd.read_frames(path, path)
 
 

@@ -90,11 +90,35 @@ def of_meshio(name, mesh=None, **options) -> bytes:
     mesh = mesh or meshio.Mesh(VERTICES, [("triangle", FACES[:5]), ("quad", [[9, 1, 10, 0]])], {"u": VERTICES})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, name)
-        if path.suffix == ".vtk":
-            meshio.vtk.write(path, mesh, **options)
+        if path.suffix in (".vtk", ".msh"):
+            {".vtk": meshio.vtk, ".msh": meshio.gmsh}[path.suffix].write(path, mesh, **options)
         else:
             mesh.write(path, **options)
         return path.read_bytes()
+
+
+def of_triangles():
+    """The triangles alone, as meshio holds them."""
+    return pytest.importorskip("meshio", reason="the extra formats is not installed").Mesh(
+        VERTICES, {"triangle": FACES}
+    )
+
+
+def of_vtk(name, *how) -> bytes:
+    """A file of the same as PolyData as VTK writes it: settings of its writer, called in turn."""
+    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    from vtkmodules import vtkIOLegacy, vtkIOXML
+
+    mesh = pyvista.PolyData(VERTICES, faces=[*np.insert(FACES[:5], 0, 3, axis=1).ravel(), 4, 9, 1, 10, 0])
+    mesh["u"] = VERTICES
+    writer = vtkIOXML.vtkXMLPolyDataWriter() if name.endswith("vtp") else vtkIOLegacy.vtkPolyDataWriter()
+    writer.SetInputData(mesh)
+    with tempfile.TemporaryDirectory() as folder:
+        writer.SetFileName(f"{folder}/{name}")
+        for setting in how:
+            getattr(writer, setting)()
+        writer.Write()
+        return Path(folder, name).read_bytes()
 
 
 def _gltf() -> bytes:
@@ -115,7 +139,18 @@ WHOLE = {
     "binary_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=True),
     "text.vtu": lambda: of_meshio("a.vtu", binary=False),
     "binary.vtu": lambda: of_meshio("a.vtu"),
+    "text.vtp": lambda: of_vtk("a.vtp", "SetDataModeToAscii"),
+    "binary.vtp": lambda: of_vtk("a.vtp", "SetDataModeToBinary", "SetCompressorTypeToNone"),
+    "raw.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetCompressorTypeToNone"),
+    "packed.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetCompressorTypeToLZ4"),
+    "binary_of_polygons.vtk": lambda: of_vtk("a.vtk", "SetFileTypeToBinary"),
     "text.xdmf": lambda: of_meshio("a.xdmf", data_format="XML"),
+    "text_22.msh": lambda: of_meshio("a.msh", fmt_version="2.2", binary=False),
+    "binary_22.msh": lambda: of_meshio("a.msh", fmt_version="2.2"),
+    "text_41.msh": lambda: of_meshio("a.msh", of_triangles(), binary=False),
+    "binary_41.msh": lambda: of_meshio("a.msh", of_triangles()),
+    "text.mesh": lambda: of_meshio("a.mesh"),
+    "text.inp": lambda: of_meshio("a.inp"),
 }
 
 
