@@ -150,8 +150,8 @@ def _add_scene(add: _Add) -> None:
     add("--exclusion-rings", text, type=int, metavar="N", default=1)
     text = "leave out of every step the pairs that are in contact in the first frame, as at a clamped edge"
     add("--ignore-start-contacts", text, **_FLAG)
-    add("--displacement", "field of a VTK or XDMF file that is added to its positions", metavar="NAME")
-    text = "take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of VTK and XDMF"
+    add("--displacement", "field of a file of cells that is added to its positions", metavar="NAME")
+    text = "take the boundary surface of volume cells: tetrahedra, hexahedra, wedges and pyramids of a file"
     add("--surface", text, **_FLAG)
     add("--split", "divide each file into its connected components, called NAME#0, NAME#1, ...", **_FLAG)
     add("--no-self-collision", "leave out contacts of a body with itself", **_FLAG)

@@ -100,6 +100,5 @@ def _check_gmsh(data: bytes, mesh: Any) -> None:
         expected = num_heads * of_head + stated[0] * of_block + count * of_tag + rows
         size = len(content.split()) if is_text else len(content.removesuffix(b"\r"))
         if stated[int(is_new)] != count or (is_new and size != expected):
-            raise InputError(
-                f"has {count} {name.decode()} that can be read, and announces {stated[int(is_new)]}; {CUT}"
-            )
+            noun = f"{stated[int(is_new)]} {name.decode().lower()}"
+            raise InputError(f"announces {noun}, and {count} can be read, or its section is of another length; {CUT}")

@@ -109,7 +109,7 @@ def grid_of(points: np.ndarray, blocks: Iterable[Block], fields: Mapping[str, An
         count = _CORNERS.get(base) or max(size, _LEAST_CORNERS.get(base, size))
         if base not in (*_CORNERS, *_LEAST_CORNERS):
             raise InputError(
-                f"cell {numbers[0]} is of the type {name}, which is not read; save triangles, quads or tetrahedra"
+                f"cell {numbers[0]} is of the type {name}, which is not read; save triangles or tetrahedra"
             )
         if size < count or (size > count and base == name):
             raise InputError(f"cell {numbers[0]} is a {name} of {size} corners; expected {count}: it is damaged")

@@ -47,7 +47,7 @@ def read_mesh(path: Path, *, displacement: str | None = None, surface: bool = Fa
 
     Args:
         path: The file.
-        displacement: Field that is added to the positions of VTK and XDMF files.
+        displacement: Field that is added to the positions of files of cells.
         surface: Whether volume cells of these stand for their boundary surface.
 
     Raises:

@@ -150,10 +150,10 @@ def read_frames(
 ) -> Frames:
     """Read both ends of a step from mesh files, in full precision, completely or not at all.
 
-    The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF with networkx and lxml, DAE with pycollada), VTU, legacy VTK and
-    XDMF (with the extra ``formats``). Numbers are double precision where the format holds it. The corners of an STL
-    file, and the copies of a vertex that GLB and DAE make at a seam, are merged by their positions in ``start_path``,
-    which ``end_path`` must agree with. Polygons become triangles that cover their area, chosen in ``start_path``; lines
+    The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF with networkx and lxml, DAE with pycollada) and, with the extra
+    ``formats``, VTU, VTP, legacy VTK, Gmsh, Medit, Abaqus and XDMF. Numbers are double precision where the format holds
+    it. The corners of an STL file, and the copies of a vertex that GLB and DAE make at a seam, or pieces of VTK files
+    where they meet, are merged by their positions in ``start_path``, which ``end_path`` must agree with. Polygons become triangles that cover their area, chosen in ``start_path``; lines
     and points of OBJ and PLY files are codimensional; glTF is placed at rest by nodes, morph weights and skins.
 
     Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
@@ -166,7 +166,7 @@ def read_frames(
         kinematic: Indices or names of the bodies that move as they are told, as of
             :meth:`ccd_warp.CollisionMesh.from_arrays`.
         self_collision: Whether a body may collide with itself: one flag for all bodies or one for each.
-        surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
+        surface: Whether volume cells of a file stand for their boundary surface, as of
             :func:`ccd_warp.read_sequence`.
         split: Whether a file, or a body in it, is divided into its connected components, bodies called ``NAME#0``,
             ``NAME#1`` and so on.
@@ -211,10 +211,10 @@ def read_sequence(
         paths: A folder of mesh files, in the order of the numbers in their names; a collection of ParaView (.pvd), in
             the order of its times; or a temporal collection (.xdmf). Or a list of these, a body each, or of mesh files,
             where files whose names differ in more than their last number are bodies of their own.
-        displacement: Name of the field at the points of VTK and XDMF files that is added to their positions.
-        surface: Whether volume cells of VTK and XDMF files stand for their boundary surface, as of
+        displacement: Name of the field at the points of files of cells that is added to their positions.
+        surface: Whether volume cells of a file stand for their boundary surface, as of
             :meth:`ccd_warp.CollisionMesh.from_volume`: positions of all nodes, of which those inside collide with
-            nothing. Otherwise they are refused.
+            nothing. Otherwise a file of volumes alone is refused.
 
     Returns:
         The frames, as a sequence of positions, with their mesh and times.

@@ -1,4 +1,4 @@
-"""Sequences of frames of moving bodies: mesh files in natural order, series of VTK and XDMF."""
+"""Sequences of frames of moving bodies: mesh files in natural order, series of ParaView and XDMF."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

@@ -437,8 +437,9 @@ class CollisionMesh(ReadOnly):
                 be shells, too: "triangle" and "quad"; those that are sides of a volume add nothing. The order of
                 corners is that of VTK, also mirrored. A side with four corners becomes two triangles. A hexahedron
                 with repeated corners stands for what it has shrunk to. Quadratic cells, "tetra10" (or an array of shape
-                [n, 10]), "hexahedron20" ([n, 20]), "triangle6" and "quad8", collide by their corners; where a node in
-                the middle of an edge of the surface is off this, a ``RuntimeWarning`` says how far.
+                [n, 10]), "hexahedron20" ([n, 20]), "wedge15", "pyramid13", "triangle6" and "quad8", collide by their
+                corners; where a node in the middle of an edge of the surface is off this, a ``RuntimeWarning`` says how
+                far.
             others: Further bodies, as of :meth:`from_arrays`: (vertices, faces), (vertices, cells by type), or a
                 :class:`ccd_warp.HalfSpace`. The volume is body 0, and its vertices come first.
             options: Those of :class:`BodyOptions`, as of :meth:`from_arrays`.
