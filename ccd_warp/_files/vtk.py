@@ -69,7 +69,8 @@ def read_vtk(path: Path, field: str | None) -> Grid:
     kept, begins, blocks = np.ones(len(types), dtype=bool), np.cumsum(sizes) - sizes, []
     if num_pieces > 1:
         kept = ~np.concatenate([piece.is_copy for piece in pieces])
-    for number, size in np.unique(np.stack([types[kept], sizes[kept]]), axis=1).T.tolist():
+    for pair in np.unique((types << 32 | sizes)[kept]).tolist():
+        number, size = divmod(pair, 1 << 32)
         rows = np.flatnonzero(kept & (types == number) & (sizes == size))
         name = _NAMES.get(number, f"VTK_{number}")
         blocks.append((name, corners[begins[rows, None] + np.arange(size)], rows))

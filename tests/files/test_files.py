@@ -191,6 +191,18 @@ def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
         assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() == pytest.approx(6.0) and mesh.num_faces == 12
 
 
+def test_strips_and_pixels_are_polygons(tmp_path):
+    """A square of two pixels and as a strip, all of which are seen from one side."""
+    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    points, strip = np.array([[x, y, 0.0] for x in range(3) for y in range(2)]), tmp_path / "a.vtp"
+    pixels = tmp_path / "a.vtu"
+    pyvista.PolyData(points, strips=[6, *range(6)]).save(strip)
+    pyvista.UnstructuredGrid([4, 0, 2, 1, 3, 4, 2, 4, 3, 5], [8, 8], points).save(pixels)
+    for path, sign in ((strip, -1.0), (pixels, 1.0)):
+        a, b, c = np.moveaxis(points[ccd.read_frames(path, path).mesh.faces], 1, 0)
+        assert np.cross(b - a, c - a)[:, 2].tolist() == [sign] * 4
+
+
 def test_polygons_of_polydata_are_triangulated_once_by_area(tmp_path):
     """An L that folds over: its fan about the first corner covers it in the second frame alone."""
     pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
