@@ -83,22 +83,24 @@ def _check_gmsh(data: bytes, mesh: Any) -> None:
     """Refuse a file in which a section is not closed, or holds more or less than announced."""
     head = re.search(rb"\$MeshFormat\s+(\d)(\S*)\s+([01])\s+(\d+)", data)
     found = {b"Nodes": len(mesh.points), b"Elements": sum(len(block.data) for block in mesh.cells)}
-    sections = [re.search(rb"\$%s\r?\n(.*)\n\$End%s\s" % (name, name), data, re.DOTALL) for name in found]
+    sections = [re.findall(rb"(?s)\$%s\r?\n(.*)\n\$End%s\s" % (name, name), data) for name in found]
     if not head or not all(sections) or b"$End" not in data[-30:]:
         raise InputError(f"expected sections $MeshFormat, $Nodes and $Elements, each closed by its $End; {CUT}")
     is_new, is_text, is_40 = int(head[1]) >= 4, head[3] == b"0", head[2] == b".0"
     num_heads = (2 if is_40 else 4) if is_new else 1
-    # What stands in a section from version 4 on: numbers of text, or bytes, of a block, a tag and a position.
-    of_head, of_block, of_tag, of_position = (1, 4, 1, 3) if is_text else (8, 20, 4 if is_40 else 8, 24)
+    # How many numbers of text, or bytes, are a number in the head of a section, that of a block, a tag and a position.
+    of_head, of_block, of_tag, of_position = (1, 4 * is_new, 1, 3) if is_text else (8, 20, 4 if is_40 else 8, 24)
     corners = sum(block.data.size for block in mesh.cells) * of_tag
-    for (name, count), rows in zip(found.items(), (len(mesh.points) * of_position, corners), strict=True):
-        content = next(section[1] for section in sections if section and section[0].startswith(b"$" + name))
+    if is_text and not is_new:  # each element has a type, and a list of tags
+        corners += sum([2 + int(line.split(None, 3)[2]) for line in sections[1][0].strip().split(b"\n")[1:]])
+    further = len(mesh.points) * of_position, corners
+    for (name, count), (content,), rows in zip(found.items(), sections, further, strict=True):
         if is_text or not is_new:
             stated = list(map(int, content.split(None, num_heads)[:num_heads]))
         else:
             stated = np.frombuffer(content, f"u{head[4].decode()}", num_heads).tolist()
         expected = num_heads * of_head + stated[0] * of_block + count * of_tag + rows
         size = len(content.split()) if is_text else len(content.removesuffix(b"\r"))
-        if stated[int(is_new)] != count or (is_new and size != expected):
+        if stated[int(is_new)] != count or ((is_new or is_text) and size != expected):
             noun = f"{stated[int(is_new)]} {name.decode().lower()}"
             raise InputError(f"announces {noun}, and {count} can be read, or its section is of another length; {CUT}")

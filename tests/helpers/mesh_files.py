@@ -145,7 +145,7 @@ WHOLE = {
     "packed.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetCompressorTypeToLZ4"),
     "binary_of_polygons.vtk": lambda: of_vtk("a.vtk", "SetFileTypeToBinary"),
     "text.xdmf": lambda: of_meshio("a.xdmf", data_format="XML"),
-    "text_22.msh": lambda: of_meshio("a.msh", fmt_version="2.2", binary=False),
+    "text_22.msh": lambda: of_meshio("a.msh", of_triangles(), fmt_version="2.2", binary=False),
     "binary_22.msh": lambda: of_meshio("a.msh", fmt_version="2.2"),
     "text_41.msh": lambda: of_meshio("a.msh", of_triangles(), binary=False),
     "binary_41.msh": lambda: of_meshio("a.msh", of_triangles()),
