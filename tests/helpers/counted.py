@@ -11,7 +11,7 @@ import ast
 import builtins
 import re
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from math import comb, isqrt, prod
 from pathlib import Path
@@ -25,6 +25,10 @@ _BESIDE_ROUNDING = 2.0**-60  # the absolute terms of step 5
 _FOLDER = Path(kernels.__file__).parent
 _PARAMETERS = {"width": 1, "norm": "maximum", "only_method": "", "with_facets": True, "dimension": 3, "end": "list"}
 _PARAMETERS |= {"with_lists": False, "is_thick": False, "in_warps": False, "real": "float64"}
+
+
+class Cancels(ArithmeticError):
+    """A sum has no error relative to itself."""
 
 
 class Atom:
@@ -111,7 +115,8 @@ class Number:
         worst = Fraction(0)
         for m, c in self.lost.items():
             terms = [x for x in m if not x.is_positive]
-            assert all(terms.count(x) % 2 == 0 for x in terms) and self.exact.get(m, 0) > 0, f"{m} may cancel"
+            if any(terms.count(x) % 2 for x in terms) or self.exact.get(m, 0) <= 0:
+                raise Cancels(m)
             worst = max(worst, c / self.exact[m])
         return worst + self.common
 
@@ -263,10 +268,12 @@ def extreme(a: Number, b: Number, is_greatest: bool) -> Number:
     atom = _made.setdefault(key, Atom(f"{which.__name__} {len(_made)}"))
     atom.covers, atom.of, atom.is_positive = covers, of, len(atoms) == 2 and all(x.is_positive for x in atoms)
     atom.value = lambda at: which(value(x.exact, at) for x in of)
-    r = Number({(atom,): Fraction(1)}, None, None, max(a.common, b.common), max(a.unit, b.unit))
-    if a.lost or b.lost:
+    r = Number({(atom,): Fraction(1)}, unit=max(a.unit, b.unit))
+    try:
+        r.common = max(a.relative(), b.relative())
+    except Cancels:
         lost = a.total(), b.total()
-        r.lost, r.common = {m: max(x.get(m, Fraction(0)) for x in lost) for m in {**lost[0], **lost[1]}}, Fraction(0)
+        r.lost = {m: max(x.get(m, Fraction(0)) for x in lost) for m in {**lost[0], **lost[1]}}
     return r
 
 
@@ -316,20 +323,20 @@ def compared(relation: str, a: Number, b: Number) -> Any:
     return _path[-1].decide(relation, a, b) if _path else Comparison(a, b)
 
 
-def paths(function: Callable, known: Callable = lambda *_: None) -> list[tuple[list, Any]]:
+def paths(function: Callable, known: Callable = lambda *_: None) -> Iterator[tuple[list, Any]]:
     """What a function gives for each outcome of its comparisons, and those; some outcomes may be known."""
-    found: list = []
     decisions: list[bool] = []
     while True:
         _path.append(_Path(decisions, known))
         try:
-            found.append((_path[-1].conditions, function()))
+            found = _path[-1].conditions, function()
         finally:
             _path.pop()
+        yield found
         while decisions and not decisions[-1]:
             decisions.pop()
         if not decisions:
-            return found
+            return
         decisions[-1] = False
 
 
@@ -570,7 +577,7 @@ class House:
         if isinstance(x, Vector):
             return Vector(*(number(name + k, unit=x.x.unit) for k in "xyz"))
         atom = Atom(name, lambda at: value(x.exact, at), positive=True)
-        return Number({(atom,): Fraction(1)}, None, None, x.common, x.unit)
+        return Number({(atom,): Fraction(1)}, unit=x.unit)
 
     def _power(self, x: Any) -> Number:
         self.num_scales += 1
@@ -652,6 +659,7 @@ class House:
             vars(wp).update(dict.fromkeys(("vec3d", "vec4d", "vec2d"), Vector), max=self._reduced(True), floor=np.floor)
             vars(wp).update(min=self._reduced(False), dot=dot, cross=cross, nan=float("nan"), __getattr__=other)
             wp.abs = lambda x: x.each(abs) if isinstance(x, Vector) else abs(x)
+            wp.cast = lambda x, _: x
             wp.length = lambda x: self.root(dot(x, x))
             wp.cw_mul = lambda a, b: a.each(lambda x, y: x * y, b)
             vector = lambda length, dtype: Vector if length == 3 else _Anything  # noqa: E731

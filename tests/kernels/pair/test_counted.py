@@ -175,7 +175,7 @@ def step_4(real):
     for name, ends, error in (("ROOT", (p.t0, p.t1), p.error), ("PATCH", (p.sub_t0, p.sub_t1), p.sub_error)):
         off = p.inclusion.offset(p.d, error)
         calls = recorded(p.inclusion, "clip_corner", lambda *_: numeral(2))
-        paths(lambda ends=ends, off=off: p.inclusion.clip_beyond(p.d, off, p.t, *ends, False), lambda *_: True)
+        list(paths(lambda ends=ends, off=off: p.inclusion.clip_beyond(p.d, off, p.t, *ends, False), lambda *_: True))
         assert len(calls) == 4
         for corner, (a, b, *_) in zip(CORNERS, calls, strict=True):
             assert all(is_same(x, dot(p.d, getattr(c, corner))) for x, c in zip((a, b), ends, strict=True))
@@ -366,7 +366,7 @@ def step_10(real):
         directions = iter(d * 2)
         clip = p.moving_clip.clip_along(None, lambda *_, directions=directions: next(directions), p.facets.offset)
         calls = recorded(p.moving_clip, "crossing", lambda *_: number("fraction", unit=p.own))
-        paths(lambda: clip(*ends, p.separation, error, None, p.t, p.x, 1), lambda _, a, b: plain(a.exact) != {(): 1})  # noqa: B023
+        list(paths(lambda: clip(*ends, p.separation, error, None, p.t, p.x, 1), lambda _, a, b: plain(a.exact) != {(): 1}))  # noqa: B023
         at = sample()
         for corner, h in zip(CORNERS, calls, strict=True):
             w = [[value(plain(c.exact), at) for c in getattr(p.patch.corners_at(*ends, s), corner).of] for s in (p.t, p.x)]
@@ -381,13 +381,13 @@ def step_10(real):
     return rows
 
 
-def proofs(p, call, known=True):
-    """What comparisons with a bound that is lost in part show: what both sides lose, and what the bound has for it."""
-    for conditions, is_free in paths(call, lambda _, a, b: None if b.is_constant() and not plain(b.exact) else known):
-        if is_free:
-            for relation, bound, found, _ in conditions:
-                if relation == "<" and first_order(bound.exact) and not found.is_constant():
-                    yield joined(bound.total(), found.total()), first_order(bound.exact), found
+def proofs(call, at):
+    """Of comparisons with a bound what both sides lose, what the bound has for it, and whether a sample comes there."""
+    for conditions, is_free in paths(call, lambda _, a, b: None if b.is_constant() and not plain(b.exact) else True):
+        signs = [(value(plain(a.exact), at) < 0) == outcome for _, a, b, outcome in conditions if not b.exact]
+        for relation, bound, found, _ in conditions if is_free else ():
+            if relation == "<" and first_order(bound.exact) and not found.is_constant():
+                yield joined(bound.total(), found.total()), first_order(bound.exact), found, all(signs)
 
 
 def step_11(real):
@@ -398,17 +398,20 @@ def step_11(real):
     size = p.simd.greatest(*map(p.points.largest, (c0, c1)))
     most, at = 0, sample()
     for is_euclidean in (0, 1):
-        for lost, bound, found in proofs(p, lambda e=is_euclidean: cull.is_free_along(p.d, False, c0, c1, size, separation, e, p.end)):
+
+
+        def free(e=is_euclidean):
+            return cull.is_free_along(p.d, False, c0, c1, size, separation, e, p.end)
+
+        for lost, bound, found, is_real in proofs(free, at):
             most = max(most, share(lost, bound))
-            options = [
-                sum(at[f"d{k}"] * ((1 - e) * at[f"{c}.0{k}"] + e * at[f"{c}.1{k}"]) for k in "xyz")
-                for c in CORNERS
-                for e in (0, at["end"])
-            ]
-            assert any(is_same(found, sign * x, at) or is_same(found, abs(x), at) for x in options for sign in (1, -1))
+            w = [[[at[f"d{k}"] * at[f"{c}.{end}{k}"] for k in "xyz"] for c in CORNERS] for end in "01"]
+            sign = 1 if sum(w[0][0]) > 0 else -1
+            exact = [sign * ((1 - e) * sum(x) + e * sum(y)) for x, y in zip(*w, strict=True) for e in (0, at["end"])]
+            assert not is_real or any(is_same(found, x, at) for x in exact)
     rows["sides"] = (most * rounding.SIDES, rounding.SIDES)
     most = 0
-    for lost, bound, found in proofs(p, lambda: cull.is_free_by_volume(c0, c1, separation, 0, p.end)):
+    for lost, bound, found, is_real in proofs(lambda: cull.is_free_by_volume(c0, c1, separation, 0, p.end), at):
         most = max(most, share(lost, bound))
     rows["volume"] = (most * (rounding.VOLUME + 1), rounding.VOLUME + 1)
     return rows
@@ -440,7 +443,7 @@ def step_13(real):
     q, r = (p.simd.greatest(*(c.each(abs) for c in (getattr(x, n) for x in p.corners64))) for n in "qr")
     permanent = (q.y * r.z + q.z * r.y).size
     most = 0
-    for lost, bound, _ in proofs(p, lambda: cull.is_free_by_volume(*p.corners64, separation, 1, numeral(1))):
+    for lost, bound, *_ in proofs(lambda: cull.is_free_by_volume(*p.corners64, separation, 1, numeral(1)), sample()):
         of_root = {m: c for m, c in lost.items() if "root" in str(m)}
         rows["cull"] = (32 * share(of_root, bound), 32)
     for name, x in p.house.cut.items():
@@ -496,15 +499,126 @@ def step_15(real):
         return distance.measured(1, points, True).least
 
     distance.closest_of_edges = lambda w00, *_: SimpleNamespace(d=w00, u=numeral(0), v=numeral(0), features=numeral(0))
-    for _, x in paths(least, lambda r, a, b: a.is_constant() or b.is_constant()):
+    for _, x in paths(least, lambda _, a, b: a.is_constant() or (b.is_constant() and bool(b.exact))):
         found.append(x)
     along = p.house.cut["along"]
     allowed = rounding.PROJECTION_ROOT
     rows["projection"] = (share(along.lost, over(along)) * allowed, allowed)
-    rows["quotient"] = (at_most(found[0]) * rounding.RELATIVE, rounding.RELATIVE)
-    box = p.load("at_one_time.box_distance", cuts=None) if False else p.load("at_one_time.box_distance")
-    n, w = vector("n", unit=1), [vector(f"{c}.0", 1, unit=1) for c in CORNERS]
+    rows["quotient"] = (float(along.common) + at_most(found[0]) * rounding.RELATIVE, rounding.RELATIVE)
+    w = [vector(f"{c}.0", 1, unit=1) for c in CORNERS]
     m = p.points.largest(SimpleNamespace(**dict(zip(CORNERS, w, strict=True))))
-    bounds = paths(lambda: box.bound_along(n, *w, m, number("norm", unit=1, positive=True)))
-    rows["box"] = (max(share({k: c for k, c in x.total().items()}, over(x)) for _, x in bounds), 1)
+    p = Pair("float64", cuts={("at_one_time.box_distance", "bound_along"): ("along",)})
+    n, norm = vector("n", unit=1), number("norm", 2, unit=1, positive=True)
+    ((_, x),) = paths(lambda: p.load("at_one_time.box_distance").bound_along(n, *w, m, norm), lambda *_: False)
+    along = p.house.cut["along"]
+    rows["projection"] = (max(rows["projection"][0], share(along.lost, over(along)) * allowed), allowed)
+    rows["quotient"] = (max(rows["quotient"][0], float(along.common) + at_most(x) * rounding.RELATIVE), rounding.RELATIVE)
+    return rows
+
+
+def step_16(real):
+    """Bounds of displacements."""
+    p = Pair("float64")
+    proximity = p.load("at_one_time.proximity")
+    minima = SimpleNamespace(vertex_body=[0, 1])
+    least, kept = number("least", unit=1), number("kept", unit=1)
+    most, at = 0, sample()
+    for is_static in ((0, 0), (0, 1)):
+        calls = recorded(proximity, "lower_bounds", lambda *_: None)
+        list(paths(lambda s=is_static: proximity.bound_pair([0], [1], least, kept, s, minima), lambda *_: True))
+        assert len(calls) == 2 - sum(is_static)
+        for _, bits, _ in calls:
+            assert is_same(bits, (at["least"] - at["kept"]) / len(calls), at) and bits.exact[()] <= -(2.0**-1070)
+            most = max(most, at_most(bits))
+    return {"difference": (most * rounding.RELATIVE, rounding.RELATIVE)}
+
+
+def at_largest_turn(a, **more):
+    """A polynomial in magnitudes for a turn of 1/3, at the end of a slice."""
+    at = {"t": Fraction(1), "h": Fraction(1), "z": Fraction(1, 9), **more}
+    return float(value({tuple(x for x in m if x.name != "t"): abs(c) for m, c in a.items()}, at))
+
+
+def step_17(real):
+    """Points on arcs."""
+    p, rows = Pair("float64"), {}
+    arcs, windows = p.load("pair.arcs"), p.load("pair.windows")
+    simd, t = p.load("pair.simd"), number("t", unit=1, positive=True)
+    a, b, v, spin = (vector(name, unit=1) for name in ("a", "b", "v", "s"))
+    squared = simd.dot(spin, spin).relative()
+    z = number("z", squared, unit=1, positive=True)
+    product_ = number("C", 2, unit=1, positive=True)  # of ω and V, which is less than both lengths
+    simd.dot, plain_cross = (lambda *_: z), simd.cross
+    bent = arcs.bend(spin, t)
+    rows["f1"] = (9 * at_largest_turn(bent.f1.total()), 3)
+    rows["f2"] = (at_largest_turn(bent.f2.total()), 2.2)
+    simd.cross = lambda *_: Vector(*[product_] * 3)
+    of_f1, of_f2 = (number(name, unit=1, positive=True) for name in ("f1", "f2"))
+    of_f1.lost, of_f2.lost = ({(): Fraction(rows[name][0]) / k} for name, k in (("f1", 9), ("f2", 1)))
+    x = arcs.point_at(a, b, v, spin, SimpleNamespace(f1=of_f1, f2=of_f2), t).x
+    sizes = {"f1": Fraction(1, 9 * 15), "f2": Fraction(1, 8), "C": Fraction(1, 3), "vx": Fraction(1)}
+    turning = {m: c for m, c in x.total().items() if {y.name for y in m} & {"vx", "C"}}
+    rows["turning"] = (3 * at_largest_turn(turning, **sizes), 3.8)
+    motion = max(c for m, c in x.lost.items() if m not in turning)
+    points = [SimpleNamespace(**{f"p{k}": vector(f"{e}{k}.", unit=1) for k in range(4)}) for e in "ab"]
+    error = arcs.error_of(*points, number("slack", unit=1), Vector(*[number("A", unit=1, positive=True)] * 3))
+    assert sorted({float(c) for c in first_order(error.exact).values()}) == [rounding.ARC_POINTS, rounding.ARC_MOTION]
+    rows["points"] = (2 * x.common, rounding.ARC_POINTS)
+    rows["motion"] = (2 * motion, rounding.ARC_MOTION)
+    rows["turns"] = (1.5 * rows["turning"][0], rounding.ARC_MOTION)
+    corotating = p.load("pair.corotating")
+    x = corotating.turned(vector("x", 1, unit=1), spin, t).x
+    rows["frame"] = (3**0.5 * at_largest_turn(x.total(), xx=Fraction(1), C=Fraction(1, 3)), rounding.FRAME)
+    rows["sagitta"] = (0, rounding.SAGITTA)
+    for norm in ("arc_box", "arc_ball"):
+        p = Pair("float64", norm)
+        arcs = p.load("pair.arcs")
+        arcs.turns_anywhere = lambda _: True
+        turns = SimpleNamespace(**{f"v{k}": vector(f"v{k}.", unit=1) for k in range(4)}, spin_a=spin, spin_b=v)
+        for kind in OF_KIND:
+            sagitta = arcs.sagitta(arcs.amplitude(kind, turns), number("h", unit=1, positive=True))
+            rows["sagitta"] = (max(rows["sagitta"][0], *(at_least(y) * rounding.SAGITTA for y in sagitta.of)), rounding.SAGITTA)
+    begin, length = number("begin", unit=1, positive=True), number("length", 1, unit=1, positive=True)
+    ((_, since),) = paths(lambda: windows.in_slice(t, begin, length), lambda *_: True)
+    rows["slice"] = (8 * at_most(since), 8)
+    rows["step"] = (4 * at_most(windows.in_step(t, begin, length)), 4)
+    window = SimpleNamespace(begin=begin, h=number("h", unit=1, positive=True))
+    ((_, end),) = paths(lambda: windows.reached(window, length, False, t), lambda _, a, b: "length" in str(b.exact))
+    rows["window"] = (12 * at_most(end), 12)
+    return rows
+
+
+def step_19(real):
+    """Off a chord by a parabola."""
+    p, rows = Pair(real, cuts={("pair.arc_rounds", "clip_corner"): ("fall",)}), {}
+    rounds = p.load("pair.arc_rounds", norm="arc_box")
+    x, y, bow, root, t = (number(n, k, unit=p.own, positive=n != "y") for n, k in zip(("x", "y", "bow", "root", "t"), (1, 1, 0, 1, 0), strict=True))
+    calls = recorded(rounds, "square_root", lambda _: root)
+    most = dict.fromkeys(("fall", "root", "quotient"), 0)
+    for conditions, s in paths(lambda: rounds.clip_corner(x, y, numeral(0), bow, True, t), lambda _, a, b: None):
+        fall = p.house.cut["fall"]
+        first, last = (x, y) if conditions[0][3] else (y, x)
+        assert is_same(fall, first - last + bow)
+        if first is x:  # the other way by symmetry
+            most["fall"] = max(most["fall"], at_least(fall))
+            rest = next((a, b) for _, a, b, _ in conditions if "fall" in str(a.exact) and "fall" in str(b.exact))
+            bound = joined(first_order(rest[0].exact), over(rest[1]))
+            at = sample()
+            square = value(plain((first - last + bow).exact), at) ** 2
+            assert is_same(rest[0], square - 4 * at["x"] * at["bow"], at)
+            assert plain(rest[1].exact) == {}
+            most["root"] = max(most["root"], share(joined(rest[0].total(), rest[1].total()), bound))
+            of_root = calls[-1][0]
+            if len(of_root.exact) > 2:
+                assert is_same(of_root, rest[0])
+                most["root"] = max(most["root"], at_least(of_root))
+            if not s.is_constant():
+                of_fall = value(plain(fall.exact), at)
+                assert any(is_same(s, 2 * at["x"] / (of_fall + r), at) for r in (at["root"], of_fall))
+                most["quotient"] = max(most["quotient"], at_most(s))
+    rows = {name: (x * rounding.RELATIVE, rounding.RELATIVE) for name, x in most.items()}
+    f = SimpleNamespace(**{f"normal_{n}": vector(f"n{n}.", unit=p.own) for n in ("t0", "mid", "t1")})
+    reach = rounds.bow_reach(f, p.separation, vector("bow", unit=p.own, positive=True))
+    of_bow = [share({m: c for m, c in b.total().items() if "bow" in str(m)}, first_order(b.exact)) for b in (reach.b1, reach.b2)]
+    rows["volume"] = (max(of_bow) * rounding.RELATIVE, rounding.RELATIVE)
     return rows
