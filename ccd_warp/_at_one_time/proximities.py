@@ -26,7 +26,7 @@ new_proximity_list = partial(struct_of, kernels.ProximityList)
 
 def largest_bound(search_radius: float, is_alone: bool) -> float:
     """The largest bound of a displacement: two sides share the search radius; one that moves alone has all of it."""
-    return search_radius if is_alone else 0.5 * search_radius
+    return search_radius if is_alone else max(0.5 * search_radius - 2.0**-1070, 0.0)  # rounding, step 16
 
 
 class ProximityStore:

@@ -20,16 +20,18 @@ nothing along an axis that stays. Primitives that come within d of each other al
 direction, differ by at most d·Σ|a_ki(t)|; |a_ki(t)| is at most A_i, the larger of its values at both ends, so each AABB
 grows by its share of d times ΣA_i.
 
-**Rounding** (u = 2^-53). All is in quarters, so that no sum overflows: axes have a length of 1 but for 8u, and
-coordinates are below 2^1024, so sums of |a_ki|·|x_i - o_i|/4 are below √3·(1 + 8u)·2^1023, a finite number, and so is
-half the sum of two. The quarter of a number is exact, or off by 2^-1075 where it is subnormal. h = x/4 - o/4 rounds
+**Rounding** (u = 2^-53). All is in quarters, so that no sum of products overflows: axes have a length of 1 but for 8u,
+and coordinates are below 2^1024, so sums of |a_ki|·|x_i - o_i|/4 are below √3·(1 + 8u)·2^1023, a finite number, and so
+is half the sum of two. The quarter of a number is exact, or off by 2^-1075 where it is subnormal. h = x/4 - o/4 rounds
 once, u·|h|; at the end of a shorter step (1 - t)·h_0 + t·h_1 is off by another 3.1u·m and 2^-1073, m the larger of
 |h_0| and |h_1| (rounding, step 12). Three products with a_ki and two sums add 3.1u·ΣA_i·m_i and 2^-1073, the mean of
 two of them u, in all less than 8.5u·ΣA_i·m_i + 2^-1070. The growth is off by another 19u·ΣA_i·m_i at most, as its two
 differences are at most 2A_i and 2m_i, off by 2u·A_i and 10.4u·m_i: ERROR = 32 and 2^-1060 are taken. Each term of the
 half side is positive and passes at most ten roundings, which the factor 1 + 16u covers. The last subtraction rounds to
-nearest, and its neighbour bounds the exact value (`inflated_below`). What follows, a power of two, float32 and the cell
-of the body (`in_cell`), is monotone, so AABBs that meet in exact numbers meet in quantized ones.
+nearest, and its neighbour bounds the exact value (`inflated_below`). Where it overflows, as for a growth near the
+largest number, the largest finite number takes its place there, beyond which no coordinate lies. What follows, a power
+of two, float32 and the cell of the body (`in_cell`), is monotone, so AABBs that meet in exact numbers meet in quantized
+ones.
 
 References: Redon, Kheddar, Coquillart 2002, "Fast continuous collision detection between rigid bodies" (boxes that turn
 with the bodies).

@@ -25,7 +25,7 @@ _ONE = wp.constant(wp.float64(1.0))
 _TWO = wp.constant(wp.float64(2.0))
 _EIGHTH_UP = wp.constant(wp.float64(EIGHTH_UP))
 _SHARE_UP = wp.constant(wp.float64(1.0 + 8.0 * UNIT_ROUNDOFF[wp.float64]))
-# Of a coordinate, on all axes together.
+# Of a coordinate, on all axes together: five roundings, 8.7u; what is above 8u is far below the slack.
 _ERROR = wp.constant(wp.float64(2.0 * ARC_POINTS * UNIT_ROUNDOFF[wp.float64]))
 _MOTION_ERROR = wp.constant(wp.float64(2.0 * ARC_MOTION * UNIT_ROUNDOFF[wp.float64]))
 # The unit normal is rounded, by less than this; so a product with it may be off by as much of the whole vector.

@@ -44,7 +44,7 @@ class CorotatingWindow:
 
     at_end: Points
     sagitta: Lanes
-    error: Lanes  # of the difference of two points that is turned
+    error: Lanes  # beyond that of two points on arcs (rounding, step 17)
 
 
 @wp.struct
@@ -141,7 +141,7 @@ def corotating_window(
         most = simd.greatest(most, acceleration(of_x, of_q, z, arcs, h))
         size = simd.greatest(size, simd.greatest(squared(z), squared(z_end)))
     r.sagitta = eighth_up * h * h * most
-    r.error = corotating_error * simd.square_root(size)
+    r.error = corotating_error * simd.square_root(size) + two * arcs.slack
     return r
 
 

@@ -22,9 +22,10 @@ below are in the normalised units of step 2.
    it carries no error). With steps 2 and 3, |a - d·W| ≤ Σ|d_k|·E_k with
    E_k = (1 + 3)·u·M_k → PROJECTION_ROOT = 4.25 u for the root and (5 + 3)·u·M_k → PROJECTION_PATCH = 8.25 u else;
    the quarter covers the factors 1.001 and the roundings of E_k itself.
-5. **Underflow.** After normalisation corners are at most 1, sides 2, directions 8, so an underflow adds at most a few
-   tens of smallest subnormals. E_k gets the absolute term TINY, and a direction whose largest component is below
-   TINY_DIRECTION is never used: then Σ|d_k|·TINY ≥ TINY·TINY_DIRECTION exceeds all of them together.
+5. **Underflow.** After normalisation corners are at most 1, sides 2, directions 16 (a side crossed with what one of a
+   largest component of one and a side make), so underflows add at most a few hundred halves of a smallest subnormal.
+   E_k gets the absolute term TINY, and a direction whose largest component is below TINY_DIRECTION is never used: then
+   Σ|d_k|·TINY ≥ TINY·TINY_DIRECTION exceeds all of them together.
 6. **Offset.** off = fl(Σ|d_k|·(E_k + separation_k)) is computed with at most five roundings; it is multiplied by
    (1 + 8u), so it is an upper bound of the exact sum.
 7. **Time.** d·W(t) is linear in t for fixed (u, v), so d·W(t) ≥ (1-t)·a + t·b - Σ|d_k|·E_k for computed a (t = 0) and
@@ -36,20 +37,22 @@ below are in the normalised units of step 2.
    products and the sum u each, on top of step 3: |Ŵ_k(t) - W_k(t)| ≤ (5 + 3)·1.001·u·M_k.
 9. **Volume.** b are the Bernstein coefficients of f = P·(Q×R), P a corner, Q and R edges: each a single difference of
    input points, (1 + δ) each, three in a product. With p, q, r the largest magnitudes per axis and T the permanent of
-   (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u,
-   a dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
-   Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products
-   of errors, and the roundings of T. Of float32 the coefficients are those of float64, rounded: with B the largest of
-   them in magnitude u·B, and 9u·B by restriction. B is small beside T where corners come near the origin. RESTRICTION =
-   12 covers both and their products, and VOLUME times the unit roundoff of float64 T, as that is computed. A clip
-   ends where the steepest line from the first control point, c_0, to another falls to zero: at the fraction c_0 /
-   max_j (c_0 - c_j)·3/j of the interval, which is no later than the first crossing of the hull. Each control point
-   is rounded once after the bounds above, when they are subtracted. Where c_j decides and is positive, it is at most
-   2/3 c_0, so the difference loses 5u by that, and 2u by itself and its factor; c_0 and the quotient 2u; the
-   interval, its share and the factor below 3u: that fraction times (1 - 12u), and the sum with t times (1 - 8u), is
-   a lower bound. With a separation the Bernstein coefficients of Q×R enter in magnitude, each within 15u of the sum
-   of the magnitudes of its products. Those on [0, 1] are within 6u; a cubic above the support that is made of them
-   and restricted with f is off by 9u more, 15u as well.
+   (p, q, r), the sum of the magnitudes of the six products: inputs 3u, a cross product 2u, the mean of two of them u, a
+   dot product 3u, the combination to a coefficient 4u (1/3 is rounded): 13u·T, since the weights sum to one.
+   Restriction to [t, x] is three levels of interpolation at 3u each: 9u·T. VOLUME = 25 covers both, the products of
+   errors, and the roundings of T. Of float32 the coefficients are those of float64, rounded: with B the largest of them
+   in magnitude u·B, and 9u·B by restriction. B is small beside T where corners come near the origin. RESTRICTION = 12
+   covers both and their products, and VOLUME times the unit roundoff of float64 T, as that is computed. A clip ends
+   where the steepest line from the first control point, c_0, to another falls to zero: at the fraction c_0 / max_j (c_0
+   - c_j)·3/j of the interval, which is no later than the first crossing of the hull. Each control point is rounded once
+   after the bounds above, when they are subtracted, and with a separation once more before that, so VOLUME covers 13 +
+   9 + 1 and RESTRICTION 1 + 9 + 1. Where c_j decides and is positive, it is at most 2/3 c_0, so the difference loses 5u
+   by that, and 2u by itself and its factor; c_0 and the quotient 2u; the interval, its share and the factor below 3u:
+   that fraction times (1 - 12u), and the sum with t times (1 - 8u), is a lower bound. With a separation the Bernstein
+   coefficients of Q×R enter in magnitude, each within 15u of the sum of the magnitudes of its products. Those on [0, 1]
+   are within 6u; a cubic above the support that is made of them and restricted with f is off by 9u more, 15u as well.
+   What rounding takes of the supports themselves (`support_above`) is within the factor 1 + 8u that they have and the
+   one by which the separation is enlarged: they have no slack of their own.
 10. **Moving facets.** On [t, x] the direction is the linear interpolation of two given vectors d_t, d_x (which again
    approximate nothing). The Bernstein coefficients d_t·W(t), (d_t·W(x) + d_x·W(t))/2, d_x·W(x) carry the error of step
    8, a dot product, and one more sum: (5 + 3 + 3 + 1)·u·M_k per unit of direction, at most MOVING = 2 times the E_k of
@@ -95,36 +98,39 @@ below are in the normalised units of step 2.
    less than b moves every point of a primitive by less than the largest b of its vertices, so two sides with b ≤
    (L-m)/2 each, or one with b ≤ L-m beside a static one, leave more than m. m is rounded up and L down; L - m rounds
    once, and the factor 1 - 8u covers it and itself. The half is exact but for a result that is subnormal, from which
-   2^-1070 is subtracted.
+   2^-1070 is subtracted, as from half of the search radius (`largest_bound`).
 17. **Points on arcs** (`arcs`). Let M be the largest coordinate of the points at both ends of the slice, D that of
    their motions b - a, and turns at most 1/3. f1 is a difference of two series below |ω|²/6, each within 9u of itself,
    so it is off by less than 3u·|ω|², and below |ω|²/15; f2 is below 1/8 and off by less than 2.2u, and ω×V by 2u of
    |ω||V|. So their part of a coordinate is off by less than 3.8u·|ω||V|, and vanishes with ω, whatever V is. The
    straight part rounds a difference, a product and a sum, 3u·D with the bend, and the last sum u·M. The amplitude A of
-   both primitives, on the axis on which it is largest, is at least two thirds of the sum of both |ω||V|, as the
-   lengths of ω across three axes are 2|ω| together or more. So the two points of a corner are off by less than 2u·M +
-   6u·D + 6u·A, at either end of a chord and so between them; the separation grows by ARC_POINTS = 4 of M and
-   ARC_MOTION = 12 of D + A, which covers the sums of the bound and the products of errors. At both ends of the slice
-   the points are those that were placed. What V and ω are off by themselves is part of the slack (step 18), since both
-   factors are below 1. The amplitude is made of two roots of sums, a product and a sum, the sagitta of three products
-   more, 10u; V grows by the slack of step 18, which is far below u times the slack itself: SAGITTA = 32. A square that
-   underflows is below SQUARE_UNDERFLOW, which is added under the root; one of ω matters for turns alone whose sagitta
-   is less than u² of the velocity. A time in a slice is that of the step less the begin of the slice, over its length,
-   and is rounded down by 8u, and a time of the step, a product and a sum, by 4u. In the frame of a body (`corotating`)
-   the difference of two points is turned: products with factors below 1, cross products and sums, 12u of it, and a sum
-   of u·M: FRAME = 24 times the length of the difference is added to the sagitta, and the sum is within ARC_POINTS. A
-   gap beyond the separation of chords gets twice what was added to that: it was not asked for, and arcs may bend away.
+   both primitives, on the axis on which it is largest, is at least two thirds of the sum of both |ω||V|, as the lengths
+   of ω across three axes are 2|ω| together or more. So the two points of a corner are off by less than 2u·M + 6u·D +
+   6u·A, at either end of a chord and so between them; the separation grows by ARC_POINTS = 4 of M and ARC_MOTION = 12
+   of D + A, which covers √3 times as much, of all three axes of a ball, the sums of the bound and the products of
+   errors. At both ends of the slice the points are those that were placed. What V and ω are off by themselves is part
+   of the slack (step 18), since both factors are below 1. The amplitude is made of two roots of sums, a product and a
+   sum, the sagitta of three products more, 10u; V grows by the slack of step 18, which is far below u times the slack
+   itself: SAGITTA = 32. A square that underflows is below SQUARE_UNDERFLOW, which is added under the root; one of ω
+   matters for turns alone whose sagitta is less than u² of the velocity. A time in a slice is that of the step less the
+   begin of the slice, over its length, and is rounded down by 8u, and a time of the step by 4u, for the length of the
+   slice, a product, a sum and this factor: exactly enough, as (1 + u)^4·(1 - 4u) < 1. In the frame of a body
+   (`corotating`) the difference of two points is turned: products with factors below 1, cross products and sums, at
+   most 12u of it in length: FRAME = 24 times the length of the difference is added to the sagitta. A corner at the end,
+   q(begin) + turned(x(end) - q(end)) - p(begin), is made of three points of the second body, and of five roundings, at
+   most 5√3·u·M in length: the slacks are added twice more, which are above 24u·M each. A gap beyond the separation of
+   chords gets twice what was added to that: it was not asked for, and arcs may bend away.
 18. **Bodies on arcs** (`kernels.rigid.place_bodies`). A vertex is at p + v·t + σ1·V + σ2·ω×V + Rot(tω)·R·(X - c), t the
    begin or the end of a slice. Four sums round by u·P each, with P the largest coordinate of p and p + v, and what
-   `BodyPaths` states for p is 2u·P; on all axes 6·√3 u·P, PLACE_POSITION = 24 with v of a linear path, which is off by
-   4u·(2P) at most. Of a screw v is off by 16u·(|v| + T), T the length of u, as it has the direction of ω, and what u
-   leads to by as much. The product with R and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X -
-   c| at most; the angle tθ, and what it was computed from, is off by 12u·tθ, which moves a vertex by that times its
-   distance from the axis. With ρ the sum of |X - c|, |c| and the largest coordinate of X, and PLACE = 40 that is
-   PLACE·u·(1 + |ω|/2)(ρ + T + |v|), which covers the difference X - c, what `BodyPaths` states for the pivot and for
-   screws, and the products of errors. A vertex that does not turn has the error of step 12 on three axes. The products
-   of a vertex, some thirty of them here and in step 17, lose 2^-1075 each at most where they underflow: the slack gets
-   2^-1068.
+   `BodyPaths` states for p is 2u·P; on all axes 6·√3 u·P, and 8·√3 u·P with v of a linear path, which is off by 4u·(2P)
+   at most: 24.25 u·P, of which PLACE_POSITION = 24 leaves a quarter to the 40u·|v| of PLACE. Of a screw v is off by
+   16u·(|v| + T), T the length of u, as it has the direction of ω, and what u leads to by as much. The product with R
+   and with Rot(tω), of quaternions within 10u of unit ones, rounds by 32u·|X - c| at most; the angle tθ, and what it
+   was computed from, is off by 12u·tθ, which moves a vertex by that times its distance from the axis. With ρ the sum of
+   |X - c|, |c| and the largest coordinate of X, and PLACE = 40 that is PLACE·u·(1 + |ω|/2)(ρ + T + |v|), which covers
+   the difference X - c, what `BodyPaths` states for the pivot and for screws, and the products of errors. A vertex that
+   does not turn has the error of step 12 on three axes. The products of a vertex, some thirty of them here and in step
+   17, lose 2^-1075 each at most where they underflow: the slack gets 2^-1068.
 19. **Off a chord by a parabola** (`arc_rounds`). At a share s of a window both points of a corner together are off
     their chords by at most s(1 - s)/2·h²·|x''| = 4s(1 - s)·σ, σ the sagitta of step 17, along any axis; in normalised
     units σ is raised by SLACK·u, which covers its rounding to the precision of the iteration. The volume: the product
@@ -139,6 +145,35 @@ below are in the normalised units of step 2.
     by RELATIVE·u, so 2·RELATIVE·u·p² is added, and without a root where the difference is as far below zero. Where c is
     0 the root is p itself. Products that underflow lose less than SQUARE_UNDERFLOW, added as well. x, the root, sum and
     quotient lose 4u: times (1 - 8u), as the difference of it from one, for time that ran backward, times (1 + 8u).
+
+**How each step is held.** *Counted*: its functions are executed, from their files, on numbers that count their
+roundings (`tests/kernels/pair/test_counted.py`), and what comes out is so much of what the constant allows, in units
+of u, to the first order; the formulas are compared with the definitions on the way. Where a step is held *by hand*,
+its text is all there is, and *by attack* inputs are searched that make the error large
+(`tests/kernels/pair/test_attacks.py`).
+
+| step | held | of what is allowed |
+|---|---|---|
+| 1 | counted | difference 1 of 1 |
+| 2 | counted | corner 1 of 1 |
+| 3 | counted | corner 5 of 5 |
+| 4 | counted | root 4 of 4.25; patch 8 of 8.25 |
+| 5 | by hand | |
+| 6 | counted | offset 6 of 8 |
+| 7 | counted | quotient 4 of 8 |
+| 8 | counted | root 4 of 4; patch 8 of 8 |
+| 9 | counted | volume 21.33 of 25; crossing 14 of 20; restriction 11 of 12 |
+| 10 | counted | crossing 11 of 20; root 8 of 8.5; patch 12 of 16.5 |
+| 11 | counted | sides 7 of 16; volume 17 of 26 |
+| 12 | counted | point 4 of 8 |
+| 13 | counted | separation 2 of 3; length 3 of 3.1; support 6 of 8; cull 7 of 32; normal 5 of 16 |
+| 14 | by cases: sums of numbers of eleven bits | |
+| 15 | counted | projection 4 of 4.25; quotient 6.5 of 8 |
+| 16 | counted | difference 4 of 8 |
+| 17 | counted | f1 1.35 of 3; f2 1.54 of 2.2; turning 2.83 of 3.8; points 2 of 4; motion 6 of 12 |
+| 17 | counted, and by attack | turns 4.24 of 12; frame 5.82 of 24; sagitta 10.5 of 32; slice 4 of 8; step 4 of 4; window 6 of 12 |
+| 18 | by hand and by attack, sine and cosine by intervals | |
+| 19 | counted | fall 4 of 8; root 5 of 8; quotient 5 of 8; volume 6 of 8 |
 
 Constants are in units of u.
 """

@@ -18,7 +18,9 @@ of both: its centre is at D, which changes by D' in the middle, and is off by at
 
     (|w × ω| + w²) ρ + w |u| + ω |difference of u| + 2|ω × v| + ω |ω × P|
 
-with ω of the observer, ρ and u of the other, and P between their pivots. So two bodies that share a spin are at rest.
+with ω of the observer, ρ and u of the other, and P between their pivots. P and u are those in the middle: of P + vs,
+which is turned by -sω a time s later, P leaves its tangent by at most ω|ω × P| s²/2, and vs leaves vs by |ω × v| s²,
+the half of what counts for it; nothing of them is linear in s beside D'. So two bodies that share a spin are at rest.
 Directions are those of the centres, of the sides of both boxes and of both axes. What they do not separate is divided,
 the times where motion takes more than the nodes do, and otherwise the larger node, down to parts in slices.
 
