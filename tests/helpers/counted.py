@@ -340,6 +340,8 @@ def share(lost: dict, bound: dict) -> float:
 
 
 class Vector:
+    __array_ufunc__ = None  # arrays leave products with vectors to these
+
     def __init__(self, *of: Any) -> None:
         self.of = list(of or (numeral(0),) * 3)
 
@@ -395,7 +397,9 @@ class Real:
             return x.astype(dtype) if isinstance(x, np.ndarray) else dtype(x)
         if isinstance(x, Number) and x.unit < unit and x.unit:  # rounded to fewer digits
             exact, size = x.exact, x.size
-            atom = _made.setdefault(("narrowed", str(exact)), Atom(f"narrowed({exact})", lambda at: value(exact, at), size=size))
+            atom = _made.setdefault(
+                ("narrowed", str(exact)), Atom(f"narrowed({exact})", lambda at: value(exact, at), size=size)
+            )
             x = x if len(exact) == 1 else Number({(atom,): ONE}, None, x.total())
             return Number(x.exact, x.size, x.lost, x.common + unit, unit)
         if isinstance(x, Number):
@@ -557,7 +561,9 @@ class House:
         vars(wp).update(dict.fromkeys(("constant", "static", "cast"), identity), dot=dot, cross=cross, sqrt=of_root)
         vars(wp).update(max=self._extreme(True), min=self._extreme(False), length=lambda x: of_root(dot(x, x)))
         vars(wp).update(abs=lambda x: x.each(abs) if isinstance(x, Vector) else abs(x), floor=np.floor)
-        wp.types = types.SimpleNamespace(vector=lambda length, dtype: Vector if length == 3 else _Anything, matrix=_Anything)
+        wp.types = types.SimpleNamespace(
+            vector=lambda length, dtype: Vector if length == 3 else _Anything, matrix=_Anything
+        )
         wp.__getattr__ = lambda _: _Anything
         return wp
 

@@ -117,7 +117,9 @@ def sample(seed=1):
 
     class Values(dict):
         def __missing__(self, name):
-            self[name] = Fraction(int(rng.integers(1, 99)), 128) * (1 if name in ("t", "x", "c0") else int(rng.choice([-1, 1])))
+            self[name] = Fraction(int(rng.integers(1, 99)), 128) * (
+                1 if name in ("t", "x", "c0") else int(rng.choice([-1, 1]))
+            )
             return self[name]
 
     return Values()
@@ -275,7 +277,9 @@ def support_at(at, s, share_, is_local, norm):
     ends = [[[at[f"{n}.{e}{k}"] for k in "xyz"] for n in ("q", "r")] for e in (0, 1)]
 
     def polar(a, b):
-        (q0, r0), (q1, r1) = ([[(1 - y) * u + y * v for u, v in zip(*w, strict=True)] for w in zip(*ends, strict=True)] for y in (a, b))
+        (q0, r0), (q1, r1) = (
+            [[(1 - y) * u + y * v for u, v in zip(*w, strict=True)] for w in zip(*ends, strict=True)] for y in (a, b)
+        )
         n = [cross(Vector(*q), Vector(*r)).of for q, r in ((q0, r1), (q1, r0))]
         return [(u + v) / 2 for u, v in zip(*n, strict=True)]
 
@@ -294,7 +298,10 @@ def support_at(at, s, share_, is_local, norm):
 def step_9(real):
     """Volume."""
     rows, most, allowed = {}, 0, rounding.VOLUME if real == "float64" else rounding.RESTRICTION
-    for norm, has_separation, is_local in (("maximum", False, False), *product(("maximum", "euclidean"), [True], [False, True])):
+    for norm, has_separation, is_local in (
+        ("maximum", False, False),
+        *product(("maximum", "euclidean"), [True], [False, True]),
+    ):
         p = Pair(real, norm)
         most = max(most, *(share(c.lost, over(c)) for c in beyond_separation(p, has_separation, is_local, norm)))
     rows["volume" if real == "float64" else "restriction"] = (most * allowed, allowed)
@@ -347,10 +354,17 @@ def step_10(real):
         directions = iter(d * 2)
         clip = p.moving_clip.clip_along(None, lambda *_, directions=directions: next(directions), p.facets.offset)
         calls = recorded(p.moving_clip, "crossing", lambda *_: number("fraction", unit=p.own))
-        list(paths(lambda: clip(*ends, p.separation, error, None, p.t, p.x, 1), lambda _, a, b: plain(a.exact) != {(): 1}))  # noqa: B023
+        list(
+            paths(
+                lambda: clip(*ends, p.separation, error, None, p.t, p.x, 1), lambda _, a, b: plain(a.exact) != {(): 1}
+            )
+        )  # noqa: B023
         at = sample()
         for corner, h in zip(CORNERS, calls, strict=True):
-            w = [[value(plain(c.exact), at) for c in getattr(p.patch.corners_at(*ends, s), corner).of] for s in (p.t, p.x)]
+            w = [
+                [value(plain(c.exact), at) for c in getattr(p.patch.corners_at(*ends, s), corner).of]
+                for s in (p.t, p.x)
+            ]
             a, b = ([at[f"d{name}.{k}"] for k in "xyz"] for name in "tx")
             off = [sum(abs(x) * at[f"S{k}"] for k, x in zip("xyz", y, strict=True)) for y in (a, b)]
             inner = [[sum(x * y for x, y in zip(u, v, strict=True)) for v in w] for u in (a, b)]
@@ -379,7 +393,6 @@ def step_11(real):
     size = p.simd.greatest(*map(p.points.largest, (c0, c1)))
     most, at = 0, sample()
     for is_euclidean in (0, 1):
-
 
         def free(e=is_euclidean):
             return cull.is_free_along(p.d, False, c0, c1, size, separation, e, p.end)
@@ -471,7 +484,10 @@ def step_15(real):
     ((_, x),) = paths(lambda: p.load("at_one_time.box_distance").bound_along(n, *w, m, norm), lambda *_: False)
     along = p.house.cut["along"]
     rows["projection"] = (max(rows["projection"][0], share(along.lost, over(along)) * allowed), allowed)
-    rows["quotient"] = (max(rows["quotient"][0], float(along.common) + at_most(x) * rounding.RELATIVE), rounding.RELATIVE)
+    rows["quotient"] = (
+        max(rows["quotient"][0], float(along.common) + at_most(x) * rounding.RELATIVE),
+        rounding.RELATIVE,
+    )
     return rows
 
 
@@ -536,7 +552,10 @@ def step_17(real):
         turns = SimpleNamespace(**{f"v{k}": vector(f"v{k}.", unit=1) for k in range(4)}, spin_a=spin, spin_b=v)
         for kind in OF_KIND:
             sagitta = arcs.sagitta(arcs.amplitude(kind, turns), number("h", unit=1, positive=True))
-            rows["sagitta"] = (max(rows["sagitta"][0], *(at_least(y) * rounding.SAGITTA for y in sagitta.of)), rounding.SAGITTA)
+            rows["sagitta"] = (
+                max(rows["sagitta"][0], *(at_least(y) * rounding.SAGITTA for y in sagitta.of)),
+                rounding.SAGITTA,
+            )
     begin, length = number("begin", unit=1, positive=True), number("length", 1, unit=1, positive=True)
     ((_, since),) = paths(lambda: windows.in_slice(t, begin, length), lambda *_: True)
     rows["slice"] = (8 * at_most(since), 8)
@@ -551,7 +570,10 @@ def step_19(real):
     """Off a chord by a parabola."""
     p, rows = Pair(real, cuts={("pair.arc_rounds", "clip_corner"): ("fall",)}), {}
     rounds = p.load("pair.arc_rounds", norm="arc_box")
-    x, y, bow, root, t = (number(n, k, unit=p.own, positive=n != "y") for n, k in zip(("x", "y", "bow", "root", "t"), (1, 1, 0, 1, 0), strict=True))
+    x, y, bow, root, t = (
+        number(n, k, unit=p.own, positive=n != "y")
+        for n, k in zip(("x", "y", "bow", "root", "t"), (1, 1, 0, 1, 0), strict=True)
+    )
     calls = recorded(rounds, "square_root", lambda _: root)
     most = dict.fromkeys(("fall", "root", "quotient"), 0)
     for conditions, s in paths(lambda: rounds.clip_corner(x, y, numeral(0), bow, True, t), lambda _, a, b: None):
@@ -578,7 +600,10 @@ def step_19(real):
     rows = {name: (x * rounding.RELATIVE, rounding.RELATIVE) for name, x in most.items()}
     f = SimpleNamespace(**{f"normal_{n}": vector(f"n{n}.", unit=p.own) for n in ("t0", "mid", "t1")})
     reach = rounds.bow_reach(f, p.separation, vector("bow", unit=p.own, positive=True))
-    of_bow = [share({m: c for m, c in b.total().items() if not any(x.name[0] == "S" for x in m)}, first_order(b.exact)) for b in (reach.b1, reach.b2)]
+    of_bow = [
+        share({m: c for m, c in b.total().items() if not any(x.name[0] == "S" for x in m)}, first_order(b.exact))
+        for b in (reach.b1, reach.b2)
+    ]
     rows["volume"] = (max(of_bow) * rounding.RELATIVE, rounding.RELATIVE)
     return rows
 
