@@ -159,21 +159,22 @@ its text is all there is, and *by attack* inputs are searched that make the erro
 | 3 | counted | corner 5 of 5 |
 | 4 | counted | root 4 of 4.25; patch 8 of 8.25 |
 | 5 | by hand | |
-| 6 | counted | offset 6 of 8 |
-| 7 | counted | quotient 4 of 8 |
+| 6 | counted | direction 5 of 8; facet 5 of 8; ball 6 of 8 |
+| 7 | counted | entered 4 of 8; left 4 of 8 |
 | 8 | counted | root 4 of 4; patch 8 of 8 |
-| 9 | counted | volume 21.33 of 25; crossing 14 of 20; restriction 11 of 12 |
+| 9 | counted | crossing 14 of 20; volume 20.33 of 25; volume of a separation 21.33 of 25 |
+| 9 | counted | restriction 10 of 12; restriction of a separation 11 of 12 |
 | 10 | counted | crossing 11 of 20; root 8 of 8.5; patch 12 of 16.5 |
 | 11 | counted | sides 7 of 16; volume 17 of 26 |
-| 12 | counted | point 4 of 8 |
-| 13 | counted | separation 2 of 3; length 3 of 3.1; support 6 of 8; cull 7 of 32; normal 5 of 16 |
+| 12 | counted | lower 4 of 8; upper 4 of 8 |
+| 13 | counted | separation 2 of 3; length 3 of 4; support 6 of 8; cull 7 of 32; normal 5 of 16 |
 | 14 | by cases: sums of numbers of eleven bits | |
 | 15 | counted | projection 4 of 4.25; quotient 6.5 of 8 |
-| 16 | counted | difference 4 of 8 |
-| 17 | counted | f1 1.35 of 3; f2 1.54 of 2.2; turning 2.83 of 3.8; points 2 of 4; motion 6 of 12 |
-| 17 | counted, and by attack | turns 4.24 of 12; frame 5.82 of 24; sagitta 10.5 of 32; slice 4 of 8; step 4 of 4; window 6 of 12 |
+| 16 | counted | shared 4 of 8; alone 3 of 8 |
+| 17 | counted, and by attack | f1 1.35 of 3; f2 1.54 of 2.2; points 2 of 4; motion 6 of 12; turns 4.24 of 12; frame 5.82 of 24 |
+| 17 | counted, and by attack | sagitta 10.5 of 32; slice 4 of 8; step 4 of 4; window 6 of 12 |
 | 18 | by hand and by attack, sine and cosine by intervals | |
-| 19 | counted | fall 4 of 8; root 5 of 8; quotient 5 of 8; volume 6 of 8 |
+| 19 | counted | fall 4 of 8; no root 4 of 8; root 5 of 8; quotient 5 of 8; volume 6 of 8 |
 
 Constants are in units of u.
 """

@@ -1,8 +1,8 @@
 """Numbers that count their roundings, and the kernels' own files executed on them, or on arrays of NumPy (`House`).
 
-A counted number is what exact arithmetic gives, a polynomial in atoms and, to the first order, in the unit roundoff u;
-beside it is what rounding may have taken, in u: ``lost``, a polynomial in magnitudes of atoms, and ``common``, roundings
-of the number as a whole. An atom is a number of the input, or what is no polynomial: a magnitude, a maximum, a root, a
+A counted number is what exact arithmetic gives, a polynomial in atoms and, to the first order, in the unit roundoff u.
+Beside it is what rounding may have taken, in u: ``lost``, a polynomial in magnitudes, and ``common``, roundings of the
+number as a whole. An atom is a number of the input, or what is no polynomial: a magnitude, a maximum, a root, a
 reciprocal. A sum of exact numbers is an atom where it is a factor: it has one rounding, whatever cancels in it.
 """
 
@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from ccd_warp import kernels
 
 ONE = Fraction(1)
@@ -487,7 +488,7 @@ class House:
             module.func = module.rare = self._function
             module.bits_of = module.bits_of if self.dtype is None else lambda m: int(np.any(m))
         if name in ("pair.rounding", "pair.lane_scale") and self.dtype is None:
-            module.inverse_power_of_two = self._power
+            module.inverse_power_of_two = self.power
         return module
 
     def _cut(self, name: str, x: Any) -> Any:
@@ -496,7 +497,7 @@ class House:
             return vector(name, unit=x.x.unit)
         return Number({(Atom(name, lambda at: value(x.exact, at), True),): ONE}, unit=x.unit)
 
-    def _power(self, x: Any) -> Number:
+    def power(self, x: Any) -> Number:
         atom = Atom(f"scale {len(_made)}", lambda _: Fraction(1, 4), True, power=True)
         return Number({(atom,): ONE}, unit=self.units["float64"])
 

@@ -3,6 +3,7 @@
 from planted.planting import Fault
 
 # fmt: off
+_COUNTED = "kernels/pair/test_counted.py::test_constants_cover_what_the_source_of_a_step_loses"
 PLANTED = [
     # --- one pair ---
     Fault("a coefficient of the volume of another time", "kernels/pair/volume.py",
@@ -13,7 +14,7 @@ PLANTED = [
           ("kernels/narrow_phase/test_narrow_phase.py::test_family",)),
     Fault("a support of the separation without the middle normal", "kernels/pair/volume.py",
           "b = support(separation, nm)", "b = support(separation, n0)",
-          ("kernels/pair/test_ball_rounding.py::test_offset_of_the_volume_is_above_the_exact_one_within_its_bound",)),
+          (_COUNTED + "[9]",)),
     Fault("the weights of slivers from the lanes", "kernels/pair/lane_closest.py",
           "regular = wp.constant(real(1.0e-3))", "regular = wp.constant(real(-1.0))",
           ("kernels/narrow_phase/test_narrow_phase.py::test_vertex_that_stops_over_a_needle_is_nearest_to_where_it_is",)),
@@ -25,7 +26,7 @@ PLANTED = [
           ("kernels/narrow_phase/test_narrow_phase.py::test_options",)),
     Fault("no rounding in the offset along a direction", "kernels/pair/ball.py",
           "(dot(magnitude(d), error) + norm.support(separation, d)) * round_up", "norm.support(separation, d)",
-          ("kernels/pair/test_ball_rounding.py::test_offset_is_above_the_exact_one_and_not_lazy",)),
+          (_COUNTED + "[6]",)),
     Fault("the start distance of one side alone", "kernels/pair/start_distance.py",
           "least.share = wp.min(least.share, wp.min(start_distance[a], start_distance[b]))",
           "least.share = wp.min(least.share, wp.max(start_distance[a], start_distance[b]))",
@@ -48,7 +49,18 @@ PLANTED = [
     Fault("a tolerance where a start distance is kept", "kernels/pair/lane_pair.py",
           "wp.float64(0.0), delta_length)", "wp.float64(1.0) * delta_length, delta_length)",
           ("kernels/pair/test_start_distance.py::test_segments_that_turn_as_they_part_are_decided_to_rounding_and_not_to_the_tolerance",)),
+    Fault("a bound of the volume below what the coefficients lose", "kernels/pair/rounding.py",
+          "VOLUME = 25.0", "VOLUME = 21.0", (_COUNTED + "[9]",)),
+    Fault("a rounding more in the restriction of the volume", "kernels/pair/volume.py",
+          "r.c1 = cx * tt0 + x * tt1", "r.c1 = third * (three * (cx * tt0 + x * tt1))", (_COUNTED + "[9]",)),
+    Fault("a clip that ends after its crossing", "kernels/pair/inclusion.py",
+          "least(two, crossing * round_down)", "least(two, crossing * round_up)", (_COUNTED + "[7]",)),
+    Fault("the bound of a side in the cull below what it loses", "kernels/search/cull.py",
+          "bound = _SIDES * dot(m, size)", "bound = _QUARTER * _SIDES * dot(m, size)", (_COUNTED + "[11]",)),
     # --- pairs on arcs ---
+    Fault("the slack of a vertex on an arc below what places lose", "kernels/rigid/place_bodies.py",
+          "return _PLACE_POSITION * far + _PLACE *", "return _NO_TURN * _PLACE_POSITION * far + _NO_TURN * _PLACE *",
+          ("kernels/pair/test_attacks.py",)),
     Fault("the sagitta of a chord half as long", "kernels/pair/arcs.py",
           "return (eighth_up * h * h) * amplitude", "return (eighth_up * h * h * half * half) * amplitude",
           ("laws/test_bodies_that_turn.py::test_random_pairs",)),

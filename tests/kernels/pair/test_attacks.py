@@ -1,7 +1,7 @@
 """Attacks on steps 17 and 18 of `kernels/pair/rounding.py`: paths, times and points searched that make an error large.
 
-Vertices are placed by the kernels; what follows from them are functions of `arcs` and `corotating`, on arrays (`counted`).
-The truth is in extended precision, eleven bits better, from the definition of the paths.
+Vertices are placed by the kernels, and functions of `arcs` and `corotating` go on with them, on arrays (`counted`). The
+truth is in extended precision, eleven bits better, from the definition of the paths.
 """
 
 from functools import cache
@@ -66,7 +66,7 @@ def functions(norm):
 
 
 def placed(body, x, t0, t1):
-    """Both ends of a slice, the velocity that turns and the slack of a vertex of each body, as the kernels place them."""
+    """Both ends of a slice, the velocity that turns and the slack of a vertex of each body, from the kernels."""
     n = len(x)
     array = lambda v, dtype=wp.vec3d: wp.array(v, dtype=dtype, device="cpu")  # noqa: E731
     empty = lambda dtype: wp.empty(n, dtype=dtype, device="cpu")  # noqa: E731
@@ -180,8 +180,7 @@ def climbed(name, norm, n, generations, seed=1):
     return float(best.max())
 
 
-# What the climb finds at least, so that a bound that grows is seen, and at most: below 1, and of places a quarter, which
-# the frame of a body counts on.
+# What the climb finds at least, so that a bound that grows is seen, and at most.
 @pytest.mark.parametrize(("n", "generations"), [(100, 20), pytest.param(2000, 300, marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("name", "norm", "least", "most", "constants"),

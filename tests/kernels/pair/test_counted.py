@@ -1,11 +1,12 @@
-"""The steps of `kernels/pair/rounding.py`, counted on the kernels' own files: what each loses, of what its constant allows.
+"""The steps of `kernels/pair/rounding.py`, counted on the kernels' own files: how much of what is allowed each loses.
 
-Every function is executed on numbers that count their roundings (`counted`); its formula is compared with the definition
-on the way. The table at the end of the docstring of `rounding` has to say what comes out.
+Every function is executed on numbers that count their roundings (`counted`), and its formula is compared with the
+definition on the way. The table at the end of the docstring of `rounding` has to say what comes out.
 """
 
 import re
 from fractions import Fraction
+from functools import partial
 from itertools import product
 from types import SimpleNamespace
 
@@ -33,6 +34,8 @@ from counted import (
     vector,
 )
 
+from ccd_warp._at_one_time.proximities import largest_bound
+
 REALS = ("float64", "float32")
 SECOND_ORDER = 1.001  # what products of roundings add
 CORNERS = ("w00", "w01", "w10", "w11")
@@ -42,17 +45,17 @@ OF_KIND = {0: "01 02 03 03 12 13", 1: "02 03 12 13 23 10"}
 
 
 def over(x):
-    """A computed number is less than its exact terms by this much, to the first order: what rounding may take."""
+    """By how much a number is below its plain terms, to the first order: what rounding may take."""
     return scaled(first_order(x.exact), -1)
 
 
 def at_least(x):
-    """What is taken of the factors by which a number is raised."""
+    """The share that is taken of what a number is raised by."""
     return share(x.total(), first_order(x.exact))
 
 
 def at_most(x):
-    """What is taken of those by which it is lowered."""
+    """The share that is taken of what it is lowered by."""
     return share(x.total(), over(x))
 
 
@@ -111,28 +114,34 @@ def recorded(module, name, result):
     return calls
 
 
-def sample(seed=1):
+def executed(function, *args):
+    """The one result of a function where all comparisons hold."""
+    ((_, x),) = paths(lambda: function(*args), lambda *_: True)
+    return x
+
+
+class Sample(dict):
     """A value for each atom of the input."""
-    rng = np.random.default_rng(seed)
 
-    class Values(dict):
-        def __missing__(self, name):
-            self[name] = Fraction(int(rng.integers(1, 99)), 128) * (
-                1 if name in ("t", "x", "c0") else int(rng.choice([-1, 1]))
-            )
-            return self[name]
-
-    return Values()
+    def __missing__(self, name):
+        rng = np.random.default_rng([*name.encode()])
+        sign = 1 if name in ("t", "x", "end", "c0") else int(rng.choice([-1, 1]))
+        return self.setdefault(name, sign * Fraction(int(rng.integers(1, 99)), 128))
 
 
-def is_same(a, b, at=None):
-    """Whether two numbers are one in exact arithmetic, but for the absolute terms of step 5."""
-    at = sample() if at is None else at
-    x, y = (value(plain(c.exact), at) if isinstance(c, Number) else c for c in (a, b))
-    return abs(x - y) < 2**-60
+AT = Sample()
 
 
-# ---- The steps: what is lost, and what is allowed ----
+def exact_of(x):
+    return value(x.exact, AT) if isinstance(x, Number) else x
+
+
+def is_same(a, b):
+    """Whether two numbers are one in exact arithmetic, but for the absolute terms of step 5 and roots of floats."""
+    return abs(exact_of(a) - exact_of(b)) < 2**-40
+
+
+# ---- The steps: for each row of the table the share that is taken, and what is allowed ----
 
 
 def step_1(real):
@@ -140,173 +149,153 @@ def step_1(real):
     p = Pair(real)
     f64 = p.house.types["float64"]
     points = [vector(f"p{k}.", unit=p.unit) for k in range(4)]
-    most = 0
+    of = SimpleNamespace(**{f"p{k}": x for k, x in enumerate(points)})
     for kind, pairs in OF_KIND.items():
-        of = SimpleNamespace(**{f"p{k}": points[k] for k in range(4)})
         corners = p.load("pair.points", real=f64).corners(kind, of)
-        for name, (i, j) in zip((*CORNERS, "q", "r"), pairs.split(), strict=True):
-            for k in range(3):
-                x = getattr(corners, name)[k]
-                assert plain(x.exact) == plain((points[int(i)][k] - points[int(j)][k]).exact) and not x.lost
-                most = max(most, x.common / p.unit)
-    return {"difference": (most, 1)}
+        for (name, (i, j)), k in product(zip((*CORNERS, "q", "r"), pairs.split(), strict=True), range(3)):
+            x = getattr(corners, name)[k]
+            assert is_same(x, points[int(i)][k] - points[int(j)][k]) and not x.lost
+            yield "difference", x.common / p.unit, 1
 
 
 def step_2(real):
     """Normalisation."""
     p = Pair(real)
-    corners = p.in_precision.normalised(p.corners64[0], Vector(*[p.house._power(0) for _ in range(3)]))
-    return {"corner": (max(x.common for name in CORNERS for x in getattr(corners, name).of), 1)}
+    corners = p.in_precision.normalised(p.corners64[0], Vector(*(p.house.power(0) for _ in range(3))))
+    yield "corner", max(x.common for name in CORNERS for x in getattr(corners, name).of), 1
 
 
 def step_3(real):
     """Corners of a sub-patch."""
-    p, at = Pair(real), sample()
+    p = Pair(real)
     for name, (i, j) in zip(CORNERS, product("01", "01"), strict=True):
-        u, v = at[f"u{i}"], at[f"v{j}"]
-        weights = [(1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v]
-        exact = sum(w * at[f"{c}.0x"] for w, c in zip(weights, CORNERS, strict=True))
-        assert is_same(getattr(p.sub_t0, name).x, exact, at)
-    most = max(share(x.total(), p.size.x.size) for x in (p.sub_t0.w00.x, p.sub_t0.w11.x, p.sub_t1.w10.x))
-    return {"corner": (most, 5)}
+        u, v = AT[f"u{i}"], AT[f"v{j}"]
+        weights = ((1 - u) * (1 - v), (1 - u) * v, u * (1 - v), u * v)
+        x = getattr(p.sub_t0, name).x
+        assert is_same(x, sum(w * AT[f"{c}.0x"] for w, c in zip(weights, CORNERS, strict=True)))
+        yield "corner", share(x.total(), p.size.x.size) / 5, 5
 
 
 def step_4(real):
     """Projection."""
-    p, rows = Pair(real), {}
+    p = Pair(real)
     for name, ends, error in (("ROOT", (p.t0, p.t1), p.error), ("PATCH", (p.sub_t0, p.sub_t1), p.sub_error)):
         off = p.inclusion.offset(p.d, error)
         calls = recorded(p.inclusion, "clip_corner", lambda *_: numeral(2))
-        list(paths(lambda ends=ends, off=off: p.inclusion.clip_beyond(p.d, off, p.t, *ends, False), lambda *_: True))
-        assert len(calls) == 4
-        for corner, (a, b, *_) in zip(CORNERS, calls, strict=True):
-            assert all(is_same(x, dot(p.d, getattr(c, corner))) for x, c in zip((a, b), ends, strict=True))
-        most = max(share(x.total(), first_order(off.exact)) for a, b, *_ in calls for x in (a, b))
-        allowed = getattr(rounding, f"PROJECTION_{name}")
-        rows[name.lower()] = (most * allowed, allowed)
-    return rows
+        executed(p.inclusion.clip_beyond, p.d, off, p.t, *ends, False)
+        for (corner, (a, b, *_)), k in product(zip(CORNERS, calls, strict=True), (0, 1)):
+            assert is_same((a, b)[k], dot(p.d, getattr(ends[k], corner)))
+            yield (
+                name.lower(),
+                share((a, b)[k].total(), first_order(off.exact)),
+                getattr(rounding, f"PROJECTION_{name}"),
+            )
 
 
 def step_6(real):
     """Offset."""
-    p, most = Pair(real), 0
-    given_margin = [vector(name, unit=p.own, positive=True) for name in ("E", "M")]
-    exact = dot(p.d.each(abs), given_margin[0] + given_margin[1])
-    p.ball = Pair(real, "euclidean").ball
-    for off in (
-        p.inclusion.offset(p.d, given_margin[0] + given_margin[1]),
-        p.facets.offset(p.d, *given_margin),
-    ):
-        assert is_same(off, exact)
-        most = max(most, at_least(off) * rounding.RELATIVE)
-    off = p.ball.offset(p.d, given_margin[0], Vector(*[given_margin[1].x] * 3))
-    most = max(most, at_least(off) * rounding.RELATIVE)
-    return {"offset": (most, rounding.RELATIVE)}
+    p = Pair(real)
+    margin = [vector(name, unit=p.own, positive=True) for name in ("E", "M")]
+    of_box = {"direction": p.inclusion.offset(p.d, margin[0] + margin[1]), "facet": p.facets.offset(p.d, *margin)}
+    for name, off in of_box.items():
+        assert is_same(off, dot(p.d.each(abs), margin[0] + margin[1]))
+        yield name, at_least(off), rounding.RELATIVE
+    off = Pair(real, "euclidean").ball.offset(p.d, margin[0], Vector(*[margin[1].x] * 3))
+    yield "ball", at_least(off), rounding.RELATIVE
 
 
 def step_7(real):
     """Time."""
     p = Pair(real)
     a, b, off, t = p.symbols("a", "b", "off", "t")
-    most = 0
+    exact = (a - off) / (a - b)
     for conditions, s in paths(lambda: p.inclusion.clip_corner(a, b, off, t)):
         holds = {(str(x.exact), str(y.exact)): outcome for _, x, y, outcome in conditions}
         first, last = (holds[str(off.exact), str(c.exact)] for c in (a, b))
         entered = next(x for _, x, y, _ in conditions if y.exact == t.exact)
-        exact = (a - off) / (a - b)
         assert is_same(entered, exact)
-        most = max(most, at_least(entered))
+        yield "entered", at_least(entered), rounding.RELATIVE
         stays = last and (first or holds[str(entered.exact), str(t.exact)])
         if stays or not first:
-            assert plain(s.exact) == {(): 2 if stays else -1}
+            assert s.exact == {(): 2 if stays else -1}
         elif not s.is_constant():
             assert is_same(s, exact)
-            most = max(most, at_most(s))
-    return {"quotient": (most * rounding.RELATIVE, rounding.RELATIVE)}
+            yield "left", at_most(s), rounding.RELATIVE
 
 
 def step_8(real):
     """Corners at a time."""
-    p, rows = Pair(real), {}
+    p = Pair(real)
     for name, ends, most in (("root", (p.t0, p.t1), 4), ("patch", (p.sub_t0, p.sub_t1), 8)):
-        at, c = sample(), p.patch.corners_at(*ends, p.t)
-        for corner in CORNERS:
-            a, b = (value(plain(getattr(x, corner).y.exact), at) for x in ends)
-            assert is_same(getattr(c, corner).y, (1 - at["t"]) * a + at["t"] * b, at)
-        lost = max(share(x.total(), p.size[k].size) for n in CORNERS for k, x in enumerate(getattr(c, n).of))
-        rows[name] = (lost, most)
-    return rows
+        for corner, k in product(CORNERS, range(3)):
+            a, b = (exact_of(getattr(x, corner)[k]) for x in ends)
+            x = getattr(p.patch.corners_at(*ends, p.t), corner)[k]
+            assert is_same(x, (1 - AT["t"]) * a + AT["t"] * b)
+            yield name, share(x.total(), p.size[k].size) / most, most
 
 
-def determinant(p, q, r):
-    return sum(x * y for x, y in zip(p, cross(Vector(*q), Vector(*r)).of, strict=True))
+SHARES = (Fraction(0), Fraction(1, 4), Fraction(2, 3), Fraction(1))
+
+
+def cubic(b, y):
+    """A cubic from its Bernstein coefficients."""
+    return (1 - y) ** 3 * b[0] + 3 * (1 - y) ** 2 * y * b[1] + 3 * (1 - y) * y**2 * b[2] + y**3 * b[3]
+
+
+def sides_at(s):
+    """P, Q and R at a time."""
+    return [Vector(*((1 - s) * AT[f"{n}.0{k}"] + s * AT[f"{n}.1{k}"] for k in "xyz")) for n in ("w00", "q", "r")]
+
+
+def determinant(s):
+    p, q, r = sides_at(s)
+    return dot(p, cross(q, r))
+
+
+def support_at(s, y, is_local, norm):
+    """The cubic above the support of the separation at a time s, at a share y of [t, x], as it is defined."""
+
+    def along(a, b):
+        (_, q0, r0), (_, q1, r1) = sides_at(a), sides_at(b)
+        n = [x / 2 for x in (cross(q0, r1) + cross(q1, r0)).of]
+        if norm != "maximum":
+            return AT["Sx"] * Fraction(float(sum(x * x for x in n)) ** 0.5)
+        return sum(AT[f"S{k}"] * abs(x) for k, x in zip("xyz", n, strict=True))
+
+    t, x = (AT["t"], AT["x"]) if is_local else (0, 1)
+    a, b, c = along(t, t), along(t, x), along(x, x)
+    return cubic((a, (a + 2 * b) / 3, (2 * b + c) / 3, c), y if is_local else s)
 
 
 def beyond_separation(p, has_separation, is_local, norm):
-    """Control points of the volume beyond the separation, for both signs; their formula is that of the definition."""
+    """Control points of the volume beyond the separation; their formula is that of the definition."""
     f = p.in_precision.volume_between(*p.corners64, ONES, p.t0, p.t1, p.separation, has_separation)
 
     def hull():
         h = p.volume.beyond_bound(f, p.t, p.x)
         if not has_separation:
             return h
-        if is_local:
-            return p.volume.lowered(h, p.volume.separation_offset(f, p.separation, p.t, p.x))
-        return p.volume.lowered(h, p.volume.restrict(p.volume.reach_of(f, p.separation), p.t, p.x))
+        local = p.volume.separation_offset(f, p.separation, p.t, p.x) if is_local else None
+        return p.volume.lowered(h, local or p.volume.restrict(p.volume.reach_of(f, p.separation), p.t, p.x))
 
-    at = sample()
     for conditions, h in paths(hull, lambda *_: is_local if has_separation else None):
-        sign = -1 if conditions[0][3] else 1
-
-        def side(name, s):
-            return [(1 - s) * at[f"{name}.0{k}"] + s * at[f"{name}.1{k}"] for k in "xyz"]
-
-        b = [value(plain(c.exact), at) for c in (h.c0, h.c1, h.c2, h.c3)]
-        for share_ in (Fraction(0), Fraction(1, 3), Fraction(1)):
-            s = (1 - share_) * at["t"] + share_ * at["x"]
-            exact = sign * determinant(*(side(name, s) for name in ("w00", "q", "r")))
-            if has_separation:
-                exact -= support_at(at, s, share_, is_local, norm)
-            weights = ((1 - share_) ** 3, 3 * (1 - share_) ** 2 * share_, 3 * (1 - share_) * share_**2, share_**3)
-            assert abs(sum(w * c for w, c in zip(weights, b, strict=True)) - exact) < 2**-30
-        yield from (h.c0, h.c1, h.c2, h.c3)
-
-
-def support_at(at, s, share_, is_local, norm):
-    """The cubic above the support of the separation at a time, as it is defined."""
-    ends = [[[at[f"{n}.{e}{k}"] for k in "xyz"] for n in ("q", "r")] for e in (0, 1)]
-
-    def polar(a, b):
-        (q0, r0), (q1, r1) = (
-            [[(1 - y) * u + y * v for u, v in zip(*w, strict=True)] for w in zip(*ends, strict=True)] for y in (a, b)
-        )
-        n = [cross(Vector(*q), Vector(*r)).of for q, r in ((q0, r1), (q1, r0))]
-        return [(u + v) / 2 for u, v in zip(*n, strict=True)]
-
-    def length(n):
-        if norm != "maximum":
-            return at["Sx"] * Fraction(float(sum(x * x for x in n)) ** 0.5)
-        return sum(at[f"S{k}"] * abs(x) for k, x in zip("xyz", n, strict=True))
-
-    t, x = at["t"], at["x"]
-    a, b, c = (length(polar(*y)) for y in (((t, t), (t, x), (x, x)) if is_local else ((0, 0), (0, 1), (1, 1))))
-    y = share_ if is_local else s
-    w = ((1 - y) ** 3, 3 * (1 - y) ** 2 * y, 3 * (1 - y) * y**2, y**3)
-    return w[0] * a + w[1] * (a + 2 * b) / 3 + w[2] * (2 * b + c) / 3 + w[3] * c
+        b = [h.c0, h.c1, h.c2, h.c3]
+        for y in SHARES:
+            s = (1 - y) * AT["t"] + y * AT["x"]
+            exact = determinant(s) * (-1 if conditions[0][3] else 1)
+            exact -= support_at(s, y, is_local, norm) if has_separation else 0
+            assert is_same(cubic([exact_of(c) for c in b], y), exact)
+        yield from b
 
 
 def step_9(real):
     """Volume."""
-    rows, most, allowed = {}, 0, rounding.VOLUME if real == "float64" else rounding.RESTRICTION
-    for norm, has_separation, is_local in (
-        ("maximum", False, False),
-        *product(("maximum", "euclidean"), [True], [False, True]),
-    ):
-        p = Pair(real, norm)
-        most = max(most, *(share(c.lost, over(c)) for c in beyond_separation(p, has_separation, is_local, norm)))
-    rows["volume" if real == "float64" else "restriction"] = (most * allowed, allowed)
-    rows["crossing"] = clipped(p, 3)
-    return rows
+    name = "volume" if real == "float64" else "restriction"
+    yield from clipped(Pair(real), 3)
+    of_norms = [("maximum", False, False), *product(("maximum", "euclidean"), [True], [False, True])]
+    for norm, has_separation, is_local in of_norms:
+        for c in beyond_separation(Pair(real, norm), has_separation, is_local, norm):
+            yield name + " of a separation" * has_separation, share(c.lost, over(c)), getattr(rounding, name.upper())
 
 
 def clipped(p, degree):
@@ -314,7 +303,7 @@ def clipped(p, degree):
     c0, m = *p.symbols("c0", positive=True, roundings=1), *p.symbols("m", positive=True)
     clip = p.moving_clip.clip_along(None, lambda *_: p.d, p.facets.offset)
     p.moving_clip.least = lambda a, b: a
-    most, found = 0, 0
+    found = 0
     for j, is_positive in product(range(1, degree + 1), (False, True)):
         # where it decides it is at most so much of c0
         left = (1 - Fraction(j, degree)) * is_positive
@@ -339,111 +328,89 @@ def clipped(p, degree):
 
         for _, s in paths(end, known):
             if is_same(s, p.t + (p.x - p.t) * theta):
-                most, found = max(most, at_most(s)), found + 1
+                found += 1
+                yield "crossing", at_most(s), rounding.CROSSING + rounding.RELATIVE
     assert found >= 2 * degree
-    return (rounding.CROSSING + rounding.RELATIVE) * most, rounding.CROSSING + rounding.RELATIVE
 
 
 def step_10(real):
     """Moving facets."""
-    p, rows = Pair(real), {}
-    rows["crossing"] = clipped(p, 2)
+    yield from clipped(Pair(real), 2)
+    p = Pair(real)
     d = [vector(f"d{name}.", unit=p.own) for name in "tx"]
-    for name, ends, error in (("root", (p.t0, p.t1), p.error), ("patch", (p.sub_t0, p.sub_t1), p.sub_error)):
-        p, most = Pair(real), 0
-        directions = iter(d * 2)
-        clip = p.moving_clip.clip_along(None, lambda *_, directions=directions: next(directions), p.facets.offset)
-        calls = recorded(p.moving_clip, "crossing", lambda *_: number("fraction", unit=p.own))
-        list(
-            paths(
-                lambda: clip(*ends, p.separation, error, None, p.t, p.x, 1), lambda _, a, b: plain(a.exact) != {(): 1}
-            )
-        )  # noqa: B023
-        at = sample()
+    for name, ends, error in (("ROOT", (p.t0, p.t1), p.error), ("PATCH", (p.sub_t0, p.sub_t1), p.sub_error)):
+        clip = p.moving_clip.clip_along(None, lambda which, _: next(which), p.facets.offset)
+        calls = recorded(p.moving_clip, "crossing", lambda *_: numeral(2))
+        executed(clip, *ends, p.separation, error, iter(d * 2), p.t, p.x, 1)
+        off = [exact_of(dot(y.each(abs), p.separation)) for y in d]
         for corner, h in zip(CORNERS, calls, strict=True):
-            w = [
-                [value(plain(c.exact), at) for c in getattr(p.patch.corners_at(*ends, s), corner).of]
-                for s in (p.t, p.x)
-            ]
-            a, b = ([at[f"d{name}.{k}"] for k in "xyz"] for name in "tx")
-            off = [sum(abs(x) * at[f"S{k}"] for k, x in zip("xyz", y, strict=True)) for y in (a, b)]
-            inner = [[sum(x * y for x, y in zip(u, v, strict=True)) for v in w] for u in (a, b)]
-            exact = [-inner[0][0] - off[0], -(inner[0][1] + inner[1][0] + sum(off)) / 2, -inner[1][1] - off[1]]
-            assert all(is_same(x, y, at) for x, y in zip(h, exact, strict=True))
-            most = max(most, *(share(x.lost, over(x)) for x in h))
-        allowed = rounding.MOVING * {"root": rounding.PROJECTION_ROOT, "patch": rounding.PROJECTION_PATCH}[name]
-        rows[name] = (most * allowed, allowed)
-    return rows
+            w = [getattr(p.patch.corners_at(*ends, s), corner) for s in (p.t, p.x)]
+            (a, b), (c, e) = ([exact_of(dot(y, x)) for x in w] for y in d)
+            for x, y in zip(h, (-a - off[0], -(b + c + sum(off)) / 2, -e - off[1]), strict=True):
+                assert is_same(x, y)
+                allowed = rounding.MOVING * getattr(rounding, f"PROJECTION_{name}")
+                yield name.lower(), share(x.lost, over(x)), allowed
 
 
-def proofs(call, at):
-    """Of comparisons with a bound what both sides lose, what the bound has for it, and whether a sample comes there."""
-    for conditions, is_free in paths(call, lambda _, a, b: None if b.is_constant() and not plain(b.exact) else True):
-        signs = [(value(plain(a.exact), at) < 0) == outcome for _, a, b, outcome in conditions if not b.exact]
+def proofs(call):
+    """Of comparisons with a bound what both sides lose, what the bound has for it, and whether the sample comes there."""
+    for conditions, is_free in paths(call, lambda _, a, b: None if b.is_constant() and not b.exact else True):
+        signs = [(exact_of(a) < 0) == outcome for _, a, b, outcome in conditions if not b.exact]
         for relation, bound, found, _ in conditions if is_free else ():
             if relation == "<" and first_order(bound.exact) and not found.is_constant():
                 yield joined(bound.total(), found.total()), first_order(bound.exact), found, all(signs)
 
 
 def step_11(real):
-    """Sides in the cull, and the volume there, with the separation in both norms."""
-    p, rows = Pair("float64", cuts={("search.cull", "is_free_along"): ()}), {}
-    cull, separation = p.load("search.cull"), number("S", unit=1, positive=True)
+    """Sides and the volume in the cull."""
+    p = Pair("float64")
+    cull, separation = p.load("search.cull"), number("S", positive=True)
     c0, c1 = p.corners64
     size = p.simd.greatest(*map(p.points.largest, (c0, c1)))
-    most, at = 0, sample()
-    for is_euclidean in (0, 1):
-
-        def free(e=is_euclidean):
-            return cull.is_free_along(p.d, False, c0, c1, size, separation, e, p.end)
-
-        for lost, bound, found, is_real in proofs(free, at):
-            most = max(most, share(lost, bound))
-            w = [[[at[f"d{k}"] * at[f"{c}.{end}{k}"] for k in "xyz"] for c in CORNERS] for end in "01"]
-            sign = 1 if sum(w[0][0]) > 0 else -1
-            exact = [sign * ((1 - e) * sum(x) + e * sum(y)) for x, y in zip(*w, strict=True) for e in (0, at["end"])]
-            assert not is_real or any(is_same(found, x, at) for x in exact)
-    rows["sides"] = (most * rounding.SIDES, rounding.SIDES)
-    most = 0
-    for lost, bound, found, is_real in proofs(lambda: cull.is_free_by_volume(c0, c1, separation, 0, p.end), at):
-        most = max(most, share(lost, bound))
-    rows["volume"] = (most * (rounding.VOLUME + 1), rounding.VOLUME + 1)
-    return rows
+    w = [[exact_of(dot(p.d, getattr(c, name))) for c in (c0, c1)] for name in CORNERS]
+    for is_ball in (0, 1):
+        free = partial(cull.is_free_along, p.d, False, c0, c1, size, separation, is_ball, p.end)
+        for lost, bound, found, is_real in proofs(free):
+            sign = 1 if w[0][0] > 0 else -1
+            exact = [sign * ((1 - e) * a + e * b) for a, b in w for e in (0, AT["end"])]
+            assert not is_real or any(is_same(found, x) for x in exact)
+            yield "sides", share(lost, bound), rounding.SIDES
+    b = []
+    for lost, bound, found, is_real in proofs(partial(cull.is_free_by_volume, c0, c1, separation, 0, p.end)):
+        b += [exact_of(found)] * is_real
+        yield "volume", share(lost, bound), rounding.VOLUME + 1
+    sign = 1 if determinant(0) > 0 else -1
+    assert all(is_same(cubic(b, y), sign * determinant(y * AT["end"])) for y in SHARES)
 
 
 def step_12(real):
     """End of a shorter step."""
     p = Pair("float64")
-    a, b = vector("a", unit=1), vector("b", unit=1)
+    a, b = vector("a"), vector("b")
     box = p.load("boxes.boxes").end_box(a, b, p.t)
-    at, most = sample(), 0
     for k in range(3):
-        lower, upper = (next(iter(x.exact))[0].of[0] for x in (box.lower[k], box.upper[k]))
-        exact = (1 - at["t"]) * at["a" + "xyz"[k]] + at["t"] * at["b" + "xyz"[k]]
-        assert is_same(lower, exact, at) and is_same(upper, exact, at)
-        most = max(most, at_most(lower), at_least(upper))
-    return {"point": (most * rounding.INTERPOLATION, rounding.INTERPOLATION)}
+        exact = (1 - AT["t"]) * exact_of(a[k]) + AT["t"] * exact_of(b[k])
+        for name, side, of in (("lower", box.lower, at_most), ("upper", box.upper, at_least)):
+            x = next(iter(side[k].exact))[0].of[0]
+            assert is_same(x, exact)
+            yield name, of(x), rounding.INTERPOLATION
 
 
 def step_13(real):
     """Euclidean distances."""
-    p, rows = Pair(real, "euclidean"), {}
-    rows["separation"] = (at_least(p.separation.x) * rounding.SLACK, rounding.SLACK - 13)
-    support = p.load("pair.support")
-    rows["length"] = (support.length(p.d).common / p.own, 3.1)
-    rows["support"] = (at_least(support.support(p.separation, p.d)) * rounding.SLACK, rounding.SLACK - 8)
+    p = Pair(real, "euclidean")
+    support, left = p.load("pair.support"), rounding.SLACK / (rounding.SLACK - 13)
+    yield "separation", at_least(p.separation.x) * left, rounding.SLACK - 13
+    yield "length", support.length(p.d).common / p.own / 4, 4
+    yield "support", at_least(support.support(p.separation, p.d)) * 2, rounding.SLACK - 8
     p = Pair("float64", "euclidean", cuts={("search.cull", "is_free_by_volume"): ("n0", "n1", "nm")})
-    cull, separation = p.load("search.cull"), number("S", unit=1, positive=True)
+    cull, separation = p.load("search.cull"), number("S", positive=True)
+    for lost, bound, *_ in proofs(partial(cull.is_free_by_volume, *p.corners64, separation, 1, numeral(1))):
+        yield "cull", share({m: c for m, c in lost.items() if "root" in str(m)}, bound), 32
     q, r = (p.simd.greatest(*(c.each(abs) for c in (getattr(x, n) for x in p.corners64))) for n in "qr")
-    permanent = (q.y * r.z + q.z * r.y).size
-    most = 0
-    for lost, bound, *_ in proofs(lambda: cull.is_free_by_volume(*p.corners64, separation, 1, numeral(1)), sample()):
-        of_root = {m: c for m, c in lost.items() if "root" in str(m)}
-        rows["cull"] = (32 * share(of_root, bound), 32)
     for name, x in p.house.cut.items():
-        most = max(most, share(x.x.total(), permanent) / (2 if name == "nm" else 1))
-    rows["normal"] = (most, rounding.NORMAL)
-    return rows
+        of_twice = 2 if name == "nm" else 1
+        yield "normal", share(x.x.total(), (q.y * r.z + q.z * r.y).size) / of_twice / rounding.NORMAL, rounding.NORMAL
 
 
 def step_14(real):
@@ -454,58 +421,49 @@ def step_14(real):
     for a, b in product(np.arange(1, 2, 2.0**-10, dtype=np.float16), short):
         for s in (thickness.add_rounded_up(a, b), thickness.add_rounded_up(b, a)):
             assert float(np.nextafter(s, np.float16(-np.inf))) < float(a) + float(b) <= float(s)
-    return {}
+    yield from ()
 
 
 def step_15(real):
     """Distance at one time."""
-    p = Pair("float64", cuts={("at_one_time.pair_distance", "measured"): ("n", "along")})
-    distance = p.load("at_one_time.pair_distance")
-    points = SimpleNamespace(**{f"p{k}": vector(f"p{k}.", unit=1) for k in range(4)})
-    corners = p.points.corners(1, points)
-    size = p.points.largest(corners)
-    distance.largest = lambda _: size
-    rows, found = {}, []
 
-    def least():
+    def rows(cuts, bound, known):
+        p = Pair("float64", cuts={cuts: ("n", "along") if "measured" in cuts else ("along",)})
+        ((_, x),) = paths(partial(bound, p), known)
+        along = p.house.cut["along"]
+        yield "projection", share(along.lost, over(along)), rounding.PROJECTION_ROOT
+        yield "quotient", float(along.common) / rounding.RELATIVE + at_most(x), rounding.RELATIVE
+
+    def least(p):
+        distance = p.load("at_one_time.pair_distance")
+        closest = partial(SimpleNamespace, u=numeral(0), v=numeral(0), features=numeral(0))
+        distance.closest_of_edges = lambda w00, *_: closest(d=w00)
+        distance.largest = lambda _: size
         return distance.measured(1, points, True).least
 
-    distance.closest_of_edges = lambda w00, *_: SimpleNamespace(d=w00, u=numeral(0), v=numeral(0), features=numeral(0))
-    for _, x in paths(least, lambda _, a, b: a.is_constant() or (b.is_constant() and bool(b.exact))):
-        found.append(x)
-    along = p.house.cut["along"]
-    allowed = rounding.PROJECTION_ROOT
-    rows["projection"] = (share(along.lost, over(along)) * allowed, allowed)
-    rows["quotient"] = (float(along.common) + at_most(found[0]) * rounding.RELATIVE, rounding.RELATIVE)
-    w = [vector(f"{c}.0", 1, unit=1) for c in CORNERS]
-    m = p.points.largest(SimpleNamespace(**dict(zip(CORNERS, w, strict=True))))
-    p = Pair("float64", cuts={("at_one_time.box_distance", "bound_along"): ("along",)})
-    n, norm = vector("n", unit=1), number("norm", 2, unit=1, positive=True)
-    ((_, x),) = paths(lambda: p.load("at_one_time.box_distance").bound_along(n, *w, m, norm), lambda *_: False)
-    along = p.house.cut["along"]
-    rows["projection"] = (max(rows["projection"][0], share(along.lost, over(along)) * allowed), allowed)
-    rows["quotient"] = (
-        max(rows["quotient"][0], float(along.common) + at_most(x) * rounding.RELATIVE),
-        rounding.RELATIVE,
-    )
-    return rows
+    def bound_along(p):
+        n, norm = vector("n"), number("norm", 2, positive=True)
+        return p.load("at_one_time.box_distance").bound_along(n, *w, m, norm)
+
+    of = Pair("float64").points
+    points = SimpleNamespace(**{f"p{k}": vector(f"p{k}.") for k in range(4)})
+    size, w = of.largest(of.corners(1, points)), [vector(f"{c}.0", 1) for c in CORNERS]
+    m = of.largest(SimpleNamespace(**dict(zip(CORNERS, w, strict=True))))
+    is_said = lambda _, a, b: a.is_constant() or (b.is_constant() and bool(b.exact))  # noqa: E731
+    yield from rows(("at_one_time.pair_distance", "measured"), least, is_said)
+    yield from rows(("at_one_time.box_distance", "bound_along"), bound_along, lambda *_: False)
 
 
 def step_16(real):
     """Bounds of displacements."""
-    p = Pair("float64")
-    proximity = p.load("at_one_time.proximity")
-    minima = SimpleNamespace(vertex_body=[0, 1])
-    least, kept = number("least", unit=1), number("kept", unit=1)
-    most, at = 0, sample()
+    proximity, minima = Pair("float64").load("at_one_time.proximity"), SimpleNamespace(vertex_body=[0, 1])
+    assert Fraction(largest_bound(3 * 2.0**-1074, False)) <= Fraction(3, 2) * Fraction(2) ** -1074
     for is_static in ((0, 0), (0, 1)):
         calls = recorded(proximity, "lower_bounds", lambda *_: None)
-        list(paths(lambda s=is_static: proximity.bound_pair([0], [1], least, kept, s, minima), lambda *_: True))
-        assert len(calls) == 2 - sum(is_static)
+        executed(proximity.bound_pair, [0], [1], number("least"), number("kept"), is_static, minima)
         for _, bits, _ in calls:
-            assert is_same(bits, (at["least"] - at["kept"]) / len(calls), at) and bits.exact[()] <= -(2.0**-1070)
-            most = max(most, at_most(bits))
-    return {"difference": (most * rounding.RELATIVE, rounding.RELATIVE)}
+            assert is_same(bits, (AT["least"] - AT["kept"]) / (2 - sum(is_static))) and bits.exact[()] <= -(2.0**-1070)
+            yield "alone" if sum(is_static) else "shared", at_most(bits), rounding.RELATIVE
 
 
 def at_largest_turn(a, **more):
@@ -516,111 +474,92 @@ def at_largest_turn(a, **more):
 
 def step_17(real):
     """Points on arcs."""
-    p, rows = Pair("float64"), {}
-    arcs, windows = p.load("pair.arcs"), p.load("pair.windows")
-    simd, t = p.load("pair.simd"), number("t", unit=1, positive=True)
-    a, b, v, spin = (vector(name, unit=1) for name in ("a", "b", "v", "s"))
-    squared = simd.dot(spin, spin).relative()
-    z = number("z", squared, unit=1, positive=True)
-    product_ = number("C", 2, unit=1, positive=True)  # of ω and V, which is less than both lengths
-    simd.dot, plain_cross = (lambda *_: z), simd.cross
+    p = Pair("float64")
+    arcs, windows, simd = (p.load(f"pair.{name}") for name in ("arcs", "windows", "simd"))
+    positive = partial(number, positive=True)
+    t, a, b, v, spin = positive("t"), *map(vector, ("a", "b", "v", "s"))
+    z = positive("z", simd.dot(spin, spin).relative())
+    simd.dot = lambda *_: z
     bent = arcs.bend(spin, t)
-    rows["f1"] = (9 * at_largest_turn(bent.f1.total()), 3)
-    rows["f2"] = (at_largest_turn(bent.f2.total()), 2.2)
-    simd.cross = lambda *_: Vector(*[product_] * 3)
-    of_f1, of_f2 = (number(name, unit=1, positive=True) for name in ("f1", "f2"))
-    of_f1.lost, of_f2.lost = ({(): Fraction(rows[name][0]) / k} for name, k in (("f1", 9), ("f2", 1)))
+    f1, f2 = 9 * at_largest_turn(bent.f1.total()), at_largest_turn(bent.f2.total())
+    yield "f1", f1 / 3, 3
+    yield "f2", f2 / 2.2, 2.2
+    simd.cross = lambda *_: Vector(*[positive("C", 2)] * 3)  # of ω and V, less than both lengths
+    of_f1, of_f2 = positive("f1"), positive("f2")
+    of_f1.lost, of_f2.lost = {(): Fraction(f1) / 9}, {(): Fraction(f2)}
     x = arcs.point_at(a, b, v, spin, SimpleNamespace(f1=of_f1, f2=of_f2), t).x
     sizes = {"f1": Fraction(1, 9 * 15), "f2": Fraction(1, 8), "C": Fraction(1, 3), "vx": Fraction(1)}
     turning = {m: c for m, c in x.total().items() if {y.name for y in m} & {"vx", "C"}}
-    rows["turning"] = (3 * at_largest_turn(turning, **sizes), 3.8)
-    motion = max(c for m, c in x.lost.items() if m not in turning)
-    points = [SimpleNamespace(**{f"p{k}": vector(f"{e}{k}.", unit=1) for k in range(4)}) for e in "ab"]
-    error = arcs.error_of(*points, number("slack", unit=1), Vector(*[number("A", unit=1, positive=True)] * 3))
-    assert sorted({float(c) for c in first_order(error.exact).values()}) == [rounding.ARC_POINTS, rounding.ARC_MOTION]
-    rows["points"] = (2 * x.common, rounding.ARC_POINTS)
-    rows["motion"] = (2 * motion, rounding.ARC_MOTION)
-    rows["turns"] = (1.5 * rows["turning"][0], rounding.ARC_MOTION)
-    corotating = p.load("pair.corotating")
-    x = corotating.turned(vector("x", 1, unit=1), spin, t).x
-    rows["frame"] = (3**0.5 * at_largest_turn(x.total(), xx=Fraction(1), C=Fraction(1, 3)), rounding.FRAME)
-    rows["sagitta"] = (0, rounding.SAGITTA)
-    for norm in ("arc_box", "arc_ball"):
-        p = Pair("float64", norm)
-        arcs = p.load("pair.arcs")
+    of_turns = 3 * at_largest_turn(turning, **sizes)
+    points = [SimpleNamespace(**{f"p{k}": vector(f"{e}{k}.") for k in range(4)}) for e in "ab"]
+    error = first_order(arcs.error_of(*points, number("slack"), Vector(*[positive("A")] * 3)).exact)
+    of_points, of_motion = sorted(set(map(float, error.values())))
+    assert (of_points, of_motion) == (rounding.ARC_POINTS, rounding.ARC_MOTION)
+    yield "points", 2 * x.common / of_points, of_points
+    yield "motion", 2 * max(c for m, c in x.lost.items() if m not in turning) / of_motion, of_motion
+    yield "turns", 1.5 * of_turns / of_motion, of_motion
+    x = p.load("pair.corotating").turned(vector("x", 1), spin, t).x
+    length = 3**0.5 * at_largest_turn(x.total(), xx=Fraction(1), C=Fraction(1, 3))
+    yield "frame", length / rounding.FRAME, rounding.FRAME
+    for norm, kind in product(("arc_box", "arc_ball"), OF_KIND):
+        arcs = Pair("float64", norm).load("pair.arcs")
         arcs.turns_anywhere = lambda _: True
-        turns = SimpleNamespace(**{f"v{k}": vector(f"v{k}.", unit=1) for k in range(4)}, spin_a=spin, spin_b=v)
-        for kind in OF_KIND:
-            sagitta = arcs.sagitta(arcs.amplitude(kind, turns), number("h", unit=1, positive=True))
-            rows["sagitta"] = (
-                max(rows["sagitta"][0], *(at_least(y) * rounding.SAGITTA for y in sagitta.of)),
-                rounding.SAGITTA,
-            )
-    begin, length = number("begin", unit=1, positive=True), number("length", 1, unit=1, positive=True)
-    ((_, since),) = paths(lambda: windows.in_slice(t, begin, length), lambda *_: True)
-    rows["slice"] = (8 * at_most(since), 8)
-    rows["step"] = (4 * at_most(windows.in_step(t, begin, length)), 4)
-    window = SimpleNamespace(begin=begin, h=number("h", unit=1, positive=True))
-    ((_, end),) = paths(lambda: windows.reached(window, length, False, t), lambda _, a, b: "length" in str(b.exact))
-    rows["window"] = (12 * at_most(end), 12)
-    return rows
+        turns = SimpleNamespace(**{f"v{k}": vector(f"v{k}.") for k in range(4)}, spin_a=spin, spin_b=v)
+        for y in arcs.sagitta(arcs.amplitude(kind, turns), positive("h")).of:
+            yield "sagitta", at_least(y), rounding.SAGITTA
+    begin, length = positive("begin"), positive("length", 1)
+    yield "slice", at_most(executed(windows.in_slice, t, begin, length)), 8
+    yield "step", at_most(windows.in_step(t, begin, length)), 4
+    reached = partial(windows.reached, SimpleNamespace(begin=begin, h=positive("h")), length, False, t)
+    ((_, end),) = paths(reached, lambda _, a, b: "length" in str(b.exact))
+    yield "window", at_most(end), 12
 
 
 def step_19(real):
     """Off a chord by a parabola."""
-    p, rows = Pair(real, cuts={("pair.arc_rounds", "clip_corner"): ("fall",)}), {}
-    rounds = p.load("pair.arc_rounds", norm="arc_box")
-    x, y, bow, root, t = (
-        number(n, k, unit=p.own, positive=n != "y")
-        for n, k in zip(("x", "y", "bow", "root", "t"), (1, 1, 0, 1, 0), strict=True)
-    )
+    p = Pair(real, cuts={("pair.arc_rounds", "clip_corner"): ("fall",)})
+    rounds, relative = p.load("pair.arc_rounds", norm="arc_box"), rounding.RELATIVE
+    (x, root), (bow,) = p.symbols("x", "root", roundings=1, positive=True), p.symbols("bow", positive=True)
+    (y,), (t,) = p.symbols("y", roundings=1), p.symbols("t")
     calls = recorded(rounds, "square_root", lambda _: root)
-    most = dict.fromkeys(("fall", "root", "quotient"), 0)
-    for conditions, s in paths(lambda: rounds.clip_corner(x, y, numeral(0), bow, True, t), lambda _, a, b: None):
+    for conditions, s in paths(lambda: rounds.clip_corner(x, y, numeral(0), bow, True, t)):
         fall = p.house.cut["fall"]
-        first, last = (x, y) if conditions[0][3] else (y, x)
-        assert is_same(fall, first - last + bow)
-        if first is x:  # the other way by symmetry
-            most["fall"] = max(most["fall"], at_least(fall))
-            rest = next((a, b) for _, a, b, _ in conditions if "fall" in str(a.exact) and "fall" in str(b.exact))
-            bound = joined(first_order(rest[0].exact), over(rest[1]))
-            at = sample()
-            square = value(plain((first - last + bow).exact), at) ** 2
-            assert is_same(rest[0], square - 4 * at["x"] * at["bow"], at)
-            assert plain(rest[1].exact) == {}
-            most["root"] = max(most["root"], share(joined(rest[0].total(), rest[1].total()), bound))
-            of_root = calls[-1][0]
-            if len(of_root.exact) > 2:
-                assert is_same(of_root, rest[0])
-                most["root"] = max(most["root"], at_least(of_root))
-            if not s.is_constant():
-                of_fall = value(plain(fall.exact), at)
-                assert any(is_same(s, 2 * at["x"] / (of_fall + r), at) for r in (at["root"], of_fall))
-                most["quotient"] = max(most["quotient"], at_most(s))
-    rows = {name: (x * rounding.RELATIVE, rounding.RELATIVE) for name, x in most.items()}
+        if not conditions[0][3]:  # the other way by symmetry
+            assert is_same(fall, y - x + bow)
+            continue
+        assert is_same(fall, x - y + bow)
+        yield "fall", at_least(fall), relative
+        rest, below = next((a, b) for _, a, b, _ in conditions if "fall" in str(a.exact) and "fall" in str(b.exact))
+        square = exact_of(fall) ** 2 - 4 * AT["x"] * AT["bow"]
+        assert is_same(rest, square) and not plain(below.exact)
+        yield (
+            "no root",
+            share(joined(rest.total(), below.total()), joined(first_order(rest.exact), over(below))),
+            relative,
+        )
+        if len(calls[-1][0].exact) > 2:
+            assert is_same(calls[-1][0], square)
+            yield "root", at_least(calls[-1][0]), relative
+        if not s.is_constant():
+            assert any(is_same(s, 2 * AT["x"] / (exact_of(fall) + r)) for r in (AT["root"], exact_of(fall)))
+            yield "quotient", at_most(s), relative
     f = SimpleNamespace(**{f"normal_{n}": vector(f"n{n}.", unit=p.own) for n in ("t0", "mid", "t1")})
     reach = rounds.bow_reach(f, p.separation, vector("bow", unit=p.own, positive=True))
-    of_bow = [
-        share({m: c for m, c in b.total().items() if not any(x.name[0] == "S" for x in m)}, first_order(b.exact))
-        for b in (reach.b1, reach.b2)
-    ]
-    rows["volume"] = (max(of_bow) * rounding.RELATIVE, rounding.RELATIVE)
-    return rows
+    for b in (reach.b1, reach.b2):
+        of_bow = {m: c for m, c in b.total().items() if not any(x.name[0] == "S" for x in m)}
+        yield "volume", share(of_bow, first_order(b.exact)), relative
 
 
 STEPS = {name[5:]: step for name, step in globals().items() if name.startswith("step_")}
 ROWS = re.findall(r"^\| (\d+) \| counted[^|]*\| (.*) \|$", rounding.__doc__, re.MULTILINE)
-TABLE = {name: "; ".join(text for step, text in ROWS if step == name) for name, _ in ROWS}
 
 
 @pytest.mark.parametrize("name", STEPS)
-def test_constants_cover_what_the_source_of_a_step_loses_as_the_table_of_steps_says(name):
+def test_constants_cover_what_the_source_of_a_step_loses(name):
     rows: dict = {}
-    for real in REALS:
-        for row, (lost, allowed) in STEPS[name](real).items():
-            rows[row] = max(float(lost), rows[row][0] if row in rows else 0.0), allowed
-    for row, (lost, allowed) in rows.items():
-        # what a step says is a whole number, and a constant has to cover the products of roundings as well
-        assert lost <= allowed * (SECOND_ORDER if isinstance(allowed, int) else 1 / SECOND_ORDER), row
-    found = [f"{row} {round(lost, 2):g} of {allowed:g}" for row, (lost, allowed) in rows.items()]
-    assert "; ".join(found) == TABLE.get(name, "")
+    for real, (row, taken, allowed) in ((real, row) for real in REALS for row in STEPS[name](real)):
+        # what a step says is a whole number; a constant has to cover the products of roundings as well
+        assert taken <= (SECOND_ORDER if isinstance(allowed, int) else 1 / SECOND_ORDER), (real, row)
+        rows[row] = max(float(taken * allowed), rows.get(row, (0, 0))[0]), allowed
+    found = "; ".join(f"{row} {round(lost, 2):g} of {allowed:g}" for row, (lost, allowed) in rows.items())
+    assert found == "; ".join(text for step, text in ROWS if step == name)
