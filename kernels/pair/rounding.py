@@ -171,8 +171,9 @@ its text is all there is, and *by attack* inputs are searched that make the erro
 | 14 | by cases: sums of numbers of eleven bits | |
 | 15 | counted | projection 4 of 4.25; quotient 6.5 of 8 |
 | 16 | counted | shared 4 of 8; alone 3 of 8 |
-| 17 | counted, and by attack | f1 1.35 of 3; f2 1.54 of 2.2; points 2 of 4; motion 6 of 12; turns 4.24 of 12; frame 5.82 of 24 |
-| 17 | counted, and by attack | sagitta 10.5 of 32; slice 4 of 8; step 4 of 4; window 6 of 12 |
+| 17 | counted, and by attack | f1 1.35 of 3; f2 1.54 of 2.2; points 2 of 4; motion 6 of 12 |
+| 17 | counted, and by attack | turns 4.24 of 12; frame 5.82 of 24; sagitta 10.5 of 32 |
+| 17 | counted | slice 4 of 8; step 4 of 4; window 6 of 12 |
 | 18 | by hand and by attack, sine and cosine by intervals | |
 | 19 | counted | fall 4 of 8; no root 4 of 8; root 5 of 8; quotient 5 of 8; volume 6 of 8 |
 

@@ -395,7 +395,8 @@ class Real:
     def __call__(self, x: Any = 0.0) -> Any:
         dtype, unit = self.house.dtype, self.house.units[self.__name__]
         if dtype is not None:
-            return x.astype(dtype) if isinstance(x, np.ndarray) else dtype(x)
+            with np.errstate(over="ignore"):
+                return x.astype(dtype) if isinstance(x, np.ndarray) else dtype(x)
         if isinstance(x, Number) and x.unit < unit and x.unit:  # rounded to fewer digits
             exact, size = x.exact, x.size
             atom = _made.setdefault(

@@ -353,7 +353,7 @@ def step_10(real):
 
 
 def proofs(call):
-    """Of comparisons with a bound what both sides lose, what the bound has for it, and whether the sample comes there."""
+    """Of comparisons with a bound what both sides lose, what it has for that, and whether the sample comes there."""
     for conditions, is_free in paths(call, lambda _, a, b: None if b.is_constant() and not b.exact else True):
         signs = [(exact_of(a) < 0) == outcome for _, a, b, outcome in conditions if not b.exact]
         for relation, bound, found, _ in conditions if is_free else ():
@@ -557,9 +557,9 @@ ROWS = re.findall(r"^\| (\d+) \| counted[^|]*\| (.*) \|$", rounding.__doc__, re.
 @pytest.mark.parametrize("name", STEPS)
 def test_constants_cover_what_the_source_of_a_step_loses(name):
     rows: dict = {}
-    for real, (row, taken, allowed) in ((real, row) for real in REALS for row in STEPS[name](real)):
+    for row, taken, allowed in (found for real in REALS for found in STEPS[name](real)):
         # what a step says is a whole number; a constant has to cover the products of roundings as well
-        assert taken <= (SECOND_ORDER if isinstance(allowed, int) else 1 / SECOND_ORDER), (real, row)
+        assert taken <= (SECOND_ORDER if isinstance(allowed, int) else 1 / SECOND_ORDER), row
         rows[row] = max(float(taken * allowed), rows.get(row, (0, 0))[0]), allowed
     found = "; ".join(f"{row} {round(lost, 2):g} of {allowed:g}" for row, (lost, allowed) in rows.items())
     assert found == "; ".join(text for step, text in ROWS if step == name)
