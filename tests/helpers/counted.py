@@ -323,10 +323,12 @@ def expanded(a: dict) -> dict:
 
 
 def share(lost: dict, bound: dict) -> float:
-    """How much of a bound is taken by what is lost, on the term on which that is most.
+    """How much of a bound is taken by what is lost, on the term on which that is most; infinite if the bound is below 0.
 
     Of a magnitude what its own bound does not cover is that of the terms that it is made of.
     """
+    if min(bound.values(), default=0) < -_BESIDE_ROUNDING:
+        return np.inf
     covering = {x for m in bound for x in m if x.covers}
     covered = frozenset().union(*(x.covers for x in covering))
     composite = {m for m in {**lost, **bound} if any(x.size and x not in covered for x in m)}
