@@ -323,7 +323,7 @@ def expanded(a: dict) -> dict:
 
 
 def share(lost: dict, bound: dict) -> float:
-    """How much of a bound is taken by what is lost, on the term on which that is most; infinite if the bound is below 0.
+    """How much of a bound is taken by what is lost, on the term on which that is most; of one below 0 all.
 
     Of a magnitude what its own bound does not cover is that of the terms that it is made of.
     """
