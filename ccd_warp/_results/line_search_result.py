@@ -1,6 +1,8 @@
 """What a line search returns."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -48,6 +50,19 @@ class LineSearchResult:
     struck: Contacts
     start: Intersections | None = None
     motion: Any = None
+    _find_shortening: Callable[[], Contacts] = field(kw_only=True, repr=False, compare=False)
+
+    @cached_property
+    def shortened_by(self) -> Contacts:
+        """Pairs that the fractions below 1 come from, in the order of :class:`ccd_warp.Contacts`, each once.
+
+        Of what shares a fraction (a vertex, a body, a world, the scene) they are the earliest contacts of every round
+        that made it less, and the fraction is the product of ``safety`` times their tois: what a response has to mind
+        that is to take it farther. What stops it, of ``touching`` and ``struck``, is among them where it did so first.
+        Each is reported as found in the first of these rounds: its toi and all other fields refer to the step of that
+        round. Empty: everything goes all its way, and what does not move was not to. Computed when it is first read.
+        """
+        return self._find_shortening()
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""
