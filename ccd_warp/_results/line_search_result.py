@@ -30,8 +30,9 @@ class LineSearchResult:
             be above 0.
         struck: Pairs of a kinematic body that moves and vertices that stay where they are and that it meets on its way,
             in the order of :class:`ccd_warp.Contacts`; their toi is when. Empty: it passes through nothing. Otherwise
-            the end positions are those of vertices that it has passed through, so the whole step, the script too, has
-            to be cut to a little less than ``struck.toi.min()``, or the response has to move them out of its way.
+            the end positions are those of vertices that it has passed through: the response has to move them out of
+            its way, or the motion of that body has to be cut to a little less than ``struck.toi.min()`` and searched
+            again, with the response whole. (Where the whole step is cut, the response is cut with it.)
         num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
             something starts within its distance counts once.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
