@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -209,6 +211,12 @@ class DistributedLineSearch:
     is_limited: bool
     struck: DistributedContacts
     motion: RigidMotion | None = None
+    _find_shortening: Callable[[], DistributedContacts] = field(kw_only=True, repr=False, compare=False)
+
+    @cached_property
+    def shortened_by(self) -> DistributedContacts:
+        """Pairs that the fractions below 1 come from, as of :class:`ccd_warp.LineSearchResult`, each on one rank."""
+        return self._find_shortening()
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"
