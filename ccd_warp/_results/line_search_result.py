@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
+from ccd_warp._runtime.lazy import lazy_property
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class LineSearchResult:
     motion: Any = None
     _find_shortening: Callable[[], Contacts] = field(kw_only=True, repr=False, compare=False)
 
-    @cached_property
+    @lazy_property
     def shortened_by(self) -> Contacts:
         """Pairs that the fractions below 1 come from, in the order of :class:`ccd_warp.Contacts`, each once.
 
