@@ -19,7 +19,10 @@ what it was, so the next frame is struck as well, and all stands still.
 
 takes a minute on two cores and draws ball/scripted_ball.png. It prints
 
-OUTPUT
+    moved by its contacts: 300 frames, 0 with intersections, 0 stand still;
+      the ball went 100.0% of its way, least distance 1.000000 of both radii
+    whole steps cut: 300 frames, 0 with intersections, 26 stand still;
+      the ball went 91.1% of its way, least distance 1.000000 of both radii
 """
 
 import argparse
