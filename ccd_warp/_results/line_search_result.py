@@ -1,6 +1,7 @@
 """What a line search returns."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
+from ccd_warp._runtime.lazy import lazy_property
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,9 @@ class LineSearchResult:
             be above 0.
         struck: Pairs of a kinematic body that moves and vertices that stay where they are and that it meets on its way,
             in the order of :class:`ccd_warp.Contacts`; their toi is when. Empty: it passes through nothing. Otherwise
-            the end positions are those of vertices that it has passed through, so the whole step, the script too, has
-            to be cut to a little less than ``struck.toi.min()``, or the response has to move them out of its way.
+            the end positions are those of vertices that it has passed through: the response has to move them out of
+            its way, or the motion of that body has to be cut to a little less than ``struck.toi.min()`` and searched
+            again, with the response whole. (Where the whole step is cut, the response is cut with it.)
         num_rounds: Number of times that a step was checked, one after another; a first check that is made again because
             something starts within its distance counts once.
         is_limited: Whether individual fractions took too many rounds, so that all vertices of a world move by one
@@ -48,6 +51,19 @@ class LineSearchResult:
     struck: Contacts
     start: Intersections | None = None
     motion: Any = None
+    _find_shortening: Callable[[], Contacts] = field(kw_only=True, repr=False, compare=False)
+
+    @lazy_property
+    def shortened_by(self) -> Contacts:
+        """Pairs that the fractions below 1 come from, in the order of :class:`ccd_warp.Contacts`, each once.
+
+        Of what shares a fraction (a vertex, a body, a world, the scene) they are the earliest contacts of every round
+        that made it less, and the fraction is the product of ``safety`` times their tois: what a response has to mind
+        that is to take it farther. What stops it, of ``touching`` and ``struck``, is among them where it did so first.
+        Each is reported as found in the first of these rounds: its toi and all other fields refer to the step of that
+        round. Empty: everything goes all its way, and what does not move was not to. Computed when it is first read.
+        """
+        return self._find_shortening()
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""

@@ -415,13 +415,19 @@ class DistributedPipeline:
             if self._local is not None and result.num_rounds > 1:
                 self._local.turn(vertices, fraction)
             self.mesh.copies.forward([(vertices, vertices), (fraction, fraction)])
-            touching, struck = (
-                of_part(DistributedContacts, plan.part, c, self._ranks) for c in (result.touching, result.struck)
-            )
+            part, ranks = plan.part, self._ranks
+            touching, struck = (of_part(DistributedContacts, part, c, ranks) for c in (result.touching, result.struck))
             self._finished()
             of_rounds = result.num_rounds, result.is_limited
             return DistributedLineSearch(
-                vertices, fraction, result.fraction, touching, *of_rounds, struck, result.motion
+                vertices,
+                fraction,
+                result.fraction,
+                touching,
+                *of_rounds,
+                struck,
+                result.motion,
+                _find_shortening=lambda: of_part(DistributedContacts, part, result.shortened_by, ranks),
             )
 
         with self._together_on("line_search", motion):

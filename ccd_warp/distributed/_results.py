@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -14,6 +15,7 @@ from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import Contacts, Counts
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import counted
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import IntersectionKind, PairKind, primitives_of
 from ccd_warp._runtime.texts import text_completed_by
 
@@ -209,6 +211,12 @@ class DistributedLineSearch:
     is_limited: bool
     struck: DistributedContacts
     motion: RigidMotion | None = None
+    _find_shortening: Callable[[], DistributedContacts] = field(kw_only=True, repr=False, compare=False)
+
+    @lazy_property
+    def shortened_by(self) -> DistributedContacts:
+        """Pairs that the fractions below 1 come from, as of :class:`ccd_warp.LineSearchResult`, each on one rank."""
+        return self._find_shortening()
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"

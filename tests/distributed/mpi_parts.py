@@ -16,7 +16,7 @@ CALLS = ["mesh_ccd", "find_candidates", *OF_STARTS, *SCALARS, *SEARCHES]
 # Of each result: what each rank has of its own vertices, what all have, and the lists of which each has some rows.
 _LOCAL = {"mesh_ccd": ["vertex_toi"], "line_search": ["vertices", "vertex_fraction"]}
 _SAME = {"mesh_ccd": ["toi", "body_toi", "world_toi"], "line_search": ["fraction", "num_rounds", "is_limited"]}
-_LISTS = {"mesh_ccd": ["contacts"], "line_search": ["touching", "struck"]}
+_LISTS = {"mesh_ccd": ["contacts"], "line_search": ["touching", "struck", "shortened_by"]}
 _KEPT = (
     "vertices body_vertex_range static kinematic rigid self_collision body_pairs exclusion_rings vertex_world names "
 )

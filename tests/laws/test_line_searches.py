@@ -92,10 +92,16 @@ def test_what_is_left_of_the_way_is_free(seed):
         assert (fraction[~is_free] == 1).all() and result.fraction == fraction[is_free].min(initial=1.0)
         group = shares.get(per, np.arange(len(start)))
         assert all(len({*fraction[is_free & (group == g)].tolist()}) <= 1 for g in {*group.tolist()})
+        # what goes less than its way has the contacts that say why, and nothing else has any
+        held, is_short = result.shortened_by, is_free & (fraction < 1)
+        assert {*group[is_short].tolist()} <= {*group[held.vertices].ravel().tolist()}
+        assert is_short[held.vertices].any(axis=1).all()
+        if result.num_rounds == 2:
+            assert (fraction[held.vertices] == SAFETY * held.toi[:, None]).any(axis=1).all()
         if (toi := steps[precision].toi) == np.inf:
             assert np.array_equal(left, end)
         elif toi > 0:  # it goes as far as the first contact allows, and no farther
-            assert SAFETY * toi >= fraction[is_free].min(initial=0.0)
+            assert SAFETY * toi >= fraction[is_free].min(initial=0.0) and (toi in held.toi or len(result.struck) > 0)
     whole = ccd.collision_free_step(mesh, start, end, precision=precision, **options)
     reached = near_on_the_way(scene, start, end, pairs, holds, lambda c: (start[c] != end[c]).any(axis=(1, 2)))
     assert not [key for key, time in reached.items() if time.late(whole)]

@@ -370,6 +370,9 @@ PLANTED = [
     Fault("a line search up to the contact", "ccd_warp/_engine/host/line_search.py",
           "fraction[touched] *= safety * bound[touched]", "fraction[touched] *= bound[touched]",
           ("engine/test_line_search.py::test_one_body_falls_on_another",)),
+    Fault("only the last round that shortened says why", "ccd_warp/_engine/host/line_search.py",
+          "toi, bound, before in rounds:", "toi, bound, before in rounds[-1:]:",
+          ("laws/test_line_searches.py::test_what_is_left_of_the_way_is_free",)),
     # --- input ---
     Fault("an index one beyond the last", "ccd_warp/_scene/input/excluded_pairs.py",
           "is_out = (column < 0) | (column >= count)", "is_out = (column < 0) | (column > count)",

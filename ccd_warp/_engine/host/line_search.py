@@ -1,6 +1,8 @@
 """Line search: the largest safe step of the scene, of each world, body or vertex, from times of impact."""
 
 from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +58,24 @@ OnStep = Callable[[Ends, Callable[[ContactStep], MeshResult]], MeshResult]
 _Floats = NDArray[np.float64]
 
 
+class _Shortening(NamedTuple):
+    """What a round has shortened.
+
+    Attributes:
+        contacts: The contacts of its step that are not stopped.
+        corners: Their vertices, shape [m, 4].
+        toi: Their tois, as they were counted, shape [m].
+        bound: The least toi of all vertices that share the fraction of each, shape [V].
+        before: The fraction of each vertex before it, shape [V].
+    """
+
+    contacts: Contacts
+    corners: NDArray[np.int32]
+    toi: _Floats
+    bound: _Floats
+    before: _Floats
+
+
 class LineSearchRounds:
     """A line search, round by round: displacements are shortened until no vertex that moves has a contact in the step.
 
@@ -95,6 +115,7 @@ class LineSearchRounds:
         self._is_common = np.full(mesh.num_vertices, per in ("scene", "world"))
         self._at_start: NDArray[np.uint64] | None = None  # keys of the pairs that touch there
         self._stopping: list[Contacts] = []
+        self._shortening: list[_Shortening] = []
 
     def result(self, *, begins_at_rest: bool = False) -> LineSearchResult:
         """The result after all rounds.
@@ -139,13 +160,20 @@ class LineSearchRounds:
         if mesh.kinematic.any():
             return None
         contacts = self._touching_at_start()
-        is_stopped = self._shared(self._least(contacts.toi, pair_vertices(mesh, contacts)), self._per) == 0
-        if not self._everywhere.all(bool(is_stopped[self._moves].all())):
+        corners = pair_vertices(mesh, contacts)
+        least = self._shared(self._least(contacts.toi, corners), self._per)
+        if not self._everywhere.all(bool((least == 0)[self._moves].all())):
             return None
         fraction = np.where(self._moves, 0.0, 1.0)
         motion = course.motion_to(fraction)
         touching = contacts[np.argsort(_keys(contacts))]
-        return LineSearchResult(course.start.copy(), fraction, 0.0, touching, 1, False, contacts[:0], motion=motion)
+        at_rest = partial(
+            _shortened_by, self._moves, contacts, [_Shortening(contacts, corners, contacts.toi, least, self.fraction)]
+        )
+        end = course.start.copy()
+        return LineSearchResult(
+            end, fraction, 0.0, touching, 1, False, contacts[:0], motion=motion, _find_shortening=at_rest
+        )
 
     def _result_of_rounds(self) -> LineSearchResult:
         while self.num_rounds < self._max_rounds:
@@ -214,6 +242,7 @@ class LineSearchRounds:
         if len(self._common) == 0:
             self._common = np.minimum(safety * of_world, 1.0)
         self.fraction = fraction = before.copy()
+        bound = of_world
         if self._max_rounds - self.num_rounds > _ROUNDS_BY_WORLD:
             bound = self._shared(least, self._per)
             touched = np.isfinite(bound)
@@ -227,6 +256,7 @@ class LineSearchRounds:
             fraction[touched] = np.where(self._is_common[touched], shorter, self._common[touched])
             self._is_common |= touched
         fraction[~self._moves] = 1.0
+        self._shortening.append(_Shortening(contacts, corners, toi, bound, before))
         if self._everywhere.is_alone and not self._driven.is_any:
             self._changed = fraction != before
         self.vertices = course.at(fraction)
@@ -274,6 +304,7 @@ class LineSearchRounds:
             is_limited=self.is_limited,
             struck=_each_once([contacts[is_struck]]),
             motion=self._course.motion_to(fraction),
+            _find_shortening=partial(_shortened_by, self._moves, contacts, self._shortening),
         )
 
 
@@ -381,6 +412,15 @@ def _stationary_contacts(mesh: CollisionMesh, stopping: list[Contacts], is_at_st
     if not parts:
         return stopping[0]
     return _each_once([part[np.flatnonzero(_of_all(is_at_start, _vertices_of(mesh, part)))] for part in parts])
+
+
+def _shortened_by(moves: NDArray[np.bool_], contacts: Contacts, rounds: list[_Shortening]) -> Contacts:
+    """The contacts of all rounds that shortened a vertex that was still to move, as found first."""
+    parts = []
+    for listed, corners, toi, bound, before in rounds:
+        is_shortened = moves & (before > 0)
+        parts.append(listed[(is_shortened[corners] & (bound[corners] == toi[:, None])).any(axis=1)])
+    return _each_once([*parts, contacts[:0]])
 
 
 def _each_once(parts: list[Contacts]) -> Contacts:
