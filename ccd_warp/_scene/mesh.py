@@ -634,7 +634,7 @@ class CollisionMesh(ReadOnly):
 
     @lazy_property
     def is_thick(self) -> bool:
-        """Whether vertices have radii: also of 0, in whose place launches may read others."""
+        """Whether vertices have radii, even if all are 0, as launches may read others in their place."""
         return self.radius is not None
 
     @lazy_property
