@@ -63,7 +63,7 @@ class StartDistanceStep(StepAtOneTime):
             x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
             x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
-            kernels = specialised("at_one_time.start_distances", norm=shape_of(self.norm()))
+            kernels = specialised("at_one_time.near_contacts", norm=shape_of(self.norm()))
             self.execution.launch(
                 kernels.note_near_contacts,
                 len(contacts),

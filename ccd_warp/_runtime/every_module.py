@@ -50,7 +50,7 @@ def every_module(width: int | None) -> dict[str, Any]:
     for shape, norm, lanes in (("ball", EUCLIDEAN_NORM, width or 1), ("box", MAXIMUM_NORM, 1)):
         measured = specialised("at_one_time.measure_pairs", norm=norm, width=lanes)
         modules[f"measure_pairs {shape}"] = measured.measure_pairs.module
-        of_start = specialised("at_one_time.start_distances", norm=norm)
+        of_start = specialised("at_one_time.near_contacts", norm=norm)
         modules[f"near_contacts {shape}"] = of_start.note_near_contacts.module
     for real, norm in product(_REALS, _NORMS):
         modules |= _of_solver(real, norm, width)

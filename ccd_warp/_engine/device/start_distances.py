@@ -94,7 +94,7 @@ class DeviceStartDistances:
         start, minima = stages.step.vertices_t0, stages.step.minima
         end = stages.step.vertices_t1 if self._no_end is None else self._no_end
         recording.launch(
-            specialised("at_one_time.start_distances", norm=self._norm).note_near_contacts,
+            specialised("at_one_time.near_contacts", norm=self._norm).note_near_contacts,
             len(contacts.kind),
             inputs=[*listed, *corners_by_kind(topology), start, end, self._of_start["reach"], minima],
             outputs=[self._world_near],

@@ -1,4 +1,4 @@
-"""How near vertices are to anything at the start: where that matters (`start_distance`).
+"""The contacts of a step that start near: where it matters how near vertices are at the start (`start_distance`).
 
 It matters where a contact starts within its distance; the least distance of a pair is proved in the norm of the
 separation. And it matters where a contact only passes by: a vertex that slides at its distance over a mesh starts a
