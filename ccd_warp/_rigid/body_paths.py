@@ -146,6 +146,18 @@ class BodyPaths(ReadOnly):
         moves: NDArray[np.bool_] = np.asarray(np.column_stack([self.omega, self.velocity, self.turning]).any(axis=1))
         return moves
 
+    def seen(self) -> BodyPaths:
+        """The same paths, where what stands, and may be beside its path, turns with a velocity that its excess covers.
+
+        So no line search takes it for a body that stays.
+        """
+        stands = (self.excess > 0.0) & ~self.moves
+        if not stands.any():
+            return self
+        turning = self.turning.copy()
+        turning[stands, 0] = UNSEEN
+        return replace(self, turning=turning)
+
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
         """The paths up to a fraction of the step for each body, shape [N]."""
         changed = {name: getattr(self, name) * fraction[:, None] for name in ("omega", "velocity", "turning")}

@@ -49,18 +49,13 @@ class MeshPaths(BodyPaths):
 
     @classmethod
     def of_checked(cls, mesh: CollisionMesh, paths: BodyPaths, **further: Any) -> MeshPaths:
-        """Those of a motion that is known to fit the mesh, with ``further`` attributes.
-
-        A body that stands on its path, and may be beside it, moves: it turns with a velocity that its excess covers, so
-        that no line search takes it for one that stays.
-        """
-        bodies = np.flatnonzero(mesh.rigid)
+        """Those of a motion that is known to fit the mesh, with ``further`` attributes."""
+        paths, bodies = paths.seen(), np.flatnonzero(mesh.rigid)
         rows: dict[str, Any] = {}
         for field in fields(BodyPaths):
             of_rigid = getattr(paths, field.name)
             rows[field.name] = np.zeros((mesh.num_bodies, *of_rigid.shape[1:]))
             rows[field.name][bodies] = of_rigid
-        rows["turning"][bodies[(paths.excess > 0.0) & ~paths.moves], 0] = UNSEEN
         return cls(**rows, is_rigid=mesh.rigid.copy(), **further)
 
     def begin(self, workspace: Workspace, positions: Positions, options: Options, *, for_impacts: bool) -> Motion:
@@ -121,6 +116,7 @@ class MeshPaths(BodyPaths):
         arms = rotated(self.rotation[rows], in_space(start[rigid]) - self.pivot[rows])
         arms = arms + arcs(omega, arms, times, factors)
         turned = self.velocity[rows] + cross(omega, arms) + turning + arcs(omega, turning, times, factors)
+        turned[(self.excess[rows] > 0.0) & (np.abs(turned) <= UNSEEN).all(axis=1)] = 0.0
         v[rigid] = turned[:, : v.shape[1]]
         return v
 
@@ -141,7 +137,7 @@ class WorldPaths(MeshPaths):
     @classmethod
     def of_worlds(cls, mesh: CollisionMesh, paths: BodyPaths) -> WorldPaths:
         """Of a motion that has a row for each rigid body, of one world after another."""
-        return cls(**vars(paths), is_rigid=mesh.rigid)
+        return cls(**vars(paths.seen()), is_rigid=mesh.rigid)
 
     def _rows_of(self, body: NDArray[np.integer]) -> tuple[NDArray[np.intp], NDArray[np.integer]]:
         world, body_in_world = np.divmod(body, len(self.is_rigid))

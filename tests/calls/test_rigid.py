@@ -212,11 +212,12 @@ def test_bodies_that_stand_on_their_paths_and_may_be_beside_them_are_no_stationa
     pipeline, is_free = ccd.CollisionPipeline(mesh), within < 0.25
     result = pipeline.launch_line_search(*step_of(mesh), per="body", motion=motion).to_host()
     found = pipeline.line_search(*step_of(mesh), per="body", motion=motion)
-    assert pipeline.mesh_ccd(*step_of(mesh), motion=motion).toi == (np.inf if is_free else 0.0)
+    struck = pipeline.mesh_ccd(*step_of(mesh), motion=motion)
+    assert struck.toi == (np.inf if is_free else 0.0)
     assert found.vertex_fraction.tolist() == [float(is_free)] * 16 and (len(found.touching) == 0) == is_free
     assert result.body_fraction.tolist() == [float(is_free)] * 2
     assert len(pipeline.find_candidates(*step_of(mesh), motion=motion).vertex_face) > 0 or is_free
-    assert (motion.poses_t1 == motion.at(0.5)).all()  # it shows nowhere
+    assert (motion.poses_t1 == motion.at(0.5)).all() and not struck.contacts.relative_velocity.any()  # it shows nowhere
 
 
 def test_what_starts_within_its_distance_keeps_it_but_for_four_times_the_lengths():

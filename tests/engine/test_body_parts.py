@@ -170,8 +170,8 @@ def test_parts_are_near_at_the_distance_to_which_they_come(sides, path, kind):
     ):
         parts = BodyParts(mesh, mesh.vertices)
         of_bodies = {name: x if name == "path" else x[:, k] for name, x in given.items()}
-        for share in (1.0, 0.6):
-            moved = ccd.RigidMotion(poses[:, k], within=share * lengths + 1e-9, **of_bodies)
+        for share in (1.0, 0.6):  # of lengths along each axis, as the narrow phase has them: to the corner of a box
+            moved = ccd.RigidMotion(poses[:, k], within=share * lengths / np.sqrt(3) + 1e-9, **of_bodies)
             is_near = near(mesh, moved, parts).bodies[slices, rows, 0]
             assert is_near.mean() == 1.0 if share == 1.0 else is_near.mean() < 0.8
 
