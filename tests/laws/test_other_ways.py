@@ -328,8 +328,8 @@ ON_OTHER += [(call, scene) for scene in ON_DEVICE if scene not in _SEARCHED for 
 _MORE = {
     "searches": ["levels", "hash", "lists", "tree lists", "radii", "thick lists", 32],
     "at_one_time": ["kinds", "radii"],
-    "gradients": ["kinds", "radii"],
-    "launches": ["arcs 1", "arcs 3", 31, 32, 34],  # in the plane, in float32
+    "gradients": ["kinds", "radii", 59],  # in the plane
+    "launches": ["arcs 1", "arcs 3", 59],
     "launched_line_searches": ["radii", "arcs 2"],
     "few_pairs": ["kinds"],
     "replays": ["worlds"],
