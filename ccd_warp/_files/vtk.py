@@ -22,7 +22,12 @@ from ccd_warp._scene.input.messages import InputError
 
 _HEAD = re.compile(rb"# vtk DataFile Version (\d)\.\d+\s*\n[^\n]*\n\s*(ASCII|BINARY)\s*\n\s*DATASET\s+(\w+)", re.I)
 _LISTS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
-_STATED = re.compile(rf"\n(POINTS|{'|'.join(_LISTS)})[ \t]+(\d+)[ \t]+(\w+)[ \t\r]*\n".encode(), re.I)
+_STATED = re.compile(rf"\n(POINTS|CELL_TYPES|{'|'.join(_LISTS)})[ \t]+(\d+)[ \t]*(\w*)[ \t\r]*\n".encode(), re.I)
+_CONNECTIVITY = re.compile(rb"CONNECTIVITY[ \t]+(\w+)[ \t\r]*\n", re.I)
+# Bytes of a number, by its type in a legacy file, where these are not 4.
+_BYTES = {"char": 1, "short": 2, "long": np.dtype("long").itemsize, "double": 8}
+_BYTES |= {f"unsigned_{name}": _BYTES[name] for name in ("char", "short", "long")}
+_BYTES |= {"vtktypeint64": 8, "vtktypeuint64": 8}
 _READ = "UnstructuredGrid", "PolyData", "UNSTRUCTURED_GRID", "POLYDATA"
 # The parts of a piece in XML, and the attribute that says how many cells each has.
 _PARTS = {tag: f"NumberOf{tag}" for tag in ("Cells", "Verts", "Lines", "Strips", "Polys")}
@@ -107,16 +112,22 @@ def _announced_by_legacy(data: bytes) -> tuple[str, bytes, tuple[int, ...], int]
         raise InputError(f"its last number may have lost digits, because no line end follows; {CUT}")
     counts = np.zeros(3, dtype=np.int64)
     for found in _STATED.finditer(data):
-        is_points, count, size = found[1].upper() == b"POINTS", int(found[2]), found[3].lower()
-        if is_points:
+        section, count, last, begin = found[1].upper(), int(found[2]), found[3], found.end()
+        numbers, kind_of_number = count, b"int"
+        if section == b"POINTS":
             counts[0] += count
-            numbers, least = 3 * count, 8 if size == b"double" else 1 if b"char" in size else 4
+            numbers, kind_of_number = 3 * count, last
         # Before version 5 each cell begins with its number of corners; since then there is one offset more than cells.
-        else:
-            counts[1:] += [count, int(size) - count] if is_old else [max(count - 1, 0), int(size)]
-            numbers, least = int(size), 4
-        if numbers * (2 if is_text else least) > len(data) - found.end():
-            raise InputError(f"announces {numbers} numbers in {len(data) - found.end()} bytes; {CUT}")
+        elif section != b"CELL_TYPES":
+            numbers = int(last or 0)
+            counts[1:] += [count, numbers - count] if is_old else [max(count - 1, 0), numbers]
+            if numbers and not is_old:  # of corners that are missing VTK's reader makes what was in memory
+                if not (corners := _CONNECTIVITY.search(data, begin)):
+                    raise InputError(f"announces {numbers} corners of cells, and none follow; {CUT}")
+                begin, kind_of_number = corners.end(), corners[1]
+        least = 2 if is_text else _BYTES.get(kind_of_number.decode().lower(), 4)
+        if numbers * least > len(data) - begin:
+            raise InputError(f"announces {numbers} numbers in {len(data) - begin} bytes; {CUT}")
     if is_text:  # decimals in full
         data = re.sub(rb"(\nPOINTS\s+\d+\s+)float\b", rb"\1double", data, flags=re.I)
     return kind, data, tuple(counts.tolist()), 1
