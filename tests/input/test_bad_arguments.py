@@ -143,7 +143,9 @@ def leaves(result, name=""):
         parts = vars(result.to_host() if isinstance(result, ccd.DeviceContacts) else result)
         parts = {key: value for key, value in parts.items() if not key.startswith("_")}
     elif is_dataclass(result):
-        parts = {key: value for key, value in vars(result).items() if key not in ("timings", "counts", "_step")}
+        left_out = ("timings", "counts", "_step", "_find_shortening")
+        parts = {key: value for key, value in vars(result).items() if key not in left_out}
+        parts |= {"shortened_by": result.shortened_by} if isinstance(result, ccd.LineSearchResult) else {}
     elif isinstance(result, (tuple, list, ccd.FrameSequence, ccd.PoseSequence)):
         parts = dict(enumerate(result))
     elif isinstance(result, dict):
@@ -312,7 +314,11 @@ TOGETHER = {
     ],
     "point_point_ccd": [({"minimum_distance": 1.0, "minimum_separation": 0.1}, "is 0.1; expected one")],
     "rigid_ccd": [
-        ({"poses_t0": [REST], "poses_t1": [REST]}, "poses_t0 is of 1 body; expected 2 bodies, those of the mesh but"),
+        (
+            {"poses_t0": [REST], "poses_t1": [REST], "within": 0},
+            "poses_t0 is of 1 body; expected 2 bodies, those of the",
+        ),
+        ({"poses_t0": [REST], "poses_t1": [REST]}, r"within has shape \(2,\); .* such lengths of shape \(1,\)"),
         ({"mesh": COPIES, "poses_t0": [REST] * 2, "poses_t1": [REST] * 2}, "poses_t0 is of 2 bodies; expected 6"),
         ({"mesh": BARS, "poses_t0": [REST] * 2, "poses_t1": [REST, LIFTED]}, "takes body 1 out of the plane of the"),
     ],
