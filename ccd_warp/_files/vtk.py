@@ -22,7 +22,13 @@ from ccd_warp._scene.input.messages import InputError
 
 _HEAD = re.compile(rb"# vtk DataFile Version (\d)\.\d+\s*\n[^\n]*\n\s*(ASCII|BINARY)\s*\n\s*DATASET\s+(\w+)", re.I)
 _LISTS = ("CELLS", "VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS")
-_STATED = re.compile(rf"\n(POINTS|CELL_TYPES|{'|'.join(_LISTS)})[ \t]+(\d+)[ \t]*(\w*)[ \t\r]*\n".encode(), re.I)
+_STATED = re.compile(rf"\n(POINTS|CELL_TYPES|{'|'.join(_LISTS)})[ \t]+(\d+)[ \t]*(\w*)[ \t\r]*(?:\n|\Z)".encode(), re.I)
+# Of fields: how many rows each array of a section has, an array of so many, or one that says its columns and rows.
+_VALUES = re.compile(
+    rb"^(?:(?:POINT|CELL)_DATA[ \t]+(\d+)|(SCALARS|VECTORS|NORMALS)[ \t]+\S+[ \t]+(\w+)[ \t]*(\d*)"
+    rb"|\S+[ \t]+(\d+)[ \t]+(\d+)[ \t]+([a-z]\w*))[ \t\r]*(?:\n|\Z)(?:LOOKUP_TABLE[^\n]*(?:\n|\Z))?",
+    re.I | re.M,
+)
 _CONNECTIVITY = re.compile(rb"CONNECTIVITY[ \t]+(\w+)[ \t\r]*\n", re.I)
 # Bytes of a number, by its type in a legacy file, where these are not 4.
 _BYTES = {"char": 1, "short": 2, "long": np.dtype("long").itemsize, "double": 8}
@@ -111,23 +117,38 @@ def _announced_by_legacy(data: bytes) -> tuple[str, bytes, tuple[int, ...], int]
     if is_text and not data[-1:].isspace():
         raise InputError(f"its last number may have lost digits, because no line end follows; {CUT}")
     counts = np.zeros(3, dtype=np.int64)
-    for found in _STATED.finditer(data):
-        section, count, last, begin = found[1].upper(), int(found[2]), found[3], found.end()
-        numbers, kind_of_number = count, b"int"
-        if section == b"POINTS":
-            counts[0] += count
-            numbers, kind_of_number = 3 * count, last
-        # Before version 5 each cell begins with its number of corners; since then there is one offset more than cells.
-        elif section != b"CELL_TYPES":
-            numbers = int(last or 0)
-            counts[1:] += [count, numbers - count] if is_old else [max(count - 1, 0), numbers]
-            if numbers and not is_old:  # of corners that are missing VTK's reader makes what was in memory
-                if not (corners := _CONNECTIVITY.search(data, begin)):
-                    raise InputError(f"announces {numbers} corners of cells, and none follow; {CUT}")
-                begin, kind_of_number = corners.end(), corners[1]
-        least = 2 if is_text else _BYTES.get(kind_of_number.decode().lower(), 4)
+
+    def expect(numbers: int, begin: int, of_type: bytes = b"int") -> None:
+        """Refuse numbers that cannot be there in full: VTK's reader makes those of what was in memory."""
+        least = 2 if is_text else _BYTES.get(of_type.decode().lower(), 4)
         if numbers * least > len(data) - begin:
             raise InputError(f"announces {numbers} numbers in {len(data) - begin} bytes; {CUT}")
+
+    for found in _STATED.finditer(data):
+        section, count, last = found[1].upper(), int(found[2]), found[3]
+        if section == b"CELL_TYPES":
+            expect(count, found.end())
+        elif section == b"POINTS":
+            counts[0] += count
+            expect(3 * count, found.end(), last)
+        # Before version 5 each cell begins with its number of corners; since then there is one offset more than cells.
+        elif is_old:
+            counts[1:] += [count, int(last or 0) - count]
+            expect(int(last or 0), found.end())
+        elif count:
+            counts[1:] += [count - 1, int(last or 0)]
+            if not (corners := _CONNECTIVITY.search(data, found.end())):
+                raise InputError(f"announces {int(last or 0)} corners of cells, and none follow; {CUT}")
+            expect(int(last or 0), corners.end(), corners[1])
+    num_rows = 0
+    for found in () if is_text else _VALUES.finditer(data):  # in text VTK's reader notices itself
+        if found[1]:
+            num_rows = int(found[1])
+        elif found[2]:
+            num_columns = int(found[4] or 1) if found[2].upper() == b"SCALARS" else 3
+            expect(num_rows * num_columns, found.end(), found[3])
+        else:
+            expect(int(found[5]) * int(found[6]), found.end(), found[7])
     if is_text:  # decimals in full
         data = re.sub(rb"(\nPOINTS\s+\d+\s+)float\b", rb"\1double", data, flags=re.I)
     return kind, data, tuple(counts.tolist()), 1

@@ -1,7 +1,9 @@
 """What a line search returns."""
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -64,6 +66,9 @@ class LineSearchResult:
         round. Empty: everything goes all its way, and what does not move was not to. Computed when it is first read.
         """
         return self._find_shortening()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_find_shortening": partial(copy, self.shortened_by)}
 
     def __repr__(self) -> str:
         limited = ", is_limited" if self.is_limited else ""

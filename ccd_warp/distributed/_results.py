@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
@@ -217,6 +219,9 @@ class DistributedLineSearch:
     def shortened_by(self) -> DistributedContacts:
         """Pairs that the fractions below 1 come from, as of :class:`ccd_warp.LineSearchResult`, each on one rank."""
         return self._find_shortening()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_find_shortening": partial(copy, self.shortened_by)}
 
     def __repr__(self) -> str:
         return f"DistributedLineSearch(fraction={self.fraction!r}, {self.num_rounds} rounds)"

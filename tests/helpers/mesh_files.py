@@ -162,8 +162,9 @@ def whole(name) -> bytes:
 
 def content(path) -> tuple[np.ndarray, np.ndarray]:
     """Positions and faces of any file of a mesh or of a sequence."""
-    if path.suffix == ".pvd":
-        sequence = ccd.read_sequence(path)
+    if path.suffix in (".pvd", ".vtk", ".vtp", ".vtu"):
+        is_whole = path.suffix == ".pvd"
+        sequence = ccd.read_sequence(path if is_whole else [path] * 2, displacement=None if is_whole else "u")
         return np.array([*sequence]), sequence.mesh.faces
     frames = ccd.read_frames(path, path)
     return frames.vertices_t0, frames.mesh.faces
