@@ -52,10 +52,13 @@ def test_contacts_are_read_one_at_a_time_in_part_by_toi_and_as_copies(step):
         assert np.array_equal(part.vertices, contacts.vertices[chosen])
     by_toi = contacts.sorted_by_toi()
     assert np.array_equal(by_toi.points, contacts.points[np.argsort(contacts.toi, kind="stable")])
+    found = ccd.line_search(*step[:3])
     for copied in (copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))):
         result = copied(step[3])
         assert np.array_equal(result.contacts.points, contacts.points) and repr(result) == repr(step[3])
         assert np.array_equal(copied(result.first).vertices, result.first.vertices)
+        shortened_by = copied(copied(found)).shortened_by
+        assert len(shortened_by) and np.array_equal(shortened_by.points, found.shortened_by.points)
 
 
 @pytest.mark.parametrize("num_more", [0, 19_000])  # few and many vertices for each contact

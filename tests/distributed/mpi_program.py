@@ -448,6 +448,8 @@ def together():
     for again in (pickle.loads(pickle.dumps(found)), copy.deepcopy(found)):
         assert again.toi == found.toi and np.array_equal(again.contacts.points, found.contacts.points)
         everywhere(["to_root() is called on a copy"], again.contacts.to_root)
+    found = pipeline.line_search(x, y)
+    assert np.array_equal(pickle.loads(pickle.dumps(found)).shortened_by.points, found.shortened_by.points)
     # the same pairs, in the integers that each rank has; and none at all
     made(exclude_pairs={"vertices": np.array([[0, 1]], dtype=np.int32 if RANK == 0 else np.int64)})()
     made(exclude_pairs={"vertices": []})()
