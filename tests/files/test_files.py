@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import exported, of_meshio, ply
+from mesh_files import exported, of_extra, ply
 
 import ccd_warp as ccd
 
@@ -16,35 +16,12 @@ _SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=1.0 / 3.0)
 BALL, BALL_FACES = np.asarray(_SPHERE.vertices) + np.pi, np.asarray(_SPHERE.faces).astype(np.int32)
 
 
-def _of_cells(name, **options):
-    def write(vertices, faces):
-        meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]), **options)
-
-    return write
-
-
-FORMATS = {
-    "binary.ply": ply,
-    **{name: _of_cells(name) for name in ("a.vtu", "a.vtk", "a.msh", "a.mesh", "a.inp")},
-    "text.vtk": _of_cells("a.vtk", binary=False),
-    "a.xdmf": _of_cells("a.xdmf", data_format="XML"),
-}
-
-
 def _frames(folder, name, start, end=None, **options):
     """What is read of two files with these contents."""
     paths = [folder / f"{time} {name}" for time in ("start", "end")]
     for path, data in zip(paths, (start, start if end is None else end), strict=True):
         path.write_bytes(data.encode() if isinstance(data, str) else data)
     return ccd.read_frames(*paths, **options)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_every_bit_and_every_vertex_comes_as_the_file_has_it(tmp_path, name):
-    frames = _frames(tmp_path, name, *(FORMATS[name](x, BALL_FACES) for x in (BALL, 1.5 * BALL)))
-    assert np.array_equal(frames.vertices_t0, BALL) and np.array_equal(frames.vertices_t1, 1.5 * BALL)
-    assert np.array_equal(frames.mesh.faces, BALL_FACES) and not frames.num_merged.any()
 
 
 @pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
@@ -72,20 +49,6 @@ def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(
         found = frames.vertices_t0[frames.mesh.vertex_body == body]
         expected = BALL.astype(np.float32).astype(np.float64) + [10.0 * (name != "left"), 0, 0]
         assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0)) and len(found) == len(BALL)
-
-
-@pytest.mark.parametrize("kind, module, is_soup", [("dae", "collada", True), ("3mf", "lxml", False)])
-def test_scenes_of_other_formats_have_their_vertices_once(tmp_path, kind, module, is_soup):
-    """In COLLADA, faces with normals of their own are corners of their own, which would touch one another."""
-    pytest.importorskip(module)
-    ends = [BALL, BALL + 1.0]
-    faces = np.arange(3 * len(BALL_FACES)).reshape(-1, 3) if is_soup else BALL_FACES
-    contents = [exported(kind, x[BALL_FACES].reshape(-1, 3) if is_soup else x, faces) for x in ends]
-    frames = _frames(tmp_path, f"a.{kind}", *contents)
-    assert len(frames.vertices_t0) == len(BALL) and frames.mesh.num_faces == len(BALL_FACES)
-    for found, x in zip((frames.vertices_t0, frames.vertices_t1), ends, strict=True):
-        # single precision, and decimals of trimesh
-        assert np.abs(found[frames.mesh.faces] - x[BALL_FACES]).max() < 1e-6
 
 
 def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
@@ -128,7 +91,7 @@ def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, me
 
 def test_pieces_are_one_where_their_points_are_in_one_place(tmp_path):
     """Two tetrahedra with a side in common, in pieces of a file and in a file each; a cell of two pieces is one."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     points, pieces = np.concatenate([np.eye(4, 3, k=-1), [[1.0, 1.0, 1.0]]]), []
     for k, corners in enumerate(([0, 1, 2, 3], [1, 2, 3, 4])):
         path = tmp_path / f"{k}.vtu"
@@ -158,7 +121,7 @@ BESIDE = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", [[0, 2, 1]]), ("te
 )
 def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffix, options):
     """As Gmsh and meshio write physical groups; alone they are cables and particles."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     cells, path = BESIDE[suffix == "mesh" :], tmp_path / f"a.{suffix}"
     meshio.Mesh(TETRAHEDRON, cells).write(path, **options)
     said = "1 edges of curves beside" if suffix == "mesh" else "1 edges of curves and 1 points beside"
@@ -173,8 +136,8 @@ def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffi
 
 
 def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
-    """Hexahedra, voxels, wedges and cells of Lagrange by their corners, mirrored ones turned outward."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    """Hexahedra, voxels and cells of Lagrange by their corners, mirrored ones turned outward."""
+    pyvista = of_extra("pyvista")
     cube = np.array([*np.ndindex(2, 2, 2)], dtype=np.float64)[:, ::-1]  # in the order of a voxel
     corners, path = [0, 1, 3, 2, 4, 5, 7, 6], tmp_path / "a.vtu"
     middles = np.random.default_rng(0).uniform(size=(19, 3))
@@ -191,9 +154,32 @@ def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
         assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() == pytest.approx(6.0) and mesh.num_faces == 12
 
 
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("kind", [*range(68, 74), *range(75, 81)])  # of Lagrange, then of Bézier
+def test_cells_of_lagrange_and_bezier_of_any_order_are_those_of_their_corners(tmp_path, kind, order):
+    """Lines, triangles, quadrilaterals, tetrahedra, hexahedra, wedges: of a unit cube, or what it is of less space."""
+    pyvista, path = of_extra("pyvista"), tmp_path / "a.vtu"
+    from vtkmodules.vtkFiltersSources import vtkCellTypeSource
+
+    source, k = vtkCellTypeSource(), (kind - 68) % 7
+    source.SetCellType(kind)
+    source.SetCellOrder(order)
+    source.SetBlocksDimensions(1, 1, 1)
+    source.Update()
+    pyvista.wrap(source.GetOutput()).save(path)
+    is_told = order > (1 if k == 0 else 2)  # the middles of quadratic ones are measured in place of it
+    with pytest.warns(RuntimeWarning, match="a higher order collide by their corners") if is_told else nullcontext():
+        frames = ccd.read_frames(path, path, surface=True)
+    a, b, c = np.moveaxis(frames.vertices_t0[frames.mesh.faces], 1, 0)
+    volume, area = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0, np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    counts = frames.mesh.num_edges, frames.mesh.num_faces
+    assert counts == [(1, 0), (5, 2), (5, 2), (18, 12), (18, 12), (18, 12)][k]
+    assert volume == pytest.approx(float(k > 2)) and area.sum() / 2.0 == pytest.approx([0, 1, 1, 6, 6, 6][k])
+
+
 def test_strips_and_pixels_are_polygons(tmp_path):
     """A square of two pixels and as a strip, all of which are seen from one side."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    pyvista = of_extra("pyvista")
     points, strip = np.array([[x, y, 0.0] for x in range(3) for y in range(2)]), tmp_path / "a.vtp"
     pixels = tmp_path / "a.vtu"
     pyvista.PolyData(points, strips=[6, *range(6)]).save(strip)
@@ -203,25 +189,9 @@ def test_strips_and_pixels_are_polygons(tmp_path):
         assert np.cross(b - a, c - a)[:, 2].tolist() == [sign] * 4
 
 
-def test_polygons_of_polydata_are_triangulated_once_by_area(tmp_path):
-    """An L that folds over: its fan about the first corner covers it in the second frame alone."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
-    points = np.array([[0.0, 2, 0], [0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [1, 2, 0]])
-    paths = [tmp_path / f"{k}.vtp" for k in range(2)]
-    for path, x in zip(paths, (points, points * [1, -1, 1]), strict=True):
-        pyvista.PolyData(x, faces=[6, *range(6)]).save(path)
-    frames = ccd.read_frames(*paths)
-    a, b, c = np.moveaxis(points[frames.mesh.faces], 1, 0)
-    areas = np.cross(b - a, c - a)[:, 2] / 2.0
-    assert areas.sum() == 3.0 and (areas > 0.0).all()
-    pyvista.PolyData(points, faces=[3, 0, 1, 2, 5, 2, 3, 4, 5, 0]).save(paths[1])
-    with pytest.raises(ValueError, match="topology differs"):
-        ccd.read_frames(*paths)
-
-
 def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
     """One tetrahedron, of which a node is a tenth off the middle of its edge."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     points, edges, path = np.eye(4, 3, k=-1), [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)], tmp_path / "a.vtu"
     nodes = np.concatenate([points, points[edges].mean(axis=1) - 0.1 * np.eye(6, 3)])
     meshio.Mesh(nodes, [("tetra10", np.arange(10)[None])]).write(path)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mesh_files import of_meshio, ply
+from mesh_files import of_extra, of_meshio, ply
 
 import ccd_warp as ccd
 
@@ -20,8 +20,7 @@ def write_frames(folder, *names, suffix=".ply"):
             if suffix == ".ply":
                 path.write_bytes(ply(frame, FACES))
             else:
-                meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-                path.write_bytes(of_meshio(path.name, meshio.Mesh(frame, [("triangle", FACES)])))
+                path.write_bytes(of_meshio(path.name, of_extra("meshio").Mesh(frame, [("triangle", FACES)])))
 
 
 def check(paths, *, names, positions=POSITIONS, **options):
@@ -84,8 +83,7 @@ def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_eac
 
 
 def test_series_of_xdmf_moves_by_its_displacements(tmp_path, monkeypatch):
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-    pytest.importorskip("h5py", reason="the extra formats is not installed")
+    meshio, _ = of_extra("meshio"), of_extra("h5py")
     monkeypatch.chdir(tmp_path)
     with meshio.xdmf.TimeSeriesWriter("a.xdmf") as writer:  # with its numbers in a.h5
         writer.write_points_cells(EIGHTHS[0], [("triangle", FACES)])
