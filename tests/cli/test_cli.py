@@ -73,11 +73,10 @@ def run(folder, monkeypatch, capfd):
     return run_command
 
 
-def _expected(**options):
+def _expected():
     """The same run through the Python interface, with the length scale of the bodies at the start."""
     frames = ccd.read_frames("start.ply", "end.ply", static=["floor.ply"])
-    options = {"length_scale": 4.0} | options
-    return frames.mesh, ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, **options)
+    return frames.mesh, ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, length_scale=4.0)
 
 
 # ---- The report ------------------------------------------------------------------------------------------------------
@@ -92,12 +91,7 @@ CERTAIN = "scene toi none (certain for the pairs looked at: vertex-face and edge
 REPORTS = [  # a command, and words of its report; those behind - are not in it
     (RUN, CERTAIN.format(1), "-no part", "-(--"),
     (f"{ON} --kinematic start.ply --t-max 0.25", "start.ply kinematic", "static and kinematic", CERTAIN.format(0.25)),
-    (
-        f"{ON} --pair-kinds edge-edge",
-        "left out vertex-face pairs",
-        "-vertex-face and",
-        "(--pair-kinds)",
-    ),
+    (f"{ON} --pair-kinds edge-edge", "left out vertex-face pairs", "-vertex-face and", "(--pair-kinds)"),
     (f"{RUN} --exclusion-rings 2 --no-self-collision", "fewer than 2 edges", "within a body (--no-self-collision)"),
     # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
     (f"{ON} --minimum-separation 0.01", "extents at the start 4 x 4 x 3.5", "minimum separation 0.04"),
@@ -187,26 +181,6 @@ def test_standard_output_takes_the_json_alone(run):
     assert data["crossing"]["bodies"] == [["crossing.ply", "crossing.ply"]] * 2
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"minimum_separation": 0.01, "length_scale": 1.0, "tolerance": 1e-9, "num_threads": 1},
-        {"precision": "float32", "t_max": 0.5, "minimum_distance": 0.25, "start_gap_fraction": 0.5},
-        {"method": "bisection", "broad_phase": "hash", "max_iterations": 3, "max_work": 100},
-        {"pair_kinds": "edge-edge", "memory_limit": 64_000_000},
-    ],
-)
-def test_options_reach_the_library(run, options):
-    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
-    run(f"{ON} --quiet --output reached.json", *words)
-    if "pair_kinds" in options:
-        options = options | {"pair_kinds": ["edge_edge"]}
-    data, (_, result) = _json("reached.json"), _expected(**options)
-    assert data["toi"] == result.toi and data["counts"]["num_batches"] == result.counts.num_batches
-    assert data["contact"]["toi"] == np.sort(result.contacts.toi).tolist()
-    assert {name: data["options"][name] for name in options} == options
-
-
 def test_a_ground_is_a_half_space_of_the_command_line(run):
     """It is named in the report and in files of results, and no radius for all bodies is one for it."""
     planes = "--half-space ground=0,0,0,0,0,2 --half-space=-9,0,0,1,0,0 --radius 0.25 --no-self-collision"
@@ -237,10 +211,7 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{SHEET} --exclude wall.ply", "--exclude wall.ply: expected A,B, the names of two bodies"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    (
-        "sequence start.ply end.ply --output s.json",
-        "s.json: expected the name of a folder, found that of a file",
-    ),
+    ("sequence start.ply end.ply --output s.json", "s.json: expected the name of a folder, found that of a file"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds 'v 0 0 \x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),

@@ -3,6 +3,7 @@
 import re
 from contextlib import nullcontext
 from fractions import Fraction
+from itertools import product
 from random import Random
 
 import numpy as np
@@ -38,15 +39,22 @@ def _refused(path, line, message):
         read_queries(path)
 
 
-def test_any_finite_query_comes_back_and_zero_loses_its_sign(tmp_path):
-    """Of numbers of any bits, and of extremes; 0.0 is added, which takes the sign from a zero."""
-    rng, shape = np.random.default_rng(0), (300, 8, 3)
-    bits = rng.integers(0, 2**64, shape, dtype=np.uint64).view(np.float64)
-    points = np.where(np.isfinite(bits) & (rng.random(shape) < 0.8), bits, rng.choice([*EXTREMES, -0.0], shape))
-    truth = rng.random(300) < 0.5
-    start, end, found = read_queries(_write(tmp_path, _rows(points, truth)))
-    assert np.concatenate([start, end], axis=1).tobytes() == (points + 0.0).tobytes()
-    assert np.array_equal(found, truth)
+# Line ends, ends of the file, marks at its begin, and blanks after commas, as ccd_query_io writes them.
+DRESSES = list(product(["\n", "\r\n"], ["", "\n", "\n\n\n"], [b"", b"\xef\xbb\xbf"], ["", "   "]))
+
+
+def test_any_finite_query_comes_back_in_any_dress_and_zero_loses_its_sign(tmp_path):
+    """Points of both frames in order: of any bits, and extremes; 0.0 is added, which takes the sign of a zero."""
+    rng, shape = np.random.default_rng(0), (16, 8, 3)
+    for line_end, tail, mark, blanks in DRESSES:
+        bits = rng.integers(0, 2**64, shape, dtype=np.uint64).view(np.float64)
+        points = np.where(np.isfinite(bits) & (rng.random(shape) < 0.8), bits, rng.choice([*EXTREMES, -0.0], shape))
+        truth = rng.random(len(points)) < 0.5
+        rows = line_end.join(_rows(points, truth)).replace(",", f",{blanks}") + tail.replace("\n", line_end)
+        start, end, found = read_queries(_write(tmp_path, mark + rows.encode()))
+        assert np.concatenate([start, end], axis=1).tobytes() == (points + 0.0).tobytes()
+        assert np.array_equal(found, truth)
+        assert len(read_queries(_write(tmp_path, mark + tail.encode()))[0]) == 0
 
 
 def test_a_rational_is_exact_or_refused(tmp_path):
@@ -92,21 +100,8 @@ def test_queries_cut_at_any_byte_are_refused_or_fewer_whole_queries(tmp_path, tr
             assert np.array_equal(np.concatenate([start, end], axis=1), points[: len(start)])
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-@pytest.mark.parametrize("tail", ["", "\n", "\n\n\n"])
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("space", ["", "   "])  # after commas, as ccd_query_io writes them
-def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, end, tail, mark, space):
-    rows = [f"{i},1,{i},2,{-i},4,1".replace(",", f",{space}") for i in range(16)]
-    tail = tail.replace("\n", end).encode()
-    start, stop, truth = read_queries(_write(tmp_path, mark + end.join(rows).encode() + tail))
-    expected = np.outer(range(16), [1.0, 0.5, -0.25]).reshape(2, 2, 4, 3)
-    assert np.array_equal(np.stack([start, stop], axis=1), expected) and truth.tolist() == [True, True]
-    assert len(read_queries(_write(tmp_path, mark + tail))[0]) == 0
-
-
 NO_INTEGERS = ["5.0", "nan", "+5", "1_0", " ", "\t5", "\r5", "٣", "", "-", "--5", "5-", "5 ", "7" * 10**7]
-MALFORMED = [(f"1,2,3,4,{field},8", "") for field in NO_INTEGERS] + [
+NO_ROWS = [(f"1,2,3,4,{field},8", "") for field in NO_INTEGERS] + [
     ("", "b'' is not 6 integers"),
     ("1,2,3,4,5,8,1", ".* is not 6 integers"),
     ("1,2,3,4,5,0", "a denominator is 0; expected a positive integer"),
@@ -116,27 +111,20 @@ MALFORMED = [(f"1,2,3,4,{field},8", "") for field in NO_INTEGERS] + [
     (f"1,2,{2**1024 - 2**970},1,5,8", ".* is not a float64"),
     (f"1,2,{2**1024 - 2**970 - 1},1,5,8", ".* is not a float64"),
 ]
+NO_QUERIES = [  # rows of a file, the line that is named, and what is said of it
+    *(([*[ROW] * (at - 1), row, *[ROW] * (16 - at)], at, message) for at in (6, 15) for row, message in NO_ROWS),
+    # Lines too short and too long by one do not make up for each other.
+    ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, ".* is not 6 integers"),
+    (["xn,xd,yn,yd,zn,zd,truth", *QUERY[1:]], 1, ".* is not 7 integers"),
+    ([f"{ROW},1,1"] * 8, 8, "8 rows of 8 columns; expected 6 or 7"),
+    ([ROW] * 7, 7, "7 rows of 6 columns; expected .* 8 a query"),
+    ([f"{ROW},1"] * 10 + [f"{ROW},01"] * 6, 11, "the truth is b'01'; expected 0 or 1"),
+    ([f"{ROW},{int(k != 13)}" for k in range(16)], 9, "one query has two truths"),
+]
 
 
-@pytest.mark.parametrize("row, message", MALFORMED, ids=range(len(MALFORMED)))
-def test_malformed_line_is_named(tmp_path, row, message):
-    for at in (6, 15):
-        _refused(_write(tmp_path, [*[ROW] * (at - 1), row, *[ROW] * (16 - at)]), at, message)
-
-
-@pytest.mark.parametrize(
-    "rows, line, message",
-    [
-        # Lines too short and too long by one do not make up for each other.
-        ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, ".* is not 6 integers"),
-        (["xn,xd,yn,yd,zn,zd,truth", *QUERY[1:]], 1, ".* is not 7 integers"),
-        ([f"{ROW},1,1"] * 8, 8, "8 rows of 8 columns; expected 6 or 7"),
-        ([ROW] * 7, 7, "7 rows of 6 columns; expected .* 8 a query"),
-        ([f"{ROW},1"] * 10 + [f"{ROW},01"] * 6, 11, "the truth is b'01'; expected 0 or 1"),
-        ([f"{ROW},{int(k != 13)}" for k in range(16)], 9, "one query has two truths"),
-    ],
-)
-def test_rows_that_are_no_queries_are_refused(tmp_path, rows, line, message):
+@pytest.mark.parametrize("rows, line, message", NO_QUERIES, ids=range(len(NO_QUERIES)))
+def test_rows_that_are_no_queries_are_refused_by_their_line(tmp_path, rows, line, message):
     _refused(_write(tmp_path, rows), line, message)
 
 
