@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes import rest_order
+from programs import begun
 
 import ccd_warp as ccd
 from ccd_warp import kernels
@@ -205,10 +206,6 @@ print(0 < before < len(later._functions))
 """
 
 
-def test_a_first_call_reads_no_function_where_all_is_compiled():
-    tests = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-P", "-c", OF_FIRST_CALL]
-    environment = {**os.environ, "PYTHONPATH": path}
-    outputs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
-    assert outputs[1].stdout.split()[-1:] == ["True"], outputs[1].stderr
+def test_a_first_call_reads_no_function_where_all_is_compiled(tmp_path):
+    _, (_, shown, error) = (begun(tmp_path, "-P", "-c", OF_FIRST_CALL) for _ in range(2))
+    assert shown.split()[-1:] == ["True"], error
