@@ -302,10 +302,10 @@ TOGETHER = {
     },
     "find_candidates": [(MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1")],
     "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
-    **dict.fromkeys(
-        ["CollisionPipeline.launch", "DeviceContacts.points_at"],
-        [({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0")],
-    ),
+    **{
+        call: [({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t")]
+        for call in ("CollisionPipeline.launch", "DeviceContacts.points_at")
+    },
     "vertex_face_ccd": [
         ({"points_t0": PAIR}, "points_t1 is a ndarray; expected a array like points_t0"),
         ({"points_t0": wp.zeros((1, 4), dtype=wp.vec3f), "points_t1": PAIR}, "points_t0 has dtype vec3f and shape"),

@@ -52,14 +52,6 @@ def test_a_quarter_turn_about_z_takes_x_to_y_on_an_arc(motion):
     np.testing.assert_allclose(np.abs(motion.poses_t1), [QUARTER_ABOUT_Z], **CLOSE)
 
 
-def test_a_twist_is_linear_first_and_in_the_frame_of_the_world():
-    """The body's y is the world's z, and on the axis; and of a screw the linear part is the velocity at the start."""
-    motion = RIGID([[5.0, 0, 0, HALF, 0, 0, HALF]], twist=[[0, 0, 2, 0, 0, np.pi / 2]])
-    check_places(motion, (Y, 1.0, [5, 0, 3]), (X, 0.0, [6, 0, 0]), (X, 1.0, [5, 1, 2]))
-    car = RIGID([[2.0, 0, 0, 0, 0, 0, 1]], twist=[[0, np.pi, 0, 0, 0, np.pi / 2]], path="screw")  # on a circle about 0
-    check_places(car, (ORIGIN, 0.5, [2 * HALF, 2 * HALF, 0]), (ORIGIN, 1.0, [0, 2, 0]))
-
-
 def test_a_matrix_is_read_by_columns_wherever_its_diagonal_is_largest():
     rng = np.random.default_rng(0)
     quaternions = np.vstack([rng.normal(size=(40, 4)), np.eye(4), -np.eye(4), np.ones((1, 4)) - np.eye(4)])
