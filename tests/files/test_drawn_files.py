@@ -12,17 +12,8 @@ from ccd_warp._files.mesh import _READERS as READERS
 # Of PLY, by the letters of `struct`.
 TYPES = {
     **{"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"},
-    **{
-        "int8": "b",
-        "uint8": "B",
-        "int16": "h",
-        "uint16": "H",
-        "int32": "i",
-        "uint32": "I",
-        "int64": "q",
-        "uint64": "Q",
-    },
-    **{"float32": "f", "float64": "d"},
+    **{"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q"},
+    **{"uint64": "Q", "float32": "f", "float64": "d"},
 }
 OF_INDICES = [name for name, letter in TYPES.items() if letter not in "fd"]
 
