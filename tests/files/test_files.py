@@ -135,46 +135,41 @@ def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffi
         assert mesh.edges.tolist() == [[0, 1], [1, 2]] and mesh.codimensional_points.tolist() == [3]
 
 
-def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
-    """Hexahedra, voxels and cells of Lagrange by their corners, mirrored ones turned outward."""
-    pyvista = of_extra("pyvista")
-    cube = np.array([*np.ndindex(2, 2, 2)], dtype=np.float64)[:, ::-1]  # in the order of a voxel
-    corners, path = [0, 1, 3, 2, 4, 5, 7, 6], tmp_path / "a.vtu"
-    middles = np.random.default_rng(0).uniform(size=(19, 3))
-    for kind, points, order in (
-        (11, cube, range(8)),
-        (12, cube, corners),
-        (12, cube * [1, 1, -1], corners),
-        (72, np.concatenate([cube, middles]), [*corners, *range(8, 27)]),
-    ):
-        pyvista.UnstructuredGrid([len(order), *order], [kind], points).save(path)
-        with pytest.warns(RuntimeWarning, match="quadratic") if kind == 72 else nullcontext():
-            mesh = ccd.read_frames(path, path, surface=True).mesh
-        a, b, c = np.moveaxis(points[mesh.faces], 1, 0)
-        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() == pytest.approx(6.0) and mesh.num_faces == 12
+# Types of VTK: of curves, of surfaces, and those that have the middles of all edges; others are volumes.
+LINES, SHELLS, QUADRATIC = (3, 21, 35, 68, 75), (5, 7, 8, 9, 22, 23, 28, 69, 70, 76, 77), (*range(22, 30), 37)
+TYPES = [(kind, 1) for kind in (3, 5, *range(7, 15), *range(21, 30), 35, 37)]
+TYPES += [(kind, order) for kind in (*range(68, 74), *range(75, 81)) for order in (1, 2, 3, 4)]  # Lagrange, Bézier
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 4])
-@pytest.mark.parametrize("kind", [*range(68, 74), *range(75, 81)])  # of Lagrange, then of Bézier
-def test_cells_of_lagrange_and_bezier_of_any_order_are_those_of_their_corners(tmp_path, kind, order):
-    """Lines, triangles, quadrilaterals, tetrahedra, hexahedra, wedges: of a unit cube, or what it is of less space."""
+@pytest.mark.parametrize("kind, order", TYPES)
+def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path, kind, order):
+    """A unit cube or square or segment of any cells, mirrored: by its corners, and turned outward."""
     pyvista, path = of_extra("pyvista"), tmp_path / "a.vtu"
     from vtkmodules.vtkFiltersSources import vtkCellTypeSource
 
-    source, k = vtkCellTypeSource(), (kind - 68) % 7
+    source = vtkCellTypeSource()
     source.SetCellType(kind)
     source.SetCellOrder(order)
     source.SetBlocksDimensions(1, 1, 1)
     source.Update()
-    pyvista.wrap(source.GetOutput()).save(path)
-    is_told = order > (1 if k == 0 else 2)  # the middles of quadratic ones are measured in place of it
+    grid = pyvista.wrap(source.GetOutput())
+    grid.points = grid.points * [1.0, 1.0, -1.0]
+    grid.save(path)
+    is_told = kind in (21, 35) or order > (1 if kind in LINES else 2)
     with pytest.warns(RuntimeWarning, match="a higher order collide by their corners") if is_told else nullcontext():
-        frames = ccd.read_frames(path, path, surface=True)
-    a, b, c = np.moveaxis(frames.vertices_t0[frames.mesh.faces], 1, 0)
+        mesh = ccd.read_frames(path, path, surface=True).mesh
+    a, b, c = np.moveaxis(grid.points[mesh.faces], 1, 0)
     volume, area = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0, np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    counts = frames.mesh.num_edges, frames.mesh.num_faces
-    assert counts == [(1, 0), (5, 2), (5, 2), (18, 12), (18, 12), (18, 12)][k]
-    assert volume == pytest.approx(float(k > 2)) and area.sum() / 2.0 == pytest.approx([0, 1, 1, 6, 6, 6][k])
+    expected = (1, 0, 0, 0) if kind in LINES else (5, 2, 1, 0) if kind in SHELLS else (18, 12, 6, 1)
+    assert (mesh.num_edges, mesh.num_faces, area.sum() / 2.0, volume) == pytest.approx(expected)
+    if kind in QUADRATIC or (order == 2 and kind not in LINES):  # the middles are moved off those of their edges
+        grid.points[np.setdiff1d(range(grid.n_points), mesh.faces)] += [0.0, 0.1, 0.0]
+        grid.save(path)
+        with pytest.warns(RuntimeWarning, match=r"^cells of a.vtu: quadratic ones .* up to 0\.1 off these, the long"):
+            assert np.array_equal(ccd.read_frames(path, path, surface=True).mesh.faces, mesh.faces)
+    if volume > 0.5:
+        with pytest.raises(ValueError, match=r"holds cells of the type .*; expected triangles and polygons"):
+            ccd.read_frames(path, path)
 
 
 def test_strips_and_pixels_are_polygons(tmp_path):
@@ -187,19 +182,6 @@ def test_strips_and_pixels_are_polygons(tmp_path):
     for path, sign in ((strip, -1.0), (pixels, 1.0)):
         a, b, c = np.moveaxis(points[ccd.read_frames(path, path).mesh.faces], 1, 0)
         assert np.cross(b - a, c - a)[:, 2].tolist() == [sign] * 4
-
-
-def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
-    """One tetrahedron, of which a node is a tenth off the middle of its edge."""
-    meshio = of_extra("meshio")
-    points, edges, path = np.eye(4, 3, k=-1), [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)], tmp_path / "a.vtu"
-    nodes = np.concatenate([points, points[edges].mean(axis=1) - 0.1 * np.eye(6, 3)])
-    meshio.Mesh(nodes, [("tetra10", np.arange(10)[None])]).write(path)
-    with pytest.warns(RuntimeWarning, match=r"^cells of a.vtu: quadratic ones .* up to 0\.1 off these, the long"):
-        mesh = ccd.read_frames(path, path, surface=True).mesh
-    assert np.array_equal(mesh.faces, ccd.CollisionMesh.from_volume(points, {"tetra": [[0, 1, 2, 3]]}).faces)
-    with pytest.raises(ValueError, match="holds cells of the type tetra; expected triangles and polygons"):
-        ccd.read_frames(path, path)
 
 
 # ---- Frames of a step ------------------------------------------------------------------------------------------------
