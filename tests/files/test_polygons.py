@@ -109,9 +109,8 @@ def test_frames_have_the_triangles_of_the_first_and_a_doorway_lets_a_ball_throug
             path.write_text(polygon_file(name, x, [range(8)]))
         sequence = ccd.read_sequence(paths)
         faces = sequence.mesh.faces
-        assert len(faces) == 6 and np.array_equal(
-            sequence[2], np.roll(wall, 3, axis=0)[[*sequence.step(0).source_index]]
-        )
+        last = np.roll(wall, 3, axis=0)[[*sequence.step(0).source_index]]
+        assert len(faces) == 6 and np.array_equal(sequence[2], last)
         mesh = ccd.CollisionMesh.from_arrays([(sequence[0], faces), ([[3.0, -2, 2]], [])], static=[0], radius=[0, 0.3])
         assert ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + np.outer(mesh.vertex_body, [0, 4, 0])).toi == np.inf
         paths[0].write_text(polygon_file(name, wall[[0, 2, 1, 3, 4, 5, 6, 7]], [range(8)]))

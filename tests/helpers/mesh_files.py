@@ -64,12 +64,8 @@ def polygon_file(name, vertices, polygons) -> str:
             template = {"dae": _DAE, "vtp": _VTP}[kind]
             lines = [template.format(numbers=3 * len(rows), points=len(rows), faces=len(counts), **texts)]
         case kind:
-            head = (
-                _HEADER.format("ascii", len(rows), len(lists))
-                if kind == "ply"
-                else f"OFF\n{len(rows)} {len(lists)} 0\n"
-            )
-            lines = [head.rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
+            heads = {"ply": _HEADER.format("ascii", len(rows), len(lists)), "off": f"OFF\n{len(rows)} {len(lists)} 0"}
+            lines = [heads[kind].rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
     return "\n".join([*lines, ""])
 
 

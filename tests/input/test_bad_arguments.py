@@ -135,8 +135,7 @@ def check_refusal(error, words, phrase=""):
 
 def leaves(result, name=""):
     """The arrays and plain values that a result consists of, but for times, by where they are."""
-    if isinstance(result, wp.array):
-        result = result.numpy()
+    result = result.numpy() if isinstance(result, wp.array) else result
     if isinstance(result, (ccd.CollisionMesh, ccd.Proximities)):
         parts = result.__getstate__()
     elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion)):
