@@ -2,7 +2,6 @@
 
 import json
 import shutil
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
@@ -76,11 +75,10 @@ def _load_anew():
     return any(Path(wp.config.kernel_cache_dir).iterdir())
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_kernel_of_the_package_is_loaded_from_there_and_nothing_is_written(package):
     files = {path: path.stat() for path in package.iterdir()}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert not _load_anew()
+    assert not _load_anew()
     assert files == {path: path.stat() for path in package.iterdir()}
 
 
@@ -123,14 +121,13 @@ def _half_an_index(package):
     return "this installation holds none"
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("change", [_of_other_warp, _half_an_index])
 def test_a_package_that_does_not_fit_is_as_if_it_were_not_there(package, change):
     assert packaged.why_none(wp.get_device("cpu")) == "" and packaged.has_any()
     reason = change(package)
     packaged._index.cache_clear()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert _load_anew()
+    assert _load_anew()
     assert packaged.why_none(wp.get_device("cpu")).startswith(reason) and not packaged.has_any()
 
 
