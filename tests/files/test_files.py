@@ -141,6 +141,7 @@ TYPES = [(kind, 1) for kind in (3, 5, *range(7, 15), *range(21, 30), 35, 37)]
 TYPES += [(kind, order) for kind in (*range(68, 74), *range(75, 81)) for order in (1, 2, 3, 4)]  # Lagrange, Bézier
 
 
+@pytest.mark.filterwarnings("error:cells of")
 @pytest.mark.parametrize("kind, order", TYPES)
 def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path, kind, order):
     """A unit cube or square or segment of any cells, mirrored: by its corners, and turned outward."""
