@@ -154,15 +154,15 @@ def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path, kin
     source.SetBlocksDimensions(1, 1, 1)
     source.Update()
     grid = pyvista.wrap(source.GetOutput())
-    grid.points = grid.points * [1.0, 1.0, -1.0]
+    grid.points = np.float32(grid.points * [1.0, 1.0, -1.0] + np.pi)  # whose roundings bend no edge
     grid.save(path)
     is_told = kind in (21, 35) or order > (1 if kind in LINES else 2)
     with pytest.warns(RuntimeWarning, match="a higher order collide by their corners") if is_told else nullcontext():
         mesh = ccd.read_frames(path, path, surface=True).mesh
-    a, b, c = np.moveaxis(grid.points[mesh.faces], 1, 0)
+    a, b, c = np.moveaxis((grid.points - grid.points.mean(axis=0))[mesh.faces], 1, 0)
     volume, area = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0, np.linalg.norm(np.cross(b - a, c - a), axis=1)
     expected = (1, 0, 0, 0) if kind in LINES else (5, 2, 1, 0) if kind in SHELLS else (18, 12, 6, 1)
-    assert (mesh.num_edges, mesh.num_faces, area.sum() / 2.0, volume) == pytest.approx(expected)
+    assert (mesh.num_edges, mesh.num_faces, area.sum() / 2.0, volume) == pytest.approx(expected, abs=1e-5)
     if kind in QUADRATIC or (order == 2 and kind not in LINES):  # the middles are moved off those of their edges
         grid.points[np.setdiff1d(range(grid.n_points), mesh.faces)] += [0.0, 0.1, 0.0]
         grid.save(path)
