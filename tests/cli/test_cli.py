@@ -19,8 +19,7 @@ from ccd_warp._cli.command import main
 
 RUN = "run start.ply end.ply"
 ON = f"{RUN} --static floor.ply"
-# A ball of radius 0.5 comes down five units onto a box whose top is at z = 0; it touches after 1.5 units.
-EXACT_TOI = 0.3
+# A ball of radius 0.5 comes down five units onto a box whose top is at z = 0.
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
 BOX = trimesh.creation.box(extents=(4.0, 4.0, 1.0))
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -138,7 +137,6 @@ def test_both_formats_hold_the_result_bit_for_bit(run):
     lines, (mesh, result) = _lines(run(f"{ON} --output out.json").out), _expected()
     assert "wrote out.json" in lines
     assert f"scene toi {float(result.toi)!r} (of the step; no pair looked at touches before it)" in lines
-    assert EXACT_TOI - 1e-5 <= result.toi <= EXACT_TOI  # the tolerance, 1e-6 of a length of six, over the speed of five
     contacts, first = result.contacts, result.first
     data = _json("out.json")
     assert {"read_files", "intersections_at_start", *result.timings} == data["timings"].keys()
@@ -191,15 +189,6 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
     assert data["plane"]["point"][0] == [0, 0, 0] and data["plane"]["normal"][0] == [0, 0, 2]
     assert data["toi"] == pytest.approx(0.25, rel=1e-13)  # its centre comes down from 2 to 0.75
     assert {*data["contact"]["kind"]} == {"vertex_plane"} and data["contact"]["bodies"][0][1] == "ground"
-
-
-def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
-    shown = run("demo --output-dir new/folder")
-    assert shown.err == "" and shown.out.count("MISS") == 2 and "HIT" not in shown.out
-    toi = _json("new/folder/bullet.json")["toi"]
-    frames = [f"new/folder/bullet_bullet_t{k}.ply" for k in (0, 1)]
-    run("run --static new/folder/bullet_wall_t0.ply --no-self-collision --output again.json --quiet", *frames)
-    assert _json("again.json")["toi"] == toi
 
 
 # ---- Refusals --------------------------------------------------------------------------------------------------------

@@ -140,9 +140,7 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     assert first.startswith("the first  step 5, ball_5.ply -> ball_6.ply, toi 0.4999")
     assert "of ball" in out and "of floor.ply" in out and "not seen  what surfaces that cross" in out
     assert "surfaces cross at the start of  4 of 10 steps: 6-9\n" in out
-    found = rows("out")
-    assert [row["start"] for row in found] == [f"ball_{k}.ply" for k in range(10)]
-    assert [np.isfinite(float(row["toi"])) for row in found] == [k >= 5 for k in range(10)]
+    assert [row["start"] for row in rows("out")] == [f"ball_{k}.ply" for k in range(10)]
     run(*BALLS[:3], "--output", "-", "--pair-kinds", "edge-edge", "--fail-on-contact")
     shown = capfd.readouterr()  # standard output takes the CSV alone
     assert len([*csv.DictReader(shown.out.splitlines())]) == 2
