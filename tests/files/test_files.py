@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import exported, of_extra, ply
+from mesh_files import exported, of_extra, ply, polygon_file
 
 import ccd_warp as ccd
 
@@ -65,6 +65,7 @@ def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
     [
         ("ball.ply", "few.ply", r"ball\.ply has 42 vertices and 80 faces, .*few\.ply has 4 vertices and 2 faces"),
         ("ball.ply", "order.ply", r"differs: face 7 is \[.*\] in .*ball\.ply and \[.*\] in .*order\.ply \(72 of 80"),
+        ("four.obj", "three.obj", r"face 0 is \[0, 1, 2, 3\] in .*four\.obj and \[0, 1, 2\] in .*three\.obj \(2 of 2"),
         ("ball.stl", "ball.ply", r"ball\.stl has 240 vertices and 80 faces, .*ball\.ply has 42"),
         *(("ball.stl", f"torn_{k}.stl", r"torn_.\.stl: vertex \d+ leaves .*save all frames in another") for k in "xyz"),
         ("ball.ply", "none.ply", r"none\.ply: no such file"),
@@ -72,12 +73,15 @@ def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
 )
 def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, message):
     corners, soup = BALL[BALL_FACES].reshape(-1, 3), np.arange(240).reshape(-1, 3)
+    five = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 2, 0], [0, 1, 0]])
     torn = {f"torn_{k}.stl": corners + np.outer(np.arange(240) == 5, k == np.array([*"xyz"])) for k in "xyz"}
     for name, data in {
         "ball.ply": ply(BALL, BALL_FACES),
         "few.ply": ply(BALL[:4], [[0, 1, 2], [1, 2, 3]]),
         "order.ply": ply(BALL, np.vstack([BALL_FACES[:7], BALL_FACES[7:][::-1]])),
         "ball.stl": exported("stl", BALL, BALL_FACES),
+        "four.obj": polygon_file("four.obj", five, [[0, 1, 2, 3], [0, 3, 4]]).encode(),  # of the same fan
+        "three.obj": polygon_file("three.obj", five, [[0, 1, 2], [0, 2, 3, 4]]).encode(),
         **{name: exported("stl", vertices, soup) for name, vertices in torn.items()},
     }.items():
         (tmp_path / name).write_bytes(data)
