@@ -56,6 +56,7 @@ SAID = {
 
 @pytest.mark.parametrize("kind", SAID)
 def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kind):
+    of_extra("meshio")
     (tmp_path / "a.xdmf").write_text(XDMF.replace('"XML">0 0', '"HDF">data:/0 0'))
     tree, buffer = gltf_files()
     tree["buffers"][0]["uri"] = "my%20data"

@@ -106,6 +106,7 @@ def _collection(grids) -> str:
 
 
 def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path):
+    of_extra("meshio")
     path, xdmf = tmp_path / "a.xmf", '<Xdmf Version="3.0"><Domain>{}</Domain></Xdmf>'
     series = _collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS))
     path.write_text(xdmf.format(series))
