@@ -229,10 +229,6 @@ def _ground(mesh, start, end):
     return ccd.mesh_ccd(mesh, mesh.vertices, end[:25])
 
 
-def _excluded(mesh, start, end):
-    return ccd.mesh_ccd(mesh.excluding({"bodies": [[0, 1]]}), start, end)
-
-
 def _turn(mesh, start, end):
     bodies = [(x, mesh.faces[:32]) for x in np.split(start, 2)]
     turning = ccd.CollisionMesh.from_arrays(bodies, rigid=[0], static=[1], self_collision=False)
@@ -252,7 +248,7 @@ OF_WORDS = {
     "2d,launch": lambda *_: _launch(*_planar()),
     "hash": lambda *scene: ccd.mesh_ccd(*scene, broad_phase="hash"),
     "half_spaces": _ground,
-    "excluded_pairs": _excluded,
+    "excluded_pairs": lambda mesh, *ends: ccd.mesh_ccd(mesh.excluding({"bodies": [[0, 1]]}), *ends),
     "find_candidates": ccd.find_candidates,
     "find_proximity": lambda mesh, start, end: ccd.find_proximity(mesh, start, 2.0),
     "find_intersections": lambda mesh, start, end: ccd.find_intersections(mesh, start * [1, 1, 0.0]),
