@@ -147,5 +147,6 @@ def test_a_soup_and_a_group_are_split_by_what_shares_a_vertex(tmp_path):
     trimesh.util.concatenate(boxes).export(tmp_path / "a.stl")
     frames = _read(tmp_path / "a.stl", split=True)
     assert frames.mesh.names == ("a.stl#0", "a.stl#1", "a.stl#2") and frames.num_merged.tolist() == [28, 28, 28]
+    assert (np.diff(frames.source_index) > 0).all()  # in the order in which they first appear
     text = _obj(("o two", TRIANGLE), ("", TRIANGLE + 3.0), ("o one", TRIANGLE + 6.0))
     assert _read(tmp_path / "a.obj", text, split=True).mesh.names == ("two#0", "two#1", "one")

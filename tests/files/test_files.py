@@ -24,18 +24,6 @@ def _frames(folder, name, start, end=None, **options):
     return ccd.read_frames(*paths, **options)
 
 
-@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
-def test_stl_corners_are_merged_by_the_map_of_the_start(tmp_path, kind):
-    moved = BALL * [1.0, 2.0, 3.0]
-    frames = _frames(tmp_path, "a.stl", *(exported(kind, x, BALL_FACES) for x in (BALL, moved)))
-    assert len(frames.vertices_t0) == len(BALL) and frames.num_merged.tolist() == [3 * len(BALL_FACES) - len(BALL)]
-    for found, x in ((frames.vertices_t0, BALL), (frames.vertices_t1, moved)):
-        corners = found[frames.mesh.faces].reshape(-1, 3)
-        assert np.array_equal(corners[frames.source_index], found)
-        if kind == "stl":  # which holds single precision
-            assert np.array_equal(corners, x.astype(np.float32)[BALL_FACES].reshape(-1, 3))
-
-
 def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(tmp_path):
     """Within a node alone: of two nodes that coincide they are two bodies in contact."""
     corners, scene = BALL[BALL_FACES].reshape(-1, 3), trimesh.Scene()
