@@ -2,7 +2,6 @@
 
 import os
 import signal
-import subprocess
 import sys
 import threading
 import time
@@ -12,6 +11,7 @@ from itertools import cycle, islice
 import numpy as np
 import pytest
 import warp as wp
+from programs import begun
 
 import ccd_warp as ccd
 
@@ -90,9 +90,8 @@ IN_PROCESSES = {
 def test_first_calls_of_a_process_come_from_many_threads_or_from_a_child_of_a_busy_one(tmp_path, name):
     cache = {"WARP_CACHE_PATH": str(tmp_path)} if name == "nothing compiled" else {}
     hidden = {"CUDA_VISIBLE_DEVICES": ""} if "forks" in name else {}  # CUDA does not outlive a fork
-    command, environment = [sys.executable, __file__, name], os.environ | cache | hidden
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=900)
-    assert done.returncode == 0, done.stderr[-3000:]
+    status, _, error = begun(tmp_path, __file__, name, **cache, **hidden)
+    assert status == 0, error[-3000:]
 
 
 if __name__ == "__main__":
