@@ -8,7 +8,8 @@ from pathlib import Path
 import warp as wp
 from warp._src import context
 
-ROOT = Path(__file__).resolve().parent.parent
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
 # Folders in the tree, and what they are called once installed.
 PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
 # The folders from the bottom; those of one line know nothing of each other, but that gradients know bodies that turn.
@@ -104,6 +105,6 @@ def test_no_property_that_stays_has_a_lock():
 
 def test_no_test_imports_another():
     """What two of them need stands in a module of its own: scenes, oracles, launches, and the like."""
-    for path in Path(__file__).parent.rglob("*.py"):
-        names = re.findall(r"^\s*(?:from|import) (test_\w+)", path.read_text("utf-8"), flags=re.MULTILINE)
-        assert not names, path.name
+    for path in TESTS.rglob("*.py"):
+        names = imported_names(path.stem, path.read_text("utf-8"), False)
+        assert not [name for name in names if re.search(r"(^|\.)test_\w+", name)], path.name

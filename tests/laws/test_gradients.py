@@ -15,8 +15,7 @@ from toi_scenes import array, taped
 import ccd_warp as ccd
 from laws import moving, trajectories, turning
 from laws.moving import Moves
-from laws.scenes import drawn
-from laws.test_bodies_that_turn import motion_of
+from laws.scenes import drawn, motion_of
 from laws.trajectories import BITS
 from laws.turning import KINDS, random_pairs, step_of
 
