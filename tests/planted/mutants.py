@@ -116,7 +116,7 @@ def tests_of(file: str) -> list[str]:
     found = [str(test.relative_to(tests)) for test in sorted(tests.rglob("test_*.py")) if test.stem[5:] in words]
     found += [finder.partition("::")[0] for fault in of_host.PLANTED if fault.file == file for finder in fault.finders]
     found += _TESTS.get(folder, (folder.strip("_"),))
-    found += [] if folder in _WITHOUT_LAWS else [*_LAWS, "calls", "engine", "input"]
+    found += [] if folder in _WITHOUT_LAWS else ["input", *_LAWS[:-1], "calls", "engine", *_LAWS]
     return [test for test in dict.fromkeys(found) if (tests / test).exists() and "emulated" not in test]
 
 
