@@ -31,7 +31,7 @@ _TESTS = {
     "_at_one_time": ("kernels/at_one_time", "laws/test_other_ways.py"),
     "_gradients": ("laws/test_gradients.py", "calls/test_on_tape.py", "calls/test_frameworks.py"),
     "_results": ("calls", "laws/test_searches.py"),
-    "_rigid": ("laws/test_bodies_that_turn.py", "calls/test_rigid.py", "calls", "engine"),
+    "_rigid": ("calls/test_rigid.py", "input", "laws/test_bodies_that_turn.py", "calls", "engine"),
     "_runtime": ("runtime", "cli", "input/test_options.py"),
     "_scene": ("input",),
     "": ("calls/test_frameworks.py", "input", "calls"),  # the public names
