@@ -16,11 +16,10 @@ import sys
 import tempfile
 from collections import Counter, defaultdict
 from pathlib import Path
-from typing import NamedTuple
 
 sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from planted import of_host  # noqa: E402
+from planted import of_each_file, of_host  # noqa: E402
 from planted.planting import ROOT, Copy  # noqa: E402
 
 # The tests of a folder of the package, after those of its file; what is not here has a folder of tests of its name.
@@ -46,15 +45,6 @@ _SWAPS |= {ast.Is: ast.IsNot, ast.In: ast.NotIn}
 _SWAPS |= {new: old for old, new in _SWAPS.items()}
 _NAMES = {"min": "max", "minimum": "maximum", "any": "all"}
 _NAMES |= {new: old for old, new in _NAMES.items()}
-
-
-class Mutant(NamedTuple):
-    """A file, the source with a change, and the line and the words of the change."""
-
-    file: str
-    line: int
-    change: str
-    source: str
 
 
 def change(node: ast.AST) -> bool:
@@ -84,8 +74,8 @@ def folder_of(file: str) -> str:
     return "/".join(parts[:2]) if parts[0] == "kernels" else "".join(parts[1:2])
 
 
-def mutants(count: int, seed: int = 0) -> list[Mutant]:
-    """Mutants of all folders, by their numbers of lines, the same ones for a seed."""
+def mutants(count: int, seed: int = 0) -> list[tuple[str, int, str, str]]:
+    """Mutants of all folders, by their numbers of lines: file, line, what is changed, and the whole source changed."""
     rng, lines, places = random.Random(seed), Counter(), defaultdict(list)
     for path in sorted(path for top in ("kernels", "ccd_warp") for path in (ROOT / top).rglob("*.py")):
         file, source = str(path.relative_to(ROOT)), path.read_text(encoding="utf-8")
@@ -105,7 +95,7 @@ def mutants(count: int, seed: int = 0) -> list[Mutant]:
         before = ast.unparse(node).splitlines()[0]
         change(node)
         words = f"{before[:60]} -> {ast.unparse(node).splitlines()[0][:60]}"
-        found.append(Mutant(file, getattr(node, "lineno", 0), words, ast.unparse(tree)))
+        found.append((file, getattr(node, "lineno", 0), words, ast.unparse(tree)))
     return found
 
 
@@ -114,7 +104,8 @@ def tests_of(file: str) -> list[str]:
     path, folder, tests = Path(file), folder_of(file), ROOT / "tests"
     words = {path.stem.strip("_"), f"{path.stem}s", path.parent.name.strip("_")}
     found = [str(test.relative_to(tests)) for test in sorted(tests.rglob("test_*.py")) if test.stem[5:] in words]
-    found += [finder.partition("::")[0] for fault in of_host.PLANTED if fault.file == file for finder in fault.finders]
+    of_cpu = [*of_host.PLANTED, *of_each_file.PLANTED]
+    found += [finder.partition("::")[0] for fault in of_cpu if fault.file == file for finder in fault.finders]
     found += _TESTS.get(folder, (folder.strip("_"),))
     found += [] if folder in _WITHOUT_LAWS else ["input", *_LAWS[:-1], "calls", "engine", *_LAWS]
     return [test for test in dict.fromkeys(found) if (tests / test).exists() and "emulated" not in test]
@@ -125,7 +116,7 @@ def passes_without(copy: Copy, found: str, passing: set[str]) -> bool:
     file, _, test = found.partition(" - ")[0].partition("::")
     if test and file not in passing:
         path = next((ROOT / "tests").rglob(file)).relative_to(ROOT / "tests")
-        if copy.failing_test([f"{path}::{test}"], _MARKS):
+        if copy.failing_test([f"{path}::{test.partition('[')[0]}"], _MARKS):
             return False
         passing.add(file)
     return True
@@ -143,11 +134,11 @@ def main(count: int, seed: int, part: str) -> None:
             shutil.copytree(compiled, f"{folder}/cache")
         copy = Copy(Path(folder))
         copy.is_planted = True
-        for mutant in chosen:
-            path, original = copy.path_of(mutant.file), (ROOT / mutant.file).read_text(encoding="utf-8")
-            path.write_text(mutant.source, encoding="utf-8")
+        for file, line, change_made, source in chosen:
+            path, original = copy.path_of(file), (ROOT / file).read_text(encoding="utf-8")
+            path.write_text(source, encoding="utf-8")
             try:
-                found = copy.failing_test(tests_of(mutant.file), _MARKS, _MOST_SECONDS) or "SURVIVES"
+                found = copy.failing_test(tests_of(file), _MARKS, _MOST_SECONDS) or "SURVIVES"
             except subprocess.TimeoutExpired:
                 found = f"NOT FOUND in {_MOST_SECONDS:.0f} s"
             except RuntimeError as error:  # the tests could not be run
@@ -155,8 +146,8 @@ def main(count: int, seed: int, part: str) -> None:
             path.write_text(original, encoding="utf-8")
             if not passes_without(copy, found, passing):
                 sys.exit(f"without a mutant: {found}")
-            print(line := f"{mutant.file}:{mutant.line}: {mutant.change}: {found}", flush=True)
-            to_read += [line] * found.startswith(("SURVIVES", "NOT FOUND"))
+            print(answer := f"{file}:{line}: {change_made}: {found}", flush=True)
+            to_read += [answer] * found.startswith(("SURVIVES", "NOT FOUND"))
     print(f"{len(chosen) - len(to_read)} of {len(chosen)} found; to be read:", *sorted(to_read), sep="\n")
 
 

@@ -70,16 +70,8 @@ class Copy:
         command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-rfE", "--tb=line", "-p", "no:cacheprovider"]
         command += ["-m", marks]  # the tests of every run have to find it
         command += [str(self.folder / "tests" / test) for test in tests]
-        with subprocess.Popen(
-            command,
-            cwd=self.folder,
-            env=environment,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        ) as process:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+        with subprocess.Popen(command, cwd=self.folder, env=environment, start_new_session=True, **streams) as process:
             try:
                 output, _ = process.communicate(timeout=most_seconds)
             except subprocess.TimeoutExpired:
