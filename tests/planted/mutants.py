@@ -31,7 +31,7 @@ _TESTS = {
     "_gradients": ("laws/test_gradients.py", "calls/test_on_tape.py", "calls/test_frameworks.py"),
     "_results": ("calls", "laws/test_searches.py"),
     "_rigid": ("calls/test_rigid.py", "input", "laws/test_bodies_that_turn.py", "calls", "engine"),
-    "_runtime": ("runtime", "cli", "input/test_options.py"),
+    "_runtime": ("calls/test_texts.py", "input/test_options.py", "runtime", "cli"),
     "_scene": ("input",),
     "": ("calls/test_frameworks.py", "input", "calls"),  # the public names
 }
