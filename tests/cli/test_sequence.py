@@ -157,3 +157,14 @@ def test_an_animation_shows_each_start_each_toi_and_the_end_of_the_last_step(mon
     monkeypatch.setattr("ccd_warp.viz._animation.draw_frame", lambda mesh, x, *_, **__: x)
     shown = [x[0, 0] for x, _ in pictures._images(steps.__getitem__, rows, lambda: None)]
     assert shown == [1.0, 1.25, 2.0, 3.0]
+
+
+def test_an_animation_is_held_at_each_toi_and_marks_its_first_contact(folder):
+    reader, animation = pytest.importorskip("PIL.Image"), pytest.importorskip("ccd_warp.viz._animation")
+    images = [(np.full((9, 9, 3), 60 * k, dtype=np.uint8), k == 1) for k in range(3)]
+    animation.write_animation(folder / "out.gif", images)
+    with reader.open(folder / "out.gif") as shown:
+        assert [(shown.seek(k), shown.info["duration"])[1] for k in range(3)] == [100, 400, 100]
+    mesh, x = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])]), np.eye(3)
+    scene = animation._scene(mesh, x, x[:2], animation.FrameView.of(x, np.ones((1, 3))))
+    assert scene.contact_is_first.tolist() == [True, False]
