@@ -79,7 +79,7 @@ class Copy:
                 raise
         if process.returncode == 0:
             return None
-        if process.returncode == 1 and (found := re.search(r"^(?:FAILED|ERROR) \S*?(test_\w+\.py\S.*)$", output, re.M)):
+        if process.returncode == 1 and (found := re.search(r"^(?:FAILED|ERROR) \S*?(test_\w+\.py\b.*)$", output, re.M)):
             return found[1]
         if -process.returncode in _CRASHES:
             return f"signal {-process.returncode}"
