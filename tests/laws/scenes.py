@@ -12,6 +12,7 @@ import numpy as np
 
 import ccd_warp as ccd
 from laws.calls import StepCase
+from laws.turning import turned, unit
 
 # Of those without a motion. Half of the scenes are of no family, and have coordinates at random or on a grid.
 FAMILIES = ("touching", "slivers", "parallel", "far", "in plane", "close", "dust", "worlds")
@@ -100,6 +101,43 @@ def with_static_at_rest(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndar
 
 _CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
 _TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+
+
+def crowd(num_faces, num_others=0, size=0.1, seed=21, dust=0, **of_mesh):
+    """Three bodies of faces, and cables and particles among them, that move at random, but for static ones."""
+    rng = np.random.default_rng(seed)
+    bodies = []
+    for count in (num_faces, num_faces // 2, num_faces // 4):
+        x = rng.random((count + num_others, 1, 3)) + size * rng.standard_normal((count + num_others, 3, 3))
+        x = x.reshape(-1, 3)
+        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
+        x = np.concatenate([x, 0.01 * rng.standard_normal((dust, 3))])
+        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **of_mesh)
+    end = mesh.vertices + 1.5 * size * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def motion_of(mesh, rng, num_worlds=None):
+    """Bodies that turn, by next to nothing or by several turns, on screws or about pivots, towards each other."""
+    bodies = np.flatnonzero(mesh.rigid)
+    size, middle = np.ptp(mesh.vertices, axis=0).max(), mesh.vertices.mean(axis=0)
+    centre = np.array([mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
+    shape = centre.shape if num_worlds is None else (num_worlds, *centre.shape)
+    centre = np.broadcast_to(centre, shape)
+    turns = [np.append(0.3 * rng.standard_normal(shape), np.ones((*shape[:-1], 1)), axis=-1) for _ in range(2)]
+    place = centre - turned(unit(turns[0]), centre) + 0.05 * size * rng.standard_normal(shape)
+    shift = rng.choice([0.5, 1.0, 2.0]) * (middle - centre) + 0.1 * size * rng.standard_normal(shape)
+    motion = {"poses_t0": np.concatenate([place, turns[0]], axis=-1), "path": str(rng.choice(["linear", "screw"]))}
+    if rng.random() < 0.3:
+        end = centre - turned(unit(turns[1]), centre) + shift
+        motion["poses_t1"] = np.concatenate([end, turns[1]], axis=-1)
+    else:
+        omega = rng.choice([1e-9, 0.05, 0.5, 4.0]) * rng.standard_normal(shape)
+        motion["twist"] = np.concatenate([shift, omega], axis=-1)
+    if motion["path"] == "linear" and rng.random() < 0.7:
+        motion["pivot"] = centre
+    return motion
 
 
 def _mixed(rng):

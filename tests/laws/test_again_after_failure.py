@@ -18,7 +18,7 @@ from hard_cases import FAMILIES
 import ccd_warp as ccd
 from laws.calls import on_device
 from laws.outputs import different, outputs_of
-from laws.test_other_ways import crowd
+from laws.scenes import crowd
 
 THREADS = {"num_threads": 2}
 SMALL, ALONE = (lambda: crowd(60, 12, static=[1])), (lambda: crowd(60, 12, static=[1], self_collision=False))

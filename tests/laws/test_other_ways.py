@@ -24,25 +24,10 @@ import ccd_warp as ccd
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
-from laws.outputs import different, outputs_of
-from laws.scenes import drawn, with_static_at_rest
+from laws.outputs import different, kept_outputs, outputs_of
+from laws.scenes import crowd, drawn, with_static_at_rest
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
-
-
-def crowd(num_faces, num_others=0, size=0.1, seed=21, dust=0, **of_mesh):
-    """Three bodies of faces, and cables and particles among them, that move at random, but for static ones."""
-    rng = np.random.default_rng(seed)
-    bodies = []
-    for count in (num_faces, num_faces // 2, num_faces // 4):
-        x = rng.random((count + num_others, 1, 3)) + size * rng.standard_normal((count + num_others, 3, 3))
-        x = x.reshape(-1, 3)
-        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
-        x = np.concatenate([x, 0.01 * rng.standard_normal((dust, 3))])
-        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **of_mesh)
-    end = mesh.vertices + 1.5 * size * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def sheets():
@@ -336,25 +321,12 @@ _MORE = {
     "steps": [2, "arcs 0", "arcs 3"],  # with half-spaces
 }
 ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes if (call, scene) not in ON_OTHER]
-# The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
-_KEPT = os.environ.get("CCD_WARP_KEPT_ANSWERS")
-
-
-def kept(case, call):
-    """What a call returns, or has returned in another process."""
-    path = Path(_KEPT or "", hashlib.sha256(repr(case).encode()).hexdigest())
-    if _KEPT and path.exists():
-        return pickle.loads(path.read_bytes())
-    answer = call()
-    if _KEPT:
-        path.write_bytes(pickle.dumps(answer))
-    return answer
 
 
 @cache
 def difference_of_devices(call, scene, other_device):
     """What differs in a bit between this device and the other one."""
-    here = kept((call, scene), lambda: asked(call, scene))
+    here = kept_outputs((call, scene), lambda: asked(call, scene))
     with other_device():
         return different(asked(call, scene), here)
 
@@ -421,7 +393,7 @@ def test_threads_and_graphs_and_arrays_of_warp_change_no_bit_of_pairs(kind, opti
 def difference_of_pairs(kind, options, precision, other_device):
     """What differs in a bit between this device and the other one."""
     name, *points = points_of(kind, 16)
-    here = kept((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
+    here = kept_outputs((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
     with other_device():
         return different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here)
 
