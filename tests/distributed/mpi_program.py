@@ -77,7 +77,7 @@ def check_cut(mesh, cut, start, end, calls, *, motion=None, **options):
     return pipelines[0]
 
 
-def falling(count=12, **options):
+def wavy_sheets(count=12, **options):
     """A wavy sheet that falls through another, and where both are at both ends."""
     upper, faces = sheet(count)
     upper += 0.3 * np.sin(9 * upper[:, [1, 0, 0]]) * [0, 0, 1] + [0.013, 0.007, 0.2]
@@ -131,10 +131,12 @@ def starts_that_are_not_sound():
 
 
 def a_sheet_in_blocks():
-    check(*falling(), in_blocks, CALLS)
-    check(*falling(static=[1]), interleaved, ["mesh_ccd", "line_search vertex"], with_owners=True, broad_phase="hash")
+    check(*wavy_sheets(), in_blocks, CALLS)
+    check(
+        *wavy_sheets(static=[1]), interleaved, ["mesh_ccd", "line_search vertex"], with_owners=True, broad_phase="hash"
+    )
     with mock.patch.object(_ranks, "MOST_BYTES", 5_000):  # what does not fit into a message comes in several
-        check(*falling(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), CALLS[:2] + SCALARS)
+        check(*wavy_sheets(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), CALLS[:2] + SCALARS)
 
 
 def a_giant_face():
@@ -203,12 +205,12 @@ def a_bound_from_a_sample():
     """
     with mock.patch.object(topology, "WORTH_SAMPLING", 1):
         for options in ({"max_iterations": 1}, {"precision": "float32"}, {"broad_phase": "hash", "max_iterations": 1}):
-            check(*falling(16), interleaved, SCALARS, **options)
+            check(*wavy_sheets(16), interleaved, SCALARS, **options)
 
 
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
-    mesh, cut = cut_of(falling(static=[1])[0], in_blocks)
+    mesh, cut = cut_of(wavy_sheets(static=[1])[0], in_blocks)
     x = mesh.vertices
     pipeline, one, num_plans = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh), 0
     velocity = [0, 0, -0.02] * (mesh.vertex_body == 0)[:, None]
@@ -415,7 +417,7 @@ def refused_meshes():
 
 def begun():
     """A mesh, its part on this rank with a pipeline, and where its vertices are at both ends."""
-    mesh, start, end = falling()
+    mesh, start, end = wavy_sheets()
     mesh, cut = cut_of(mesh, in_blocks)
     return mesh, cut, DistributedPipeline(cut.mesh), start, end
 

@@ -33,10 +33,20 @@ def triangles(rng, count, **options):
     return mesh, mesh.vertices.copy()
 
 
-def crowd(rng, num_faces=400, size=0.08, speed=0.1):
-    """Faces at random places that move at random: mesh, start and end positions."""
-    start, faces = soup(rng, num_faces, size)
-    return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
+def crowd(rng, num_faces=400, size=0.08, speed=0.1, *, num_bodies=1, num_others=0, dust=0, **options):
+    """Faces at random places that move at random, but for static ones: mesh, start and end positions.
+
+    Each body has half as many faces as the one before, so many cables and particles among them, and as many vertices
+    in one place as ``dust`` says.
+    """
+    bodies = []
+    for count in (num_faces >> k for k in range(num_bodies)):
+        x = np.concatenate([soup(rng, count + num_others, size)[0], 0.01 * rng.standard_normal((dust, 3))])
+        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
+        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **options)
+    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices.copy(), with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def random_pairs(kind, count=200, seed=0, dimension=3):

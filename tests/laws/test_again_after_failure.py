@@ -18,11 +18,11 @@ from hard_cases import FAMILIES
 import ccd_warp as ccd
 from laws.calls import on_device
 from laws.outputs import different, outputs_of
-from laws.test_other_ways import crowd
+from laws.test_other_ways import bodies
 
 THREADS = {"num_threads": 2}
-SMALL, ALONE = (lambda: crowd(60, 12, static=[1])), (lambda: crowd(60, 12, static=[1], self_collision=False))
-LARGE = lambda: crowd(700, 20, size=0.04, static=[1])  # noqa: E731
+SMALL, ALONE = (lambda: bodies(60, 12, static=[1])), (lambda: bodies(60, 12, static=[1], self_collision=False))
+LARGE = lambda: bodies(700, 20, size=0.04, static=[1])  # noqa: E731
 
 
 def objects(make=SMALL, **options):
