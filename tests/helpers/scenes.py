@@ -8,6 +8,7 @@ import ccd_warp as ccd
 TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 FACE = np.array([[0, 1, 2]])
 NO_FACES = np.zeros((0, 3), dtype=int)
+TETRAHEDRON = np.eye(4, 3, -1), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 # Points of a pair.
 CORNERS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
 
@@ -148,6 +149,16 @@ def crowd_of_all_kinds(rng, count=8, **options):
     a, b, *_ = particles[: len(particles) // 4 * 4].reshape(-1, 4).T
     end[a], end[b] = start[b], start[a]
     return mesh, start, with_static_at_rest(mesh, start, end)
+
+
+def two_of_every_kind(*half_spaces, **options):
+    """A face, a cable and particles, the same a little higher as another body, and half-spaces: a mesh."""
+    cables = [[-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
+    lower = np.array([*TRIANGLE, *cables])
+    upper = lower * [0.98, 1.04, 1.0] + [0.02, 0.01, 0.5] + 0.02 * np.random.default_rng(0).random(lower.shape)
+    bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), *half_spaces]
+    options = {"codimensional_points": True, "self_collision": False} | options
+    return ccd.CollisionMesh.from_arrays(bodies, **options)
 
 
 def sheet_over_floor():

@@ -8,7 +8,7 @@ from functools import wraps
 from typing import Any
 
 import numpy as np
-from scenes import sheet, with_static_at_rest
+from scenes import TETRAHEDRON, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from laws.calls import StepCase
@@ -94,7 +94,6 @@ def pressed(seed: int) -> Scene:
 # --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
 
 _CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
-_TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
 
 def _mixed(rng):
@@ -122,7 +121,7 @@ def _sheet(rng):
 
 def _tetrahedron(rng):
     """A closed surface, sometimes with a face twice, a face with a vertex twice, and a cable at a corner."""
-    faces, cable = np.concatenate([_TETRAHEDRON, [[2, 1, 0]], [[3, 3, 1]]]), np.array([[0, 4]])
+    faces, cable = np.concatenate([TETRAHEDRON[1], [[2, 1, 0]], [[3, 3, 1]]]), np.array([[0, 4]])
     return 0.6 * rng.standard_normal((6, 3)), faces[: rng.choice([4, 4, 5, 6])], cable[: rng.integers(0, 2)]
 
 
