@@ -50,6 +50,11 @@ def crowd(rng, num_faces=400, size=0.08, speed=0.1, *, num_bodies=1, num_others=
     return mesh, mesh.vertices.copy(), with_static_at_rest(mesh, mesh.vertices, end)
 
 
+def crowd_of_three(num_faces, num_others=0, size=0.1, **options):
+    """Three bodies of faces, and cables and particles among them."""
+    return crowd(np.random.default_rng(21), num_faces, size, 1.5 * size, num_bodies=3, num_others=num_others, **options)
+
+
 def random_pairs(kind, count=200, seed=0, dimension=3):
     """Points of pairs at both ends of a step, [count, 4, 3] or as the kind has it, in which some touch."""
     start = np.random.default_rng(seed).uniform(-1, 1, (count, CORNERS[kind], dimension))

@@ -14,15 +14,18 @@ import warp as wp
 from daily import marked
 from faults import Scenario, alarm, wrong_after_events, wrong_after_interrupts
 from hard_cases import FAMILIES
+from scenes import crowd_of_three
 
 import ccd_warp as ccd
 from laws.calls import AT_ONE_TIME, on_device, on_host
 from laws.outputs import different, outputs_of
-from laws.test_other_ways import bodies
 
 THREADS = {"num_threads": 2}
-SMALL, ALONE = (lambda: bodies(60, 12, static=[1])), (lambda: bodies(60, 12, static=[1], self_collision=False))
-LARGE = lambda: bodies(700, 20, size=0.04, static=[1])  # noqa: E731
+SMALL, ALONE = (
+    (lambda: crowd_of_three(60, 12, static=[1])),
+    (lambda: crowd_of_three(60, 12, static=[1], self_collision=False)),
+)
+LARGE = lambda: crowd_of_three(700, 20, size=0.04, static=[1])  # noqa: E731
 
 
 def objects(make=SMALL, **options):

@@ -19,7 +19,7 @@ import trimesh
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from scenes import crowd, pairs_in_worlds, sheet, with_static_at_rest
+from scenes import crowd_of_three, pairs_in_worlds, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._runtime.every_module import every_module
@@ -29,11 +29,6 @@ from laws.outputs import different, outputs_of
 from laws.scenes import drawn
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
-
-
-def bodies(num_faces, num_others=0, size=0.1, **options):
-    """Three bodies of faces, and cables and particles among them."""
-    return crowd(np.random.default_rng(21), num_faces, size, 1.5 * size, num_bodies=3, num_others=num_others, **options)
 
 
 def sheets():
@@ -97,33 +92,38 @@ _LISTS = {
 }
 # Scenes so large that threads share them in many parts, batches are many and a device takes several turns.
 LARGE = {
-    "crowd": StepCase(lambda: bodies(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
+    "crowd": StepCase(lambda: crowd_of_three(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
     "static": StepCase(
-        lambda: bodies(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000
+        lambda: crowd_of_three(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000
     ),
-    "one place": StepCase(lambda: bodies(60, 30, dust=150, static=[0]), {}, 400_000),
+    "one place": StepCase(lambda: crowd_of_three(60, 30, dust=150, static=[0]), {}, 400_000),
 }
 # Those in which a GPU has what a warp, a block or a few threads must not lose.
 ON_DEVICE = {
-    "kinds": StepCase(lambda: bodies(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}),
-    "hash": StepCase(lambda: bodies(40, 15, static=[1]), {"broad_phase": "hash"}),
-    "lists": StepCase(lambda: bodies(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
-    "tree lists": StepCase(lambda: bodies(40, 15, exclude_pairs=_LISTS)),
-    "thick lists": StepCase(lambda: bodies(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
-    "radii": StepCase(lambda: bodies(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
-    "thickness of 0": StepCase(lambda: bodies(40, 15, radius=0.0)),
+    "kinds": StepCase(
+        lambda: crowd_of_three(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}
+    ),
+    "hash": StepCase(lambda: crowd_of_three(40, 15, static=[1]), {"broad_phase": "hash"}),
+    "lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
+    "tree lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS)),
+    "thick lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
+    "radii": StepCase(
+        lambda: crowd_of_three(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}
+    ),
+    "thickness of 0": StepCase(lambda: crowd_of_three(40, 15, radius=0.0)),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
     "parting": StepCase(parting, {"minimum_distance": 0.02}),
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
     "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
     "groups": StepCase(lambda: apart(2)),
-    "bisection": StepCase(lambda: bodies(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
+    "bisection": StepCase(lambda: crowd_of_three(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
     "bisection near": StepCase(
-        lambda: bodies(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4, "minimum_distance": 0.004}
+        lambda: crowd_of_three(25),
+        {"method": "bisection", "max_iterations": 300, "t_max": 0.4, "minimum_distance": 0.004},
     ),
-    "few iterations": StepCase(lambda: bodies(60), {"max_iterations": 3}),
-    "levels": StepCase(lambda: bodies(900, size=0.02), {}, 90_000),
+    "few iterations": StepCase(lambda: crowd_of_three(60), {"max_iterations": 3}),
+    "levels": StepCase(lambda: crowd_of_three(900, size=0.02), {}, 90_000),
     "slender": StepCase(slender, {}, 90_000),
 }
 NAMES = [name for name in CALLS if name != "batches"]  # which has a law of its own
