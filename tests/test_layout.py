@@ -6,9 +6,11 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import warp as wp
+from planted import table
 from warp._src import context
 
-ROOT = Path(__file__).resolve().parent.parent
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
 # Folders in the tree, and what they are called once installed.
 PACKAGES = {"ccd_warp": "ccd_warp", "kernels": "ccd_warp.kernels"}
 # The folders from the bottom; those of one line know nothing of each other, but that gradients know bodies that turn.
@@ -26,6 +28,11 @@ RINGS = [
     {"_cli", "distributed"},
     {"__main__"},
 ]
+
+# Tests that are there for no fault of the package: what holds of whatever is drawn, of pages and programs, of oracles
+# and planted faults themselves, of the emulated device, of the layout, of runs of the tests and of data that they read.
+WITHOUT_A_FAULT = ("laws/", "docs/", "examples/", "oracle/", "planted/", "emulated/", "test_layout.py")
+WITHOUT_A_FAULT += ("test_package.py", "runtime/test_runs.py", "files/test_public_data.py")
 
 
 def sources() -> dict[str, tuple[str, bool]]:
@@ -104,6 +111,14 @@ def test_no_property_that_stays_has_a_lock():
 
 def test_no_test_imports_another():
     """What two of them need stands in a module of its own: scenes, oracles, launches, and the like."""
-    for path in Path(__file__).parent.rglob("*.py"):
-        names = re.findall(r"^\s*(?:from|import) (test_\w+)", path.read_text("utf-8"), flags=re.MULTILINE)
-        assert not names, path.name
+    for path in TESTS.rglob("*.py"):
+        names = imported_names(path.stem, path.read_text("utf-8"), False)
+        assert not [name for name in names if re.search(r"(^|\.)test_\w+", name)], path.name
+
+
+def test_every_file_of_tests_has_to_find_a_planted_fault():
+    """A new one names a fault, in `planted`, that no law finds, or stands among those that are there for none."""
+    files = {path.relative_to(TESTS).as_posix() for path in TESTS.rglob("test_*.py")}
+    finders = {test.partition("::")[0] for fault in table.PLANTED for test in table.tests_of(fault)}
+    assert not {file for file in files - finders if not file.startswith(WITHOUT_A_FAULT)}
+    assert not {name for name in WITHOUT_A_FAULT if not any(file.startswith(name) for file in files)}

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ccd_warp._files.content import NO_EDGES, NO_INDICES, Mesh, check_part, elements_of
+from ccd_warp._files.opened import not_installed
 from ccd_warp._files.polygons import fan
 from ccd_warp._scene.input.cells import by_corners, surface_of
 from ccd_warp._scene.input.messages import InputError, printable, reason_of
@@ -81,7 +82,7 @@ def load_meshio() -> Any:
         import h5py  # noqa: F401
         import meshio
     except ImportError as error:
-        raise InputError(f"{error.name} reads it; install with: pip install 'ccd-warp[formats]'") from error
+        raise not_installed(error.name) from error
     return meshio
 
 

@@ -6,6 +6,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from ccd_warp._files.content import Part
+from ccd_warp._files.opened import not_installed
 from ccd_warp._files.text import CUT
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.trimesh_bodies import transformed
@@ -20,7 +21,7 @@ def read_dae(data: bytes) -> list[Part]:
     try:
         import collada
     except ImportError as error:
-        raise InputError("pycollada reads it; install with: pip install pycollada") from error
+        raise not_installed(error.name) from error
     from trimesh.util import unique_name
 
     stated = _stated_triangles(ET.fromstring(data))

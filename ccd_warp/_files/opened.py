@@ -31,3 +31,8 @@ def read_file(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def not_installed(package: str | None) -> InputError:
+    """The error of a file whose reader is not installed."""
+    return InputError(f"{package} reads it; install with: pip install 'ccd-warp[formats]'")

@@ -150,12 +150,12 @@ def read_frames(
 ) -> Frames:
     """Read both ends of a step from mesh files, in full precision, completely or not at all.
 
-    The formats are PLY, OBJ, STL, OFF, GLB, glTF (3MF with networkx and lxml, DAE with pycollada) and, with the extra
-    ``formats``, VTU, VTP, legacy VTK, Gmsh, Medit, Abaqus and XDMF. Numbers are double precision where the format holds
-    it. The corners of an STL file, and the copies of a vertex that GLB and DAE make at a seam, or pieces of VTK files
-    where they meet, are merged by their positions in ``start_path``, which ``end_path`` must agree with. Polygons
-    become triangles that cover their area, chosen in ``start_path``; lines and points of OBJ and PLY files are
-    codimensional; glTF is placed at rest by nodes, morph weights and skins.
+    The formats are PLY, OBJ, STL, OFF, GLB, glTF and, with the extra ``formats``, 3MF, DAE, VTU, VTP, legacy VTK, Gmsh,
+    Medit, Abaqus and XDMF. Numbers are double precision where the format holds it. The corners of an STL file, and the
+    copies of a vertex that GLB and DAE make at a seam, or pieces of VTK files where they meet, are merged by their
+    positions in ``start_path``, which ``end_path`` must agree with. Polygons become triangles that cover their area,
+    chosen in ``start_path``; lines and points of OBJ and PLY files are codimensional; glTF is placed at rest by nodes,
+    morph weights and skins.
 
     Each object or group of an OBJ file, node of a scene and file of an archive is a body with its name; those that
     share a vertex are one. A file that holds one body gives it its own name.

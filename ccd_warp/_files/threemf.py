@@ -9,6 +9,7 @@ from typing import IO
 import numpy as np
 
 from ccd_warp._files.content import Part
+from ccd_warp._files.opened import not_installed
 from ccd_warp._files.text import CUT
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.trimesh_bodies import transformed
@@ -29,7 +30,7 @@ def read_3mf(data: bytes) -> list[Part]:
         import networkx  # noqa: F401
         import trimesh
     except ImportError as error:
-        raise InputError(f"{error.name} reads it; install with: pip install networkx lxml") from error
+        raise not_installed(error.name) from error
     stated = _stated_triangles(data)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

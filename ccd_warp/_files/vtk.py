@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ccd_warp._files.cells import Grid, grid_of
-from ccd_warp._files.opened import read_file
+from ccd_warp._files.opened import not_installed, read_file
 from ccd_warp._files.text import CUT, all_numbers
 from ccd_warp._scene.input.messages import InputError
 
@@ -255,7 +255,7 @@ class _Process:
 
     def _started(self) -> subprocess.Popen[bytes]:
         if find_spec("vtkmodules") is None:
-            raise InputError("vtk reads it; install with: pip install 'ccd-warp[formats]'")
+            raise not_installed("vtk")
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         return subprocess.Popen(
             [sys.executable, "-P", str(Path(__file__).with_name("vtk_process.py"))],

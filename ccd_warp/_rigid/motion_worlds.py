@@ -46,6 +46,7 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
+from ccd_warp._scene.replicate import copied_bodies
 from ccd_warp.kernels.pair.norm import is_ball
 
 Array = NDArray[np.float64]
@@ -135,6 +136,8 @@ class MotionWorlds:
         if world_toi is not None:
             left, num_searched = _by_turns(cells % self.num_worlds)
             num_together = min(max(num_searched, self._few_copies), len(cells))
+        copied, shared = copied_bodies(self._mesh)
+        num_shared = len(shared)
         least = min(self._most_copies, num_together)
         copies = self._mesh._copies(least, least if bodies is None else self._most_copies)
         count = copies.num_worlds
@@ -145,16 +148,16 @@ class MotionWorlds:
             of_batch = cells[rows]
             padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
             number, world = np.divmod(padded, self.num_worlds)
-            active = np.zeros((count, self._num_copied), dtype=bool)
-            active[: len(of_batch)] = True if bodies is None else bodies[rows, : self._num_copied]
-            # bodies that all copies share, half-spaces, come last
-            num_shared = self._mesh.num_bodies - self._num_copied
+            active = np.zeros((count, len(copied)), dtype=bool)
+            active[: len(of_batch)] = True if bodies is None else bodies[rows][:, copied]
             times = self._slices.times(number)
-            begin, t_end = (np.append(np.repeat(t, self._num_copied), np.zeros(num_shared)) for t in times)
+            begin, t_end = (np.append(np.repeat(t, len(copied)), np.zeros(num_shared)) for t in times)
             part = Slice(begin, t_end, np.append(active, np.ones(num_shared, dtype=bool)))
             paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
+                assert pipeline._workspace is not None
+                pipeline._workspace.warn_beside(self._pipeline._workspace)
                 result = call(pipeline, start, end, paths)
                 self._add(pipeline.counts, pipeline.timings)
             yield world[: len(of_batch)], result
@@ -169,11 +172,6 @@ class MotionWorlds:
             return np.arange(self._slices.num_slices * self.num_worlds), None
         slice_of_cell, world = np.nonzero(near.bodies.any(axis=2))
         return near.number[slice_of_cell] * self.num_worlds + world, near.bodies[slice_of_cell, world]
-
-    @property
-    def _num_copied(self) -> int:
-        """The number of bodies of which each world has its own: not half-spaces that stand."""
-        return self._mesh.num_bodies - int((self._mesh.planes.vertices < 0).sum())
 
     def _add(self, counts: Counts, timings: dict[str, float]) -> None:
         """Count what a step did."""

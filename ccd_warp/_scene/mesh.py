@@ -2,6 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
+import weakref
 from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -568,8 +569,15 @@ class CollisionMesh(ReadOnly):
             if least <= copies.num_worlds <= min(4 * least, most):
                 return copies
         copies = self.replicate(min(least + least // 8, most))
+        vars(copies)["_copied"] = weakref.ref(self)
         kept[:] = [copies, *kept[:1]]
         return copies
+
+    @property
+    def _as_given(self) -> CollisionMesh:
+        """The mesh that a caller has: that of which this one is the copies of :meth:`_copies`, or this one."""
+        copied: weakref.ref[CollisionMesh] | None = vars(self).get("_copied")
+        return (copied and copied()) or self
 
     @lazy_property
     def _all_rigid(self) -> CollisionMesh:

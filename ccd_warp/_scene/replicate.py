@@ -42,9 +42,8 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
             f"flag for each body"
         )
     of_planes = np.append(np.tile(np.flatnonzero(~is_shared), count), np.flatnonzero(is_shared))
-    planes = mesh.planes.bodies[is_shared].astype(np.int64)
-    copied = np.setdiff1d(np.arange(mesh.num_bodies), planes)
-    bodies = np.append(np.tile(copied, count), planes)  # the body that each body of the copies is one of
+    copied, planes = copied_bodies(mesh)
+    bodies = bodies_of_copies(mesh, count)
     first = (copies * mesh.num_vertices)[:, None, None]
     with_points, with_inner = np.zeros((2, mesh.num_bodies), dtype=bool)
     with_points[mesh.vertex_body[mesh.codimensional_points]] = True
@@ -68,6 +67,18 @@ def replicated(mesh: Any, count: int) -> dict[str, Any]:
         names=_names(mesh.names, copied.tolist(), planes.tolist(), count),
         planes=_copied_planes(mesh, copies, of_planes, len(copied)),
     )
+
+
+def bodies_of_copies(mesh: Any, count: int) -> NDArray[np.int64]:
+    """The body of a mesh that each body of its copies is one of; half-spaces that stand are last, and once."""
+    copied, planes = copied_bodies(mesh)
+    return np.append(np.tile(copied, count), planes)
+
+
+def copied_bodies(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """The bodies of which each copy has its own, and those that all copies share, which come last there."""
+    planes = mesh.planes.bodies[mesh.planes.vertices < 0].astype(np.int64)
+    return np.setdiff1d(np.arange(mesh.num_bodies), planes), planes
 
 
 def _names(names: tuple[str, ...], copied: list[int], planes: list[int], count: int) -> tuple[str, ...]:

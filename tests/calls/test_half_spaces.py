@@ -126,7 +126,9 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():
     point, normal = np.array([1, 2, 3]), np.array([0, 0, 1e-310])
-    mesh = ccd.CollisionMesh.from_arrays([ccd.HalfSpace(point, normal), (TRIANGLE, FACE)], radius=[0, 0.1])
+    plane = ccd.HalfSpace(point, normal)
+    assert plane in {plane} and plane != ccd.HalfSpace(point, normal)  # as an object, for it may hold arrays
+    mesh = ccd.CollisionMesh.from_arrays([plane, (TRIANGLE, FACE)], radius=[0, 0.1])
     point[0] = 7
     assert mesh.planes.points.tolist() == [[1, 2, 3]] and mesh.planes.normals.tolist() == [[0, 0, 1e-310]]
     assert mesh.planes.bodies.tolist() == [0] and mesh.static.tolist() == [True, False]

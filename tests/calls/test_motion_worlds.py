@@ -1,5 +1,7 @@
 """Where only parts that may touch are searched: in many worlds of one mesh, and among many bodies of one shape."""
 
+import warnings
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,6 +9,7 @@ import warp as wp
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
+from ccd_warp._engine.host import oddities
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.parts import mesh as parts_mesh
 from ccd_warp._rigid.parts import whole_bodies
@@ -238,3 +241,38 @@ def test_a_capacity_that_is_refused_leaves_those_of_worlds_as_they_are():
                 pipeline.reserve(max_contacts=9, max_pairs=0)
         found.append(outputs_of(pipeline.launch(mesh.vertices, mesh.vertices, motion=motion).to_host()))
     assert different(*found) == [] and np.isfinite(found[0][".toi"])
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_bodies_that_turn_meet_whichever_place_a_half_space_has_among_them(place):
+    """The copies that are searched for slices have half-spaces last, and the mesh has them anywhere."""
+    bodies = [(BOX.vertices, BOX.faces)] * 2
+    bodies.insert(place, ccd.HalfSpace([0, 0, -9], [0, 0, 1]))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[b for b in range(3) if b != place])
+    motion = ccd.RigidMotion(poses_of([[0, 0, 0.5], [0, 0, 1.6]]), twist=np.tile([0, 0, 0, 1.0, 0, 0], (WORLDS, 2, 1)))
+    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion).world_toi
+    # a corner of each box is where the offset of 1.1 has the component 1 along an axis of both
+    assert (toi <= np.arccos(1 / 1.1)).all() and (toi > np.arccos(1 / 1.1) - 1e-3).all()
+
+
+def test_warnings_of_slices_name_bodies_and_vertices_of_the_mesh_and_are_given_once(monkeypatch):
+    """The slices of worlds are searched as copies of the mesh, which no caller has seen."""
+    for name in ("_MANY_PAIRS", "_MANY_PAIRS_EACH"):
+        monkeypatch.setattr(oddities, name, 0)
+    ground, box = ccd.HalfSpace([0, 0, -9], [0, 0, 1]), (BOX.vertices, BOX.faces)
+    names = ["ground", "here", "left", "right"]
+    mesh = ccd.CollisionMesh.from_arrays([ground, box, box, box], names=names, rigid=[1, 2, 3])
+    x, pipeline = mesh.vertices, ccd.CollisionPipeline(mesh)
+    places, said = [[0, -9, 0], [0, 0, 0.5], [0, 0, 1.6]], []
+    for count in (3, WORLDS):
+        motion = ccd.RigidMotion(poses_of(places, count), twist=np.tile([0, 0, 0, 1.0, 0, 0], (count, 3, 1)))
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always")
+            pipeline.mesh_ccd(x, x, motion=motion)
+        said += [str(warning.message) for warning in warned]
+    assert len(said) == 1 and said[0].endswith("they are most often of left and right (100 % of a sample)")
+    copies = mesh._copies(5, 5)
+    moved = np.tile(x, (5, 1))
+    moved[3 * len(x) + 9] = 1e9
+    assert oddities.Farthest.of((moved, moved)).described(copies).startswith("vertex 9 (vertex 1 of left)")
+    assert copies.names[0] == "here[0]"

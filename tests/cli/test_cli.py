@@ -19,8 +19,7 @@ from ccd_warp._cli.command import main
 
 RUN = "run start.ply end.ply"
 ON = f"{RUN} --static floor.ply"
-# A ball of radius 0.5 comes down five units onto a box whose top is at z = 0; it touches after 1.5 units.
-EXACT_TOI = 0.3
+# A ball of radius 0.5 comes down five units onto a box whose top is at z = 0.
 BALL = trimesh.creation.icosphere(subdivisions=2, radius=0.5)
 BOX = trimesh.creation.box(extents=(4.0, 4.0, 1.0))
 TRIANGLE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
@@ -73,11 +72,10 @@ def run(folder, monkeypatch, capfd):
     return run_command
 
 
-def _expected(**options):
+def _expected():
     """The same run through the Python interface, with the length scale of the bodies at the start."""
     frames = ccd.read_frames("start.ply", "end.ply", static=["floor.ply"])
-    options = {"length_scale": 4.0} | options
-    return frames.mesh, ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, **options)
+    return frames.mesh, ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1, length_scale=4.0)
 
 
 # ---- The report ------------------------------------------------------------------------------------------------------
@@ -92,12 +90,7 @@ CERTAIN = "scene toi none (certain for the pairs looked at: vertex-face and edge
 REPORTS = [  # a command, and words of its report; those behind - are not in it
     (RUN, CERTAIN.format(1), "-no part", "-(--"),
     (f"{ON} --kinematic start.ply --t-max 0.25", "start.ply kinematic", "static and kinematic", CERTAIN.format(0.25)),
-    (
-        f"{ON} --pair-kinds edge-edge",
-        "left out vertex-face pairs",
-        "-vertex-face and",
-        "(--pair-kinds)",
-    ),
+    (f"{ON} --pair-kinds edge-edge", "left out vertex-face pairs", "-vertex-face and", "(--pair-kinds)"),
     (f"{RUN} --exclusion-rings 2 --no-self-collision", "fewer than 2 edges", "within a body (--no-self-collision)"),
     # The ball is at z = 2 with a radius of 0.5; the box, 4 x 4, reaches down to z = -1.
     (f"{ON} --minimum-separation 0.01", "extents at the start 4 x 4 x 3.5", "minimum separation 0.04"),
@@ -144,7 +137,6 @@ def test_both_formats_hold_the_result_bit_for_bit(run):
     lines, (mesh, result) = _lines(run(f"{ON} --output out.json").out), _expected()
     assert "wrote out.json" in lines
     assert f"scene toi {float(result.toi)!r} (of the step; no pair looked at touches before it)" in lines
-    assert EXACT_TOI - 1e-5 <= result.toi <= EXACT_TOI  # the tolerance, 1e-6 of a length of six, over the speed of five
     contacts, first = result.contacts, result.first
     data = _json("out.json")
     assert {"read_files", "intersections_at_start", *result.timings} == data["timings"].keys()
@@ -187,26 +179,6 @@ def test_standard_output_takes_the_json_alone(run):
     assert data["crossing"]["bodies"] == [["crossing.ply", "crossing.ply"]] * 2
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"minimum_separation": 0.01, "length_scale": 1.0, "tolerance": 1e-9, "num_threads": 1},
-        {"precision": "float32", "t_max": 0.5, "minimum_distance": 0.25, "start_gap_fraction": 0.5},
-        {"method": "bisection", "broad_phase": "hash", "max_iterations": 3, "max_work": 100},
-        {"pair_kinds": "edge-edge", "memory_limit": 64_000_000},
-    ],
-)
-def test_options_reach_the_library(run, options):
-    words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
-    run(f"{ON} --quiet --output reached.json", *words)
-    if "pair_kinds" in options:
-        options = options | {"pair_kinds": ["edge_edge"]}
-    data, (_, result) = _json("reached.json"), _expected(**options)
-    assert data["toi"] == result.toi and data["counts"]["num_batches"] == result.counts.num_batches
-    assert data["contact"]["toi"] == np.sort(result.contacts.toi).tolist()
-    assert {name: data["options"][name] for name in options} == options
-
-
 def test_a_ground_is_a_half_space_of_the_command_line(run):
     """It is named in the report and in files of results, and no radius for all bodies is one for it."""
     planes = "--half-space ground=0,0,0,0,0,2 --half-space=-9,0,0,1,0,0 --radius 0.25 --no-self-collision"
@@ -219,15 +191,6 @@ def test_a_ground_is_a_half_space_of_the_command_line(run):
     assert {*data["contact"]["kind"]} == {"vertex_plane"} and data["contact"]["bodies"][0][1] == "ground"
 
 
-def test_demo_says_miss_and_its_files_give_the_same_answer_to_run(run):
-    shown = run("demo --output-dir new/folder")
-    assert shown.err == "" and shown.out.count("MISS") == 2 and "HIT" not in shown.out
-    toi = _json("new/folder/bullet.json")["toi"]
-    frames = [f"new/folder/bullet_bullet_t{k}.ply" for k in (0, 1)]
-    run("run --static new/folder/bullet_wall_t0.ply --no-self-collision --output again.json --quiet", *frames)
-    assert _json("again.json")["toi"] == toi
-
-
 # ---- Refusals --------------------------------------------------------------------------------------------------------
 
 REFUSED = [  # of a command, what its one line says; what the library refuses, its own table holds
@@ -237,10 +200,7 @@ REFUSED = [  # of a command, what its one line says; what the library refuses, i
     (f"{RUN} --half-space 0,0,0,0,0", "--half-space 0,0,0,0,0: expected X,Y,Z,NX,NY,NZ, a point and a normal"),
     (f"{SHEET} --exclude wall.ply", "--exclude wall.ply: expected A,B, the names of two bodies"),
     ("sequence floor.ply end.ply --poses step.csv", "2 files are given with --poses; expected one"),
-    (
-        "sequence start.ply end.ply --output s.json",
-        "s.json: expected the name of a folder, found that of a file",
-    ),
+    ("sequence start.ply end.ply --output s.json", "s.json: expected the name of a folder, found that of a file"),
     ("run not_even_looked_for.ply end.ply --picture folder.png", "cannot be written"),
     (f"{RUN} --static escape.obj", r"line 1 holds 'v 0 0 \x1b[31m'"),
     (f"{RUN} --tolerance \x1b[31m", "--tolerance"),

@@ -1,7 +1,9 @@
 """The command `ccd-warp sequence`: every step of a sequence of frames, also where it is interrupted."""
 
 import csv
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,8 +11,10 @@ import trimesh
 from mesh_files import ply
 
 import ccd_warp as ccd
+from ccd_warp._cli import pictures
 from ccd_warp._cli import solve as solve_module
 from ccd_warp._cli.command import main
+from ccd_warp._results.contact_place import MovingVertices
 
 SHAPE, FLOOR = trimesh.creation.icosphere(subdivisions=1, radius=0.5), trimesh.creation.box(extents=(4.0, 4.0, 1.0))
 FALL = [SHAPE.vertices + [0.1, 0.2, 3.25 - 0.5 * k] for k in range(11)]
@@ -37,6 +41,16 @@ def rows(folder):
         return list(csv.DictReader(file))
 
 
+# Beside others, for each drawn sequence one of these.
+OPTIONS = [
+    {"minimum_separation": 0.01, "num_threads": 1},
+    {"precision": "float32", "t_max": 0.5, "minimum_distance": 0.25, "start_gap_fraction": 0.5},
+    {"method": "bisection", "broad_phase": "hash", "max_work": 100},
+    {"pair_kinds": ["edge_edge"], "memory_limit": 64_000_000},
+    {},
+]
+
+
 def _drawn(seed):
     """Frames of four triangles, and options: in families that rest, that meet on a grid, and any."""
     rng = np.random.default_rng(seed)
@@ -44,16 +58,15 @@ def _drawn(seed):
     steps = rng.integers(-1, 2, (int(rng.integers(1, 4)), 4, 3)) * (seed % 3 > 0) * rng.integers(0, 2, (4, 1))
     frames = [first, *(first + np.repeat(np.cumsum(steps, axis=0), 3, axis=1))]
     options = {"length_scale": 1.0, "max_iterations": int(rng.choice([2, 10_000])), "tolerance": 1e-9}
-    return frames, options | ({"minimum_separation": 0.01} if seed % 2 else {})
+    return frames, options | OPTIONS[seed % 5]
 
 
-def _expected(step, options):
-    """The numbers of a row, and whether its step is free of contacts and crossings, as the library counts them."""
-    result = ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **options)
+def _expected(step, result):
+    """The numbers of a row, as the library counts them."""
     crossing = int(ccd.find_intersections(step.mesh, step.vertices_t0).is_crossing.sum())
     kinds = [int((result.contacts.kind == kind).sum()) for kind in (ccd.PairKind.VERTEX_FACE, ccd.PairKind.EDGE_EDGE)]
-    of_status = [ccd.CCDStatus.INITIAL_CONTACT, ccd.CCDStatus.ITERATION_LIMIT]
-    at_start, at_limit = (int((result.contacts.status == status).sum()) for status in of_status)
+    at_start = int((result.contacts.status == ccd.CCDStatus.INITIAL_CONTACT).sum())
+    at_limit = int((result.contacts.status >= ccd.CCDStatus.ITERATION_LIMIT).sum())
     first = result.first.point.tolist() if result.hit else ["", "", ""]
     return [result.toi, len(result.contacts), *kinds, 0, at_start, crossing, at_limit, *first]
 
@@ -69,7 +82,10 @@ def test_columns_and_statuses_are_those_of_the_library_for_drawn_sequences(capfd
             Path(f"{k}.ply").write_bytes(ply(vertices, np.arange(12).reshape(4, 3)))
         names = [f"{k}.ply" for k in range(len(frames))]
         words = [word for name, value in options.items() for word in (f"--{name.replace('_', '-')}", value)]
-        expected = [_expected(step, options) for step in ccd.read_sequence(names).steps()]
+        words = ["edge-edge" if word == ["edge_edge"] else str(word) for word in words]
+        steps = [*ccd.read_sequence(names).steps()]
+        results = [ccd.mesh_ccd(step.mesh, step.vertices_t0, step.vertices_t1, **options) for step in steps]
+        expected = [_expected(*each) for each in zip(steps, results, strict=True)]
         hits, crossing = ([row[k] for row in expected] for k in (1, 6))
         status = int(any(hits) or any(crossing))
         for flag in ([], ["--fail-on-contact"]):
@@ -78,8 +94,13 @@ def test_columns_and_statuses_are_those_of_the_library_for_drawn_sequences(capfd
             numbers = [[row[name] and float(row[name]) for name in _OF_ROW] for row in found]
             assert numbers == expected, seed
             if flag:
-                command = ["run", *names[:2], *map(str, words), "--quiet", *flag]
+                command = ["run", *names[:2], *words, "--quiet", *flag, "--output", "run.json"]
                 assert main(command) == int(hits[0] > 0 or crossing[0] > 0), seed
+                data, first = json.loads(Path("run.json").read_text()), results[0]
+                assert (np.inf if data["toi"] is None else data["toi"]) == first.toi
+                assert data["contact"]["toi"] == np.sort(first.contacts.toi).tolist()
+                assert {name: data["options"][name] for name in options} == options
+                assert data["counts"]["num_batches"] == first.counts.num_batches
         seen["free"] += not status
         seen["crossing alone"] += any(crossing) and not any(hits)
         seen["at_limit"] += any(row[7] for row in expected)
@@ -122,9 +143,7 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     assert first.startswith("the first  step 5, ball_5.ply -> ball_6.ply, toi 0.4999")
     assert "of ball" in out and "of floor.ply" in out and "not seen  what surfaces that cross" in out
     assert "surfaces cross at the start of  4 of 10 steps: 6-9\n" in out
-    found = rows("out")
-    assert [row["start"] for row in found] == [f"ball_{k}.ply" for k in range(10)]
-    assert [np.isfinite(float(row["toi"])) for row in found] == [k >= 5 for k in range(10)]
+    assert [row["start"] for row in rows("out")] == [f"ball_{k}.ply" for k in range(10)]
     run(*BALLS[:3], "--output", "-", "--pair-kinds", "edge-edge", "--fail-on-contact")
     shown = capfd.readouterr()  # standard output takes the CSV alone
     assert len([*csv.DictReader(shown.out.splitlines())]) == 2
@@ -143,3 +162,25 @@ def test_a_sequence_of_poses_has_the_motions_of_the_library(folder):
         motions = sequence.steps()
         assert found[-1] == [ccd.mesh_ccd(sequence.mesh, x, x, motion=each, length_scale=1.0).toi for each in motions]
     assert found[0][0] == found[1][0] == np.inf > found[0][1] > found[1][1], found
+
+
+def test_an_animation_shows_each_start_each_toi_and_the_end_of_the_last_step(monkeypatch):
+    pytest.importorskip("pyvista")
+    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])
+    steps = [MovingVertices(mesh, mesh.vertices + k, mesh.vertices + k + 1) for k in range(2)]
+    row = SimpleNamespace(start="a", end="b", crossing=False, crossing_points=[], points=[], sizes=[])
+    rows = [SimpleNamespace(**vars(row), step=k, hit=k == 0, toi=0.25) for k in range(2)]
+    monkeypatch.setattr("ccd_warp.viz._animation.draw_frame", lambda mesh, x, *_, **__: x)
+    shown = [x[0, 0] for x, _ in pictures._images(steps.__getitem__, rows, lambda: None)]
+    assert shown == [1.0, 1.25, 2.0, 3.0]
+
+
+def test_an_animation_is_held_at_each_toi_and_marks_its_first_contact(folder):
+    reader, animation = pytest.importorskip("PIL.Image"), pytest.importorskip("ccd_warp.viz._animation")
+    images = [(np.full((9, 9, 3), 60 * k, dtype=np.uint8), k == 1) for k in range(3)]
+    animation.write_animation(folder / "out.gif", images)
+    with reader.open(folder / "out.gif") as shown:
+        assert [(shown.seek(k), shown.info["duration"])[1] for k in range(3)] == [100, 400, 100]
+    mesh, x = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])]), np.eye(3)
+    scene = animation._scene(mesh, x, x[:2], animation.FrameView.of(x, np.ones((1, 3))))
+    assert scene.contact_is_first.tolist() == [True, False]

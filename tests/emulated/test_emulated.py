@@ -16,8 +16,7 @@ from ccd_warp.kernels.step.minima import CANDIDATES
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
 from laws.calls import on_device
-from laws.outputs import different, outputs_of
-from laws.test_other_ways import kept
+from laws.outputs import different, kept_outputs, outputs_of
 from scenes import crowd, pairs_in_worlds
 
 import ccd_warp as ccd
@@ -31,7 +30,7 @@ pytestmark = [*MARKS, OF_ROUNDING]
 
 def assert_equal_on_both(case, call, num_multiprocessors=4):
     """What a call returns on the CPU and on the emulated device is equal in every bit; returns it."""
-    expected = kept(case, call)
+    expected = kept_outputs(case, call)
     with emulation(num_multiprocessors=num_multiprocessors):
         found = call()
     assert different(found, expected) == []
@@ -45,7 +44,7 @@ def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
         stored = outputs_of(result.contacts.to_host()).values()
         return outputs_of(result), [tuple(map(bytes, row)) for row in zip(*stored, strict=True)]
 
-    truth, everything = kept("contacts", lambda: contacts(10_000))
+    truth, everything = kept_outputs("contacts", lambda: contacts(10_000))
     with emulation(num_multiprocessors=MULTIPROCESSORS):
         found, stored = contacts(5)
     names = [".toi", ".vertex_toi", ".body_toi", ".world_toi", ".num_pairs", ".contacts.count"]
@@ -69,7 +68,7 @@ def test_needles_that_cross_at_many_speeds(distance):
     """Each is solved by a whole warp, as it takes long; with a distance nothing is shared but the stack."""
     options = {"tolerance": 1e-15, "length_scale": 1.0, "minimum_distance": distance}
     start, end = FAMILIES["needle_against_needle"]("edge-edge", 400, np.random.default_rng(0))
-    solved = kept(("hardest", distance), lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
+    solved = kept_outputs(("hardest", distance), lambda: outputs_of(ccd.edge_edge_ccd(start, end, **options)))
     hardest = np.argmax(solved[".iterations"] * np.isfinite(solved[".toi"]))
 
     def step():

@@ -5,7 +5,7 @@ import zipfile
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import polygon_file
+from mesh_files import of_extra, polygon_file
 
 import ccd_warp as ccd
 
@@ -82,7 +82,7 @@ def test_lines_and_points_of_files_are_cables_and_particles(tmp_path):
 
 def test_objects_of_a_3mf_stand_as_often_as_its_build_says(tmp_path, monkeypatch):
     """An object that is a component twice, and two items of one part number, of which trimesh reads one."""
-    pytest.importorskip("lxml")
+    of_extra("lxml")
     vertices = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in TRIANGLE)
     triangles = '<triangles><triangle v1="0" v2="1" v3="2"/></triangles>'
     objects = f'<object id="1"><mesh><vertices>{vertices}</vertices>{triangles}</mesh></object>'
@@ -116,7 +116,7 @@ def test_objects_of_a_3mf_stand_as_often_as_its_build_says(tmp_path, monkeypatch
 @pytest.fixture(params=["vtu", "vtk", "xdmf"])
 def cubes(request, tmp_path):
     """Files of three hollow cubes above one another, cells of all in turn; the highest comes down on the middle one."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
     places = np.array([place for place in np.ndindex(3, 3, 3) if place != (1, 1, 1)])
     nodes = np.concatenate([np.array([*np.ndindex(4, 4, 4)]) / 3.0 + [0.0, 0.0, 2.0 * k] for k in range(3)])
@@ -147,5 +147,6 @@ def test_a_soup_and_a_group_are_split_by_what_shares_a_vertex(tmp_path):
     trimesh.util.concatenate(boxes).export(tmp_path / "a.stl")
     frames = _read(tmp_path / "a.stl", split=True)
     assert frames.mesh.names == ("a.stl#0", "a.stl#1", "a.stl#2") and frames.num_merged.tolist() == [28, 28, 28]
+    assert (np.diff(frames.source_index) > 0).all()  # in the order in which they first appear
     text = _obj(("o two", TRIANGLE), ("", TRIANGLE + 3.0), ("o one", TRIANGLE + 6.0))
     assert _read(tmp_path / "a.obj", text, split=True).mesh.names == ("two#0", "two#1", "one")

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from mesh_files import FACES, PLY, WHOLE, content, gltf_files, read, same, whole
+from mesh_files import FACES, VERTICES, WHOLE, XDMF, content, gltf_files, of_extra, read, same, whole
 
 from ccd_warp._files.vtk import _Process
 
@@ -19,21 +19,22 @@ def refused(path, data, message):
     assert str(path) in str(caught.value) and str(caught.value).isprintable() and len(str(caught.value)) < 800
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in WHOLE if not name.endswith(".inp")]
-)  # which says of nothing how much
-def test_file_cut_at_any_byte_is_refused_or_read_as_the_whole(tmp_path, name):
-    data = whole(name)
-    expected = read(tmp_path / name, data)
+@pytest.mark.parametrize("name", WHOLE)
+def test_a_file_is_read_exactly_and_a_damaged_one_never_in_part(tmp_path, name):
+    """Every vertex comes once and with all its bits, but for scenes, which hold single precision or decimals; files are
+    cut at any byte, and bytes are dropped or doubled."""
+    rng, data, is_scene = np.random.default_rng(3), whole(name), name.startswith("scene")
+    expected = positions, faces = read(tmp_path / name, data)
+    if positions.ndim == 3:  # two frames of VTK, displaced by the positions
+        positions = positions[1] / 2.0
+    num_used = np.unique(FACES).size if name.endswith(".dae") else len(VERTICES)
+    assert len(positions) == num_used and (is_scene or np.array_equal(faces[:5], FACES[:5]))
+    assert np.abs(positions[faces[:5]] - VERTICES[FACES[:5]]).max() <= 1e-6 * is_scene
+    if name.endswith(".inp"):  # which says of nothing how much
+        return
     for length in range(len(data)):
         found = read(tmp_path / name, data[:length])
         assert found is None or same(found, expected), f"cut to {length} of {len(data)} bytes"
-
-
-@pytest.mark.parametrize("name", [name for name in WHOLE if not name.endswith(".inp")])
-def test_bytes_that_are_dropped_or_doubled_never_lose_a_face(tmp_path, name):
-    rng, data = np.random.default_rng(3), whole(name)
-    expected = read(tmp_path / name, data)
     for begin in rng.integers(0, len(data), 25).tolist():
         end = begin + int(rng.integers(1, 40))
         for damaged in (data[:begin] + data[end:], data[:end] + data[begin:]):
@@ -43,12 +44,6 @@ def test_bytes_that_are_dropped_or_doubled_never_lose_a_face(tmp_path, name):
 
 # ---- What is no file of a mesh ---------------------------------------------------------------------------------------
 
-_ITEM = '<DataItem DataType="{}" Precision="8" Dimensions="{}" Format="{}">{}</DataItem>'
-XDMF = (
-    '<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Triangle" NumberOfElements="1">'
-    f'{_ITEM.format("Int", "1 3", "XML", "0 1 2")}</Topology><Geometry GeometryType="XYZ">'
-    f"{_ITEM.format('Float', '3 3', 'XML', '0 0 0 1 0 0 0 1 0')}</Geometry></Grid></Domain></Xdmf>"
-)
 NAMES = ["a.ply", "a.obj", "a.stl", "a.off", "a.glb", "a.vtu", "a.vtk", "a.pvd", "a.xmf"]
 SAID = {
     "pipe": "no such file but a folder, a pipe or a device; expected a regular file",
@@ -61,6 +56,7 @@ SAID = {
 
 @pytest.mark.parametrize("kind", SAID)
 def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kind):
+    of_extra("meshio")
     (tmp_path / "a.xdmf").write_text(XDMF.replace('"XML">0 0', '"HDF">data:/0 0'))
     tree, buffer = gltf_files()
     tree["buffers"][0]["uri"] = "my%20data"
@@ -86,85 +82,61 @@ def test_what_is_no_mesh_is_refused_at_once_wherever_a_file_stands(tmp_path, kin
 
 # ---- What each format may not hold -----------------------------------------------------------------------------------
 
-OBJ = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-BASE = {"ply": PLY, "obj": OBJ, "xdmf": XDMF}
-MALFORMED = [  # of a format: what stands in place of what, and what the message says
-    ("ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds 7\.5; expected an integer"),
-    ("ply", "3 6 7 8", "3 6 7 8_0", r"line 26 holds '8_0'; expected a number"),
-    ("ply", "property double z", "property double w", "gives its vertices no x, y and z"),
-    ("ply", "element face", "element fact", "holds 'fact' of vertices, which is not read"),
-    ("obj", "f 1 2 3", "f 1 2 -4", "line 4 is a face of a vertex that is none of the 3 of the file"),
-    ("obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 5 begins with 'fa', which is not read"),
-    ("xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
-    ("xdmf", "0 1 2", "0 1 2 9", r"cannot be read \(cannot reshape array of size 4 into shape"),
-    ("xdmf", "0 1 2", "0 1 2.5", "cannot be read .string or file could not be read to its end"),
-    ("xdmf", "0 1 0<", "0 1 z<", "cannot be read .string or file could not be read to its end"),
+NUMBERS = "cannot be read .string or file could not be read to its end"
+DAMAGED = [  # of a file: what stands in place of what, a regular expression, and what the message says
+    ("text.ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds 7\.5; expected an integer"),
+    ("text.ply", "3 6 7 8", "3 6 7 8_0", r"line 26 holds '8_0'; expected a number"),
+    ("text.ply", "property double z", "property double w", "gives its vertices no x, y and z"),
+    ("text.ply", "element face", "element fact", "holds 'fact' of vertices, which is not read"),
+    ("text.obj", "f 1 2 3", "f 1 2 -14", "line 13 is a face of a vertex that is none of the 12 of the file"),
+    ("text.obj", "f 1 2 3\n", "f 1 2 3\nfa 1 2 3\n", "line 14 begins with 'fa', which is not read"),
+    ("one.xdmf", 'NumberOfElements="1"', 'NumberOfElements="2"', "holds 1 cells, and says that it has 2"),
+    ("one.xdmf", "0 1 2", "0 1 2 9", r"cannot be read \(cannot reshape array of size 4 into shape"),
+    ("one.xdmf", "0 1 2", "0 1 2.5", NUMBERS),
+    ("one.xdmf", "0 1 0<", "0 1 z<", NUMBERS),
     (
-        "xdmf",
+        "one.xdmf",
         "<DataItem ",
         '<DataItem ItemType="HyperSlab" ',
-        "has data of the format 'XML', or that refer to others; expected XML or HDF",
+        "'XML', or that refer to others; expected XML or HDF",
     ),
-    ("xdmf", '"XML">0 0 0 1', '"Binary">data', "has data of the format 'Binary', or that refer to"),
+    ("one.xdmf", '"XML">0 0 0 1', '"Binary">data', "has data of the format 'Binary', or that refer to"),
+    # A row of three corners that says one, and one that takes a number of the next row.
+    ("text_42.vtk", r"\n3\n2\n3\n4\n", "\n1\n2\n3\n4\n", "triangle of 1 corners"),
+    ("text_42.vtk", "CELLS 6", "CELLS 7", "VTK cannot read it: Error reading ascii"),
+    ("text_51.vtk", r"\b6\s+9\s+12\b", "5 9 12", "is a triangle of 2 corners"),
+    ("text_51.vtk", "5\n9\nP", "5\n99\nP", "cell 5 is of the type VTK_99"),
+    ("text_51.vtk", r"\s+\Z", "", "may have lost digits"),
+    ("text.vtu", r"\b6\s+9\s+12\b", "5 9 12", "is a triangle of 2 corners"),
+    ("text.vtp", 'Polys="6"', 'Polys="5"', "'offsets' holds 6 numbers; expected 5"),
+    ("text.vtp", "(?s)<Polys>(.*)</Polys>", r"<Polis>\1</Polis>", "announces 12 points"),
+    # As many bytes in all, of which the offsets to the next array are other ones.
+    ("raw.vtp", "(?s)( _.{60}).(.*)</App", r"\1\2 </App", "has not the .* bytes"),
+    ("text_40.msh", r"\n1 6\n", "\n1 7\n", "announces 7 elements, and"),
+    ("text_41.msh", "1 12 1 12", "1 13 1 12", "announces 13 nodes, and"),
+    ("text_22.msh", " 2 2 ", " 146 2 ", r"its reader knows no 146\)"),
+    ("text_22.msh", r"\$EndElements", "", "each closed by its"),
+    ("text.mesh", "\nEnd", "", "does not end with 'End'"),
+    ("text.inp", r"\s+\Z", "", "may have lost digits"),
+    ("text.inp", r"\*ELEMENT", "*NODE\n1,0,0,0\n*ELEMENT", r"has 2 lists \*NODE"),
+    ("text.inp", r"\Z", "*INSTANCE, NAME=A\n1, 0, 0\n", "holds .INSTANCE, NAME=A, which makes or moves"),
+    # Three numbers less are a vertex less, and an input less makes other faces.
+    ("scene.dae", 'count="54"', 'count="57"', "does not hold 57 values"),
+    ("scene.dae", "(?s)triangles(.*)triangles", r"tristrips\1tristrips", "holds tristrips, which are not read"),
+    ("scene.dae", "(?s)<triangles.*</triangles>", "", "holds no triangles; give"),
+    ("scene.dae", '<triangles count="6"', '<triangles count="7"', "has 7 triangles, and 6"),
 ]
 
 
-@pytest.mark.parametrize("suffix, old, new, message", MALFORMED)
-def test_malformed_content_is_named(tmp_path, suffix, old, new, message):
-    if suffix == "xdmf":
-        pytest.importorskip("meshio", reason="the extra formats is not installed")
-    refused(tmp_path / f"a.{suffix}", BASE[suffix].replace(old, new, 1), message)
-
-
-@pytest.mark.parametrize(
-    "name, damage, message",
-    [
-        # A row of three corners that says one, and one that takes a number of the next row.
-        ("text_42.vtk", lambda data: data.replace(b"\n3\n2\n3\n4\n", b"\n1\n2\n3\n4\n"), "triangle of 1 corners"),
-        ("text_42.vtk", lambda data: data.replace(b"CELLS 6", b"CELLS 7"), "VTK cannot read it: Error reading ascii"),
-        ("text_51.vtk", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "is a triangle of 2 corners"),
-        ("text_51.vtk", lambda data: data.replace(b"5\n9\nP", b"5\n99\nP"), "cell 5 is of the type VTK_99"),
-        ("text_51.vtk", lambda data: data.rstrip(), "may have lost digits"),
-        ("text.vtu", lambda data: re.sub(rb"\b6\s+9\s+12\b", b"5 9 12", data), "is a triangle of 2 corners"),
-        ("text.vtp", lambda data: data.replace(b'Polys="6"', b'Polys="5"'), "'offsets' holds 6 numbers; expected 5"),
-        (
-            "text.vtp",
-            lambda data: data.replace(b"<Polys>", b"<Polis>").replace(b"/Polys", b"/Polis"),
-            "announces 12 points",
-        ),
-        # As many bytes in all, of which the offsets to the next array are other ones.
-        ("raw.vtp", lambda data: re.sub(rb"(?s)( _.{60}).(.*)</App", rb"\1\2 </App", data), "has not the .* bytes"),
-        ("text_41.msh", lambda data: data.replace(b"1 12 1 12", b"1 13 1 12"), "announces 13 nodes, and"),
-        ("text_22.msh", lambda data: data.replace(b" 2 2 ", b" 146 2 ", 1), r"its reader knows no 146\)"),
-        ("text_22.msh", lambda data: data.replace(b"$EndElements", b""), "each closed by its"),
-        ("text.mesh", lambda data: data.replace(b"\nEnd", b""), "does not end with 'End'"),
-        ("text.inp", lambda data: data.rstrip(), "may have lost digits"),
-        ("text.inp", lambda data: data.replace(b"*ELEMENT", b"*NODE\n1,0,0,0\n*ELEMENT", 1), r"has 2 lists \*NODE"),
-        (
-            "text.inp",
-            lambda data: data + b"*INSTANCE, NAME=A\n1, 0, 0\n",
-            "holds .INSTANCE, NAME=A, which makes or moves",
-        ),
-        # Three numbers less are a vertex less, and an input less makes other faces.
-        ("scene.dae", lambda data: data.replace(b'count="36"', b'count="39"', 1), "does not hold 39 values"),
-        ("scene.dae", lambda data: data.replace(b"triangles", b"tristrips"), "holds tristrips, which are not read"),
-        ("scene.dae", lambda data: re.sub(rb"(?s)<triangles.*</triangles>", b"", data), "holds no triangles; give"),
-        (
-            "scene.dae",
-            lambda data: data.replace(b'<triangles count="6"', b'<triangles count="7"'),
-            "has 7 triangles, and 6",
-        ),
-    ],
-)
-def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, damage, message):
-    damaged = damage(whole(name))
+@pytest.mark.parametrize("name, old, new, message", DAMAGED)
+def test_damage_that_would_be_read_in_part_is_named(tmp_path, name, old, new, message):
+    damaged = re.sub(old.encode(), new.encode(), whole(name), count=1)
     assert damaged != whole(name)
     refused(tmp_path / name, damaged, message)
 
 
 def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
-    pytest.importorskip("h5py", reason="the extra formats is not installed")
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio, _ = of_extra("meshio"), of_extra("h5py")
     monkeypatch.chdir(tmp_path)
     path = tmp_path / "a.xdmf"
     meshio.Mesh(np.eye(7, 3), [("triangle", FACES[:3])]).write(path, data_format="HDF")
@@ -174,9 +146,16 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     damaged = data.replace(b'Dimensions="7 3"', b'Dimensions="3 7"')
     refused(path, damaged, r"float64 of shape \(7, 3\); expected numbers of shape \(3, 7\)")
     refused(path, data.replace(b"/" + name, b"/other"), "object 'other' doesn't exist")
-    vtp = whole("text.vtp")
-    for module, name, whole_data in (("h5py", "a.xdmf", data), ("meshio", "a.xdmf", data), ("vtk", "a.vtp", vtp)):
+
+
+@pytest.mark.parametrize(
+    "name, packages",
+    {"one.xdmf": "h5py meshio", "text.vtp": "vtk", "scene.dae": "collada", "scene.3mf": "lxml networkx"}.items(),
+)
+def test_the_extra_that_brings_a_package_is_named_where_it_is_not_installed(tmp_path, monkeypatch, name, packages):
+    for package in packages.split():
         with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, module.replace("vtk", "vtkmodules"), None)
-            monkeypatch.setattr("ccd_warp._files.vtk._PROCESS", _Process())
-            refused(tmp_path / name, whole_data, rf"{module} reads it; install with: pip install 'ccd-warp\[formats\]'")
+            patch.setitem(sys.modules, package.replace("vtk", "vtkmodules"), None)
+            patch.setattr("ccd_warp._files.vtk._PROCESS", _Process())
+            message = rf"{package} reads it; install with: pip install 'ccd-warp\[formats\]'"
+            refused(tmp_path / name, whole(name), message)

@@ -12,17 +12,8 @@ from ccd_warp._files.mesh import _READERS as READERS
 # Of PLY, by the letters of `struct`.
 TYPES = {
     **{"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"},
-    **{
-        "int8": "b",
-        "uint8": "B",
-        "int16": "h",
-        "uint16": "H",
-        "int32": "i",
-        "uint32": "I",
-        "int64": "q",
-        "uint64": "Q",
-    },
-    **{"float32": "f", "float64": "d"},
+    **{"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "int64": "q"},
+    **{"uint64": "Q", "float32": "f", "float64": "d"},
 }
 OF_INDICES = [name for name, letter in TYPES.items() if letter not in "fd"]
 
@@ -72,9 +63,7 @@ def drawn_ply(rng) -> tuple[bytes, Content]:
     order, n = str(rng.choice(["", "<", ">"])), int(rng.integers(7, 13))
     kind = {"": "ascii", "<": "binary_little_endian", ">": "binary_big_endian"}[order]
     header, body = ["ply", f"format {kind} 1.0", "comment drawn"], b""
-    found = Content(
-        polygons=_polygons(rng, n, 0), edges=[*map(tuple, rng.integers(0, n, (rng.integers(3), 2)).tolist())]
-    )
+    found = Content([], _polygons(rng, n, 0), [*map(tuple, rng.integers(0, n, (rng.integers(3), 2)).tolist())])
 
     def element(name, rows, names):
         """Rows of named values, and of properties beside them, each of any type, in any order."""
@@ -154,10 +143,8 @@ def drawn_obj(rng) -> tuple[bytes, Content]:
     n = int(rng.integers(7, 13))
     found = Content(_coordinates(rng, n), _polygons(rng, n, 0))
     lines = ["# drawn", "mtllib none.mtl", "o a"]
-    lines += [
-        " ".join(map(repr, ["v", *row, *[0.5] * int(rng.choice([0, 1, 3, 4]))])).replace("'", "")
-        for row in found.vertices
-    ]
+    behind = [[0.5] * int(rng.choice([0, 1, 3, 4])) for _ in found.vertices]
+    lines += [" ".join(["v", *map(repr, row + more)]) for row, more in zip(found.vertices, behind, strict=True)]
     lines += ["vn 0 0 1", "vt 0.5 0.5"]
     behind = str(rng.choice(["", "/1", "//1", "/1/1"]))
 

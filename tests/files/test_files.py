@@ -6,7 +6,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 import trimesh
-from mesh_files import exported, of_meshio, ply
+from mesh_files import exported, of_extra, ply, polygon_file
 
 import ccd_warp as ccd
 
@@ -16,47 +16,12 @@ _SPHERE = trimesh.creation.icosphere(subdivisions=1, radius=1.0 / 3.0)
 BALL, BALL_FACES = np.asarray(_SPHERE.vertices) + np.pi, np.asarray(_SPHERE.faces).astype(np.int32)
 
 
-def _of_cells(name, **options):
-    def write(vertices, faces):
-        meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-        return of_meshio(name, meshio.Mesh(vertices, [("triangle", faces)]), **options)
-
-    return write
-
-
-FORMATS = {
-    "binary.ply": ply,
-    **{name: _of_cells(name) for name in ("a.vtu", "a.vtk", "a.msh", "a.mesh", "a.inp")},
-    "text.vtk": _of_cells("a.vtk", binary=False),
-    "a.xdmf": _of_cells("a.xdmf", data_format="XML"),
-}
-
-
 def _frames(folder, name, start, end=None, **options):
     """What is read of two files with these contents."""
     paths = [folder / f"{time} {name}" for time in ("start", "end")]
     for path, data in zip(paths, (start, start if end is None else end), strict=True):
         path.write_bytes(data.encode() if isinstance(data, str) else data)
     return ccd.read_frames(*paths, **options)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_every_bit_and_every_vertex_comes_as_the_file_has_it(tmp_path, name):
-    frames = _frames(tmp_path, name, *(FORMATS[name](x, BALL_FACES) for x in (BALL, 1.5 * BALL)))
-    assert np.array_equal(frames.vertices_t0, BALL) and np.array_equal(frames.vertices_t1, 1.5 * BALL)
-    assert np.array_equal(frames.mesh.faces, BALL_FACES) and not frames.num_merged.any()
-
-
-@pytest.mark.parametrize("kind", ["stl", "stl_ascii"])
-def test_stl_corners_are_merged_by_the_map_of_the_start(tmp_path, kind):
-    moved = BALL * [1.0, 2.0, 3.0]
-    frames = _frames(tmp_path, "a.stl", *(exported(kind, x, BALL_FACES) for x in (BALL, moved)))
-    assert len(frames.vertices_t0) == len(BALL) and frames.num_merged.tolist() == [3 * len(BALL_FACES) - len(BALL)]
-    for found, x in ((frames.vertices_t0, BALL), (frames.vertices_t1, moved)):
-        corners = found[frames.mesh.faces].reshape(-1, 3)
-        assert np.array_equal(corners[frames.source_index], found)
-        if kind == "stl":  # which holds single precision
-            assert np.array_equal(corners, x.astype(np.float32)[BALL_FACES].reshape(-1, 3))
 
 
 def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(tmp_path):
@@ -74,20 +39,6 @@ def test_glb_puts_the_parts_of_a_scene_in_place_and_merges_the_copies_at_a_seam(
         assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0)) and len(found) == len(BALL)
 
 
-@pytest.mark.parametrize("kind, module, is_soup", [("dae", "collada", True), ("3mf", "lxml", False)])
-def test_scenes_of_other_formats_have_their_vertices_once(tmp_path, kind, module, is_soup):
-    """In COLLADA, faces with normals of their own are corners of their own, which would touch one another."""
-    pytest.importorskip(module)
-    ends = [BALL, BALL + 1.0]
-    faces = np.arange(3 * len(BALL_FACES)).reshape(-1, 3) if is_soup else BALL_FACES
-    contents = [exported(kind, x[BALL_FACES].reshape(-1, 3) if is_soup else x, faces) for x in ends]
-    frames = _frames(tmp_path, f"a.{kind}", *contents)
-    assert len(frames.vertices_t0) == len(BALL) and frames.mesh.num_faces == len(BALL_FACES)
-    for found, x in zip((frames.vertices_t0, frames.vertices_t1), ends, strict=True):
-        # single precision, and decimals of trimesh
-        assert np.abs(found[frames.mesh.faces] - x[BALL_FACES]).max() < 1e-6
-
-
 def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
     start, faces = np.vstack([TRIANGLE, -TRIANGLE]), np.arange(6).reshape(-1, 3)
     contents = [exported("glb", x, faces) for x in (start, start - (np.arange(6) > 2)[:, None])]
@@ -102,6 +53,7 @@ def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
     [
         ("ball.ply", "few.ply", r"ball\.ply has 42 vertices and 80 faces, .*few\.ply has 4 vertices and 2 faces"),
         ("ball.ply", "order.ply", r"differs: face 7 is \[.*\] in .*ball\.ply and \[.*\] in .*order\.ply \(72 of 80"),
+        ("four.obj", "three.obj", r"face 0 is \[0, 1, 2, 3\] in .*four\.obj and \[0, 1, 2\] in .*three\.obj \(2 of 2"),
         ("ball.stl", "ball.ply", r"ball\.stl has 240 vertices and 80 faces, .*ball\.ply has 42"),
         *(("ball.stl", f"torn_{k}.stl", r"torn_.\.stl: vertex \d+ leaves .*save all frames in another") for k in "xyz"),
         ("ball.ply", "none.ply", r"none\.ply: no such file"),
@@ -109,12 +61,15 @@ def test_glb_vertices_that_touch_at_the_start_and_part_are_refused(tmp_path):
 )
 def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, message):
     corners, soup = BALL[BALL_FACES].reshape(-1, 3), np.arange(240).reshape(-1, 3)
+    five = np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0], [1, 2, 0], [0, 1, 0]])
     torn = {f"torn_{k}.stl": corners + np.outer(np.arange(240) == 5, k == np.array([*"xyz"])) for k in "xyz"}
     for name, data in {
         "ball.ply": ply(BALL, BALL_FACES),
         "few.ply": ply(BALL[:4], [[0, 1, 2], [1, 2, 3]]),
         "order.ply": ply(BALL, np.vstack([BALL_FACES[:7], BALL_FACES[7:][::-1]])),
         "ball.stl": exported("stl", BALL, BALL_FACES),
+        "four.obj": polygon_file("four.obj", five, [[0, 1, 2, 3], [0, 3, 4]]).encode(),  # of the same fan
+        "three.obj": polygon_file("three.obj", five, [[0, 1, 2], [0, 2, 3, 4]]).encode(),
         **{name: exported("stl", vertices, soup) for name, vertices in torn.items()},
     }.items():
         (tmp_path / name).write_bytes(data)
@@ -128,7 +83,7 @@ def test_frames_that_do_not_fit_are_refused_in_one_line(tmp_path, start, end, me
 
 def test_pieces_are_one_where_their_points_are_in_one_place(tmp_path):
     """Two tetrahedra with a side in common, in pieces of a file and in a file each; a cell of two pieces is one."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     points, pieces = np.concatenate([np.eye(4, 3, k=-1), [[1.0, 1.0, 1.0]]]), []
     for k, corners in enumerate(([0, 1, 2, 3], [1, 2, 3, 4])):
         path = tmp_path / f"{k}.vtu"
@@ -158,7 +113,7 @@ BESIDE = [("vertex", [[0]]), ("line", [[0, 1]]), ("triangle", [[0, 2, 1]]), ("te
 )
 def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffix, options):
     """As Gmsh and meshio write physical groups; alone they are cables and particles."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     cells, path = BESIDE[suffix == "mesh" :], tmp_path / f"a.{suffix}"
     meshio.Mesh(TETRAHEDRON, cells).write(path, **options)
     said = "1 edges of curves beside" if suffix == "mesh" else "1 edges of curves and 1 points beside"
@@ -172,28 +127,47 @@ def test_curves_and_points_beside_cells_are_left_out_and_counted(tmp_path, suffi
         assert mesh.edges.tolist() == [[0, 1], [1, 2]] and mesh.codimensional_points.tolist() == [3]
 
 
-def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path):
-    """Hexahedra, voxels, wedges and cells of Lagrange by their corners, mirrored ones turned outward."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
-    cube = np.array([*np.ndindex(2, 2, 2)], dtype=np.float64)[:, ::-1]  # in the order of a voxel
-    corners, path = [0, 1, 3, 2, 4, 5, 7, 6], tmp_path / "a.vtu"
-    middles = np.random.default_rng(0).uniform(size=(19, 3))
-    for kind, points, order in (
-        (11, cube, range(8)),
-        (12, cube, corners),
-        (12, cube * [1, 1, -1], corners),
-        (72, np.concatenate([cube, middles]), [*corners, *range(8, 27)]),
-    ):
-        pyvista.UnstructuredGrid([len(order), *order], [kind], points).save(path)
-        with pytest.warns(RuntimeWarning, match="quadratic") if kind == 72 else nullcontext():
-            mesh = ccd.read_frames(path, path, surface=True).mesh
-        a, b, c = np.moveaxis(points[mesh.faces], 1, 0)
-        assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() == pytest.approx(6.0) and mesh.num_faces == 12
+# Types of VTK: of curves, of surfaces, and those that have the middles of all edges; others are volumes.
+LINES, SHELLS, QUADRATIC = (3, 21, 35, 68, 75), (5, 7, 8, 9, 22, 23, 28, 69, 70, 76, 77), (*range(22, 30), 37)
+TYPES = [(kind, 1) for kind in (3, 5, *range(7, 15), *range(21, 30), 35, 37)]
+TYPES += [(kind, order) for kind in (*range(68, 74), *range(75, 81)) for order in (1, 2, 3, 4)]  # Lagrange, Bézier
+
+
+@pytest.mark.filterwarnings("error:cells of")
+@pytest.mark.parametrize("kind, order", TYPES)
+def test_cells_of_files_are_the_same_whatever_their_order_and_type(tmp_path, kind, order):
+    """A unit cube or square or segment of any cells, mirrored: by its corners, and turned outward."""
+    pyvista, path = of_extra("pyvista"), tmp_path / "a.vtu"
+    from vtkmodules.vtkFiltersSources import vtkCellTypeSource
+
+    source = vtkCellTypeSource()
+    source.SetCellType(kind)
+    source.SetCellOrder(order)
+    source.SetBlocksDimensions(1, 1, 1)
+    source.Update()
+    grid = pyvista.wrap(source.GetOutput())
+    grid.points = np.float32(grid.points * [1.0, 1.0, -1.0] + np.pi)  # whose roundings bend no edge
+    grid.save(path)
+    is_told = kind in (21, 35) or order > (1 if kind in LINES else 2)
+    with pytest.warns(RuntimeWarning, match="a higher order collide by their corners") if is_told else nullcontext():
+        mesh = ccd.read_frames(path, path, surface=True).mesh
+    a, b, c = np.moveaxis((grid.points - grid.points.mean(axis=0))[mesh.faces], 1, 0)
+    volume, area = np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0, np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    expected = (1, 0, 0, 0) if kind in LINES else (5, 2, 1, 0) if kind in SHELLS else (18, 12, 6, 1)
+    assert (mesh.num_edges, mesh.num_faces, area.sum() / 2.0, volume) == pytest.approx(expected, abs=1e-5)
+    if kind in QUADRATIC or (order == 2 and kind not in LINES):  # the middles are moved off those of their edges
+        grid.points[np.setdiff1d(range(grid.n_points), mesh.faces)] += [0.0, 0.1, 0.0]
+        grid.save(path)
+        with pytest.warns(RuntimeWarning, match=r"^cells of a.vtu: quadratic ones .* up to 0\.1 off these, the long"):
+            assert np.array_equal(ccd.read_frames(path, path, surface=True).mesh.faces, mesh.faces)
+    if volume > 0.5:
+        with pytest.raises(ValueError, match=r"holds cells of the type .*; expected triangles and polygons"):
+            ccd.read_frames(path, path)
 
 
 def test_strips_and_pixels_are_polygons(tmp_path):
     """A square of two pixels and as a strip, all of which are seen from one side."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    pyvista = of_extra("pyvista")
     points, strip = np.array([[x, y, 0.0] for x in range(3) for y in range(2)]), tmp_path / "a.vtp"
     pixels = tmp_path / "a.vtu"
     pyvista.PolyData(points, strips=[6, *range(6)]).save(strip)
@@ -201,35 +175,6 @@ def test_strips_and_pixels_are_polygons(tmp_path):
     for path, sign in ((strip, -1.0), (pixels, 1.0)):
         a, b, c = np.moveaxis(points[ccd.read_frames(path, path).mesh.faces], 1, 0)
         assert np.cross(b - a, c - a)[:, 2].tolist() == [sign] * 4
-
-
-def test_polygons_of_polydata_are_triangulated_once_by_area(tmp_path):
-    """An L that folds over: its fan about the first corner covers it in the second frame alone."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
-    points = np.array([[0.0, 2, 0], [0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [1, 2, 0]])
-    paths = [tmp_path / f"{k}.vtp" for k in range(2)]
-    for path, x in zip(paths, (points, points * [1, -1, 1]), strict=True):
-        pyvista.PolyData(x, faces=[6, *range(6)]).save(path)
-    frames = ccd.read_frames(*paths)
-    a, b, c = np.moveaxis(points[frames.mesh.faces], 1, 0)
-    areas = np.cross(b - a, c - a)[:, 2] / 2.0
-    assert areas.sum() == 3.0 and (areas > 0.0).all()
-    pyvista.PolyData(points, faces=[3, 0, 1, 2, 5, 2, 3, 4, 5, 0]).save(paths[1])
-    with pytest.raises(ValueError, match="topology differs"):
-        ccd.read_frames(*paths)
-
-
-def test_quadratic_cells_of_files_collide_by_their_corners(tmp_path):
-    """One tetrahedron, of which a node is a tenth off the middle of its edge."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-    points, edges, path = np.eye(4, 3, k=-1), [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)], tmp_path / "a.vtu"
-    nodes = np.concatenate([points, points[edges].mean(axis=1) - 0.1 * np.eye(6, 3)])
-    meshio.Mesh(nodes, [("tetra10", np.arange(10)[None])]).write(path)
-    with pytest.warns(RuntimeWarning, match=r"^cells of a.vtu: quadratic ones .* up to 0\.1 off these, the long"):
-        mesh = ccd.read_frames(path, path, surface=True).mesh
-    assert np.array_equal(mesh.faces, ccd.CollisionMesh.from_volume(points, {"tetra": [[0, 1, 2, 3]]}).faces)
-    with pytest.raises(ValueError, match="holds cells of the type tetra; expected triangles and polygons"):
-        ccd.read_frames(path, path)
 
 
 # ---- Frames of a step ------------------------------------------------------------------------------------------------

@@ -5,7 +5,7 @@ from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
-from mesh_files import polygon_file
+from mesh_files import of_extra, polygon_file
 
 import ccd_warp as ccd
 from ccd_warp._files.polygons import fan, triangulated
@@ -102,17 +102,15 @@ def test_every_simple_polygon_is_covered_once(size, shear):
 def test_frames_have_the_triangles_of_the_first_and_a_doorway_lets_a_ball_through(tmp_path):
     """In every format of polygons; in the last frame the wall has folded so that no side of it is where it was."""
     wall = np.insert(np.array(KNOWN[0], float), 1, 0.0, axis=1)
-    for name in ("a.obj", "a.off", "a.ply", "a.dae"):
-        if name == "a.dae":
-            pytest.importorskip("collada")
+    of_extra("collada")
+    for name in ("a.obj", "a.off", "a.ply", "a.dae", "a.vtp"):
         paths = [tmp_path / f"{k} {name}" for k in range(3)]
         for path, x in zip(paths, (wall, wall, np.roll(wall, 3, axis=0)), strict=True):
             path.write_text(polygon_file(name, x, [range(8)]))
         sequence = ccd.read_sequence(paths)
         faces = sequence.mesh.faces
-        assert len(faces) == 6 and np.array_equal(
-            sequence[2], np.roll(wall, 3, axis=0)[[*sequence.step(0).source_index]]
-        )
+        last = np.roll(wall, 3, axis=0)[[*sequence.step(0).source_index]]
+        assert len(faces) == 6 and np.array_equal(sequence[2], last)
         mesh = ccd.CollisionMesh.from_arrays([(sequence[0], faces), ([[3.0, -2, 2]], [])], static=[0], radius=[0, 0.3])
         assert ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + np.outer(mesh.vertex_body, [0, 4, 0])).toi == np.inf
         paths[0].write_text(polygon_file(name, wall[[0, 2, 1, 3, 4, 5, 6, 7]], [range(8)]))

@@ -46,10 +46,7 @@ def test_rows_in_any_order_are_poses_by_time(read):
         ([ROWS[0], "1,arm,1,2,3,0,0,1"], "line 2, has 8 columns; expected t, body, px"),
         (["0,leg,1,2,3,0,0,0,1", "1,leg,1,2,3,0,0,0,1"], "holds leg, and no body is called so; expected one of base"),
         ([HEADER, ROWS[0], "1,arm,1,2,3,0,0,nan,1"], "line 3, column qz is 'nan'; expected a finite number"),
-        (
-            [*ROWS, *(row.replace("arm", "1") for row in ROWS)],
-            "line 4, is another pose of body 1 at t = 0",
-        ),
+        ([*ROWS, *(row.replace("arm", "1") for row in ROWS)], "line 4, is another pose of body 1 at t = 0"),
         ([*ROWS, "0,arm,1,2,3,0,0,0,1"], "line 4, is another pose of body arm at t = 0, after line 1"),
         ([*ROWS[:2], '2,"arm,1,2,4,0,0,1,0'], "line 3, unexpected end of data"),
     ],

@@ -3,6 +3,7 @@
 import re
 from contextlib import nullcontext
 from fractions import Fraction
+from itertools import product
 from random import Random
 
 import numpy as np
@@ -33,20 +34,27 @@ def _rows(points, truth=None):
     return rows if truth is None else [f"{row},{int(truth[k // 8])}" for k, row in enumerate(rows)]
 
 
-def _refused(path, line, message):
-    with pytest.raises(ValueError, match=re.escape(f"{path}, line {line}") + f"[ :]+{message}"):
+def _refused(path, at=""):
+    with pytest.raises(ValueError, match=re.escape(f"{path}{at}: ")):
         read_queries(path)
 
 
-def test_any_finite_query_comes_back_and_zero_loses_its_sign(tmp_path):
-    """Of numbers of any bits, and of extremes; 0.0 is added, which takes the sign from a zero."""
-    rng, shape = np.random.default_rng(0), (300, 8, 3)
-    bits = rng.integers(0, 2**64, shape, dtype=np.uint64).view(np.float64)
-    points = np.where(np.isfinite(bits) & (rng.random(shape) < 0.8), bits, rng.choice([*EXTREMES, -0.0], shape))
-    truth = rng.random(300) < 0.5
-    start, end, found = read_queries(_write(tmp_path, _rows(points, truth)))
-    assert np.concatenate([start, end], axis=1).tobytes() == (points + 0.0).tobytes()
-    assert np.array_equal(found, truth)
+# Line ends, ends of the file, marks at its begin, and blanks after commas, as ccd_query_io writes them.
+DRESSES = list(product(["\n", "\r\n"], ["", "\n", "\n\n\n"], [b"", b"\xef\xbb\xbf"], ["", "   "]))
+
+
+def test_any_finite_query_comes_back_in_any_dress_and_zero_loses_its_sign(tmp_path):
+    """Points of both frames in order: of any bits, and extremes; 0.0 is added, which takes the sign of a zero."""
+    rng, shape = np.random.default_rng(0), (16, 8, 3)
+    for line_end, tail, mark, blanks in DRESSES:
+        bits = rng.integers(0, 2**64, shape, dtype=np.uint64).view(np.float64)
+        points = np.where(np.isfinite(bits) & (rng.random(shape) < 0.8), bits, rng.choice([*EXTREMES, -0.0], shape))
+        truth = rng.random(len(points)) < 0.5
+        rows = line_end.join(_rows(points, truth)).replace(",", f",{blanks}") + tail.replace("\n", line_end)
+        start, end, found = read_queries(_write(tmp_path, mark + rows.encode()))
+        assert np.concatenate([start, end], axis=1).tobytes() == (points + 0.0).tobytes()
+        assert np.array_equal(found, truth)
+        assert len(read_queries(_write(tmp_path, mark + tail.encode()))[0]) == 0
 
 
 def test_a_rational_is_exact_or_refused(tmp_path):
@@ -59,7 +67,7 @@ def test_a_rational_is_exact_or_refused(tmp_path):
         if is_exact:
             assert Fraction(read_queries(path)[1][0, 3, 2]) == fraction
         else:
-            _refused(path, 1, ".* is not a float64")
+            _refused(path, ", line 1")
     assert len(outcomes) == 2
 
 
@@ -92,52 +100,22 @@ def test_queries_cut_at_any_byte_are_refused_or_fewer_whole_queries(tmp_path, tr
             assert np.array_equal(np.concatenate([start, end], axis=1), points[: len(start)])
 
 
-@pytest.mark.parametrize("end", ["\n", "\r\n"])
-@pytest.mark.parametrize("tail", ["", "\n", "\n\n\n"])
-@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
-@pytest.mark.parametrize("space", ["", "   "])  # after commas, as ccd_query_io writes them
-def test_rows_are_the_points_of_both_frames_in_order_in_any_dress(tmp_path, end, tail, mark, space):
-    rows = [f"{i},1,{i},2,{-i},4,1".replace(",", f",{space}") for i in range(16)]
-    tail = tail.replace("\n", end).encode()
-    start, stop, truth = read_queries(_write(tmp_path, mark + end.join(rows).encode() + tail))
-    expected = np.outer(range(16), [1.0, 0.5, -0.25]).reshape(2, 2, 4, 3)
-    assert np.array_equal(np.stack([start, stop], axis=1), expected) and truth.tolist() == [True, True]
-    assert len(read_queries(_write(tmp_path, mark + tail))[0]) == 0
-
-
 NO_INTEGERS = ["5.0", "nan", "+5", "1_0", " ", "\t5", "\r5", "٣", "", "-", "--5", "5-", "5 ", "7" * 10**7]
-MALFORMED = [(f"1,2,3,4,{field},8", "") for field in NO_INTEGERS] + [
-    ("", "b'' is not 6 integers"),
-    ("1,2,3,4,5,8,1", ".* is not 6 integers"),
-    ("1,2,3,4,5,0", "a denominator is 0; expected a positive integer"),
-    ("1,2,3,4,5,-8", "a denominator is -8; expected a positive integer"),
-    (f"{2**53 + 1},2,3,4,5,8", f"{2**53 + 1}/2 is not a float64"),
-    (f"1,2,3,4,1,{2**1075}", "1/4048045066146212.* is not a float64"),
-    (f"1,2,{2**1024 - 2**970},1,5,8", ".* is not a float64"),
-    (f"1,2,{2**1024 - 2**970 - 1},1,5,8", ".* is not a float64"),
-]
+NO_ROWS = [f"1,2,3,4,{field},8" for field in NO_INTEGERS] + ["", "1,2,3,4,5", "1,2,3,4,5,8,1,1", "1,2,3,4,5,8,01"]
+NO_ROWS += ["1,2,3,4,5,0", "1,2,3,4,5,-8", f"{2**53 + 1},2,3,4,5,8", f"1,2,3,4,1,{2**1075}"]
+NO_ROWS += [f"1,2,{2**1024 - 2**970 - k},1,5,8" for k in (0, 1)] + ["xn,xd,yn,yd,zn,zd,truth"]
+NO_QUERIES = [[ROW] * 7, [f"{ROW},1"] * 8 + [ROW] * 8, [f"{ROW},{int(k != 13)}" for k in range(16)]]
+NO_QUERIES += [[*QUERY[:7], f"{ROW},1"], [ROW] * 8 + [f"{ROW},1"] * 8]
 
 
-@pytest.mark.parametrize("row, message", MALFORMED, ids=range(len(MALFORMED)))
-def test_malformed_line_is_named(tmp_path, row, message):
+@pytest.mark.parametrize("rows", [*NO_ROWS, *NO_QUERIES], ids=range(len(NO_ROWS) + len(NO_QUERIES)))
+def test_rows_that_are_no_queries_are_refused_by_their_line(tmp_path, rows):
+    """Of one row among good ones, or of good ones that are together none."""
+    if type(rows) is list:
+        _refused(_write(tmp_path, rows))
+        return
     for at in (6, 15):
-        _refused(_write(tmp_path, [*[ROW] * (at - 1), row, *[ROW] * (16 - at)]), at, message)
-
-
-@pytest.mark.parametrize(
-    "rows, line, message",
-    [
-        # Lines too short and too long by one do not make up for each other.
-        ([*QUERY[:3], "1,2,3,4,5", "1,2,3,4,5,8,1", *QUERY[5:]], 4, ".* is not 6 integers"),
-        (["xn,xd,yn,yd,zn,zd,truth", *QUERY[1:]], 1, ".* is not 7 integers"),
-        ([f"{ROW},1,1"] * 8, 8, "8 rows of 8 columns; expected 6 or 7"),
-        ([ROW] * 7, 7, "7 rows of 6 columns; expected .* 8 a query"),
-        ([f"{ROW},1"] * 10 + [f"{ROW},01"] * 6, 11, "the truth is b'01'; expected 0 or 1"),
-        ([f"{ROW},{int(k != 13)}" for k in range(16)], 9, "one query has two truths"),
-    ],
-)
-def test_rows_that_are_no_queries_are_refused(tmp_path, rows, line, message):
-    _refused(_write(tmp_path, rows), line, message)
+        _refused(_write(tmp_path, [*[ROW] * (at - 1), rows, *[ROW] * (16 - at)]), f", line {at}")
 
 
 OF_BOTH = [b"[\ntrue,\nfalse", b'{"a": 1}', b'["\xff"]', b"[" * 200_000, b"[1]", b"[[1, 2, 3]]", b"[null]"]
@@ -165,16 +143,11 @@ OF_CLOTH = "simulation/cloth/mma_bool/7ee_mma_bool.json"
 
 def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
     """In both layouts; every query of a file has the file's number as its first coordinate."""
-    for number, (name, count, truth) in enumerate(
-        [
-            ("handcrafted/spikes/edge-edge/data_0.csv", 1, ",1"),
-            ("handcrafted/spikes/edge-edge/data_1.csv", 2, ",0"),
-            ("handcrafted/spikes/vertex-face/data_0.csv", 1, ",0"),
-            ("simulation/cloth/queries/7ee.csv", 2, ""),
-            ("simulation/rod/queries/9vf.csv", 1, ""),
-        ]
-    ):
-        _write(tmp_path, [f"{number},1,0,1,0,1{truth}"] * 8 * count, name)
+    spikes = [("edge-edge/data_0", 1, ",1"), ("edge-edge/data_1", 2, ",0"), ("vertex-face/data_0", 1, ",0")]
+    files = [(f"handcrafted/spikes/{name}", *how) for name, *how in spikes]
+    files += [("simulation/cloth/queries/7ee", 2, ""), ("simulation/rod/queries/9vf", 1, "")]
+    for number, (name, count, truth) in enumerate(files):
+        _write(tmp_path, [f"{number},1,0,1,0,1{truth}"] * 8 * count, f"{name}.csv")
     _write(tmp_path, ["[true, false]"], OF_CLOTH)
     for name in ("cloth/frames/7", "cloth/frames/8", "rod/frames/10", "rod/frames/9"):
         _write(tmp_path, ["ply"], f"simulation/{name}.ply")
@@ -198,7 +171,12 @@ def test_queries_and_steps_under_the_root_and_under_each_part_of_it(tmp_path):
     for find, name, rows_of_file, message in (
         (find_queries, OF_CLOTH, ["[true]"], r"7ee_mma_bool\.json has 1 truths; expected 2, one a query of .*7ee\.csv"),
         (find_queries, OF_CLOTH, ["[true, false]"], None),
-        (find_queries, "simulation/cloth/queries/8ee.csv", QUERY, "the truth of some files of simulation/cloth"),
+        (
+            find_queries,
+            "simulation/cloth/queries/8ee.csv",
+            QUERY,
+            "the truth of some files of simulation/cloth, edge-edge, is",
+        ),
         (find_steps, "simulation/rod/frames/11.ply", ["ply"], "has the frames .*; expected two, named by numbers"),
     ):
         _write(tmp_path, rows_of_file, name)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from mesh_files import of_meshio, ply
+from mesh_files import of_extra, of_meshio, ply
 
 import ccd_warp as ccd
 
@@ -20,8 +20,7 @@ def write_frames(folder, *names, suffix=".ply"):
             if suffix == ".ply":
                 path.write_bytes(ply(frame, FACES))
             else:
-                meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-                path.write_bytes(of_meshio(path.name, meshio.Mesh(frame, [("triangle", FACES)])))
+                path.write_bytes(of_meshio(path.name, of_extra("meshio").Mesh(frame, [("triangle", FACES)])))
 
 
 def check(paths, *, names, positions=POSITIONS, **options):
@@ -70,11 +69,8 @@ def test_files_that_are_no_frames_of_bodies_are_refused(tmp_path, names, message
 def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_each_part(tmp_path):
     write_frames(tmp_path, "a_{}", "b_{}", suffix=".vtu")
     check(tmp_path, names=("a", "b"))
-    entries = "".join(
-        f'<DataSet timestep="{0.5 * k}" part="{part}" file="{name}_{8 + k}.vtu"/>'
-        for k in (2, 0, 1)
-        for part, name in enumerate("ab")
-    )
+    entry = '<DataSet timestep="{}" part="{}" file="{}_{}.vtu"/>'
+    entries = "".join(entry.format(k / 2, part, "ab"[part], 8 + k) for k in (2, 0, 1) for part in range(2))
     path, text = tmp_path / "all.pvd", f'<VTKFile type="Collection"><Collection>{entries}</Collection></VTKFile>'
     path.write_text(text)
     assert check(path, names=("a", "b")).times.tolist() == [0.0, 0.5, 1.0]
@@ -84,8 +80,7 @@ def test_collection_of_paraview_is_in_the_order_of_its_times_with_a_body_for_eac
 
 
 def test_series_of_xdmf_moves_by_its_displacements(tmp_path, monkeypatch):
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
-    pytest.importorskip("h5py", reason="the extra formats is not installed")
+    meshio, _ = of_extra("meshio"), of_extra("h5py")
     monkeypatch.chdir(tmp_path)
     with meshio.xdmf.TimeSeriesWriter("a.xdmf") as writer:  # with its numbers in a.h5
         writer.write_points_cells(EIGHTHS[0], [("triangle", FACES)])
@@ -111,10 +106,10 @@ def _collection(grids) -> str:
 
 
 def test_series_of_xdmf_with_a_geometry_for_each_time(tmp_path):
+    of_extra("meshio")
     path, xdmf = tmp_path / "a.xmf", '<Xdmf Version="3.0"><Domain>{}</Domain></Xdmf>'
-    path.write_text(
-        xdmf.format(series := _collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS)))
-    )
+    series = _collection(_grid(x, f'<Time Value="{k}"/>') for k, x in enumerate(POSITIONS))
+    path.write_text(xdmf.format(series))
     assert check(path, names=("a.xmf",)).times.tolist() == [0.0, 1.0, 2.0]
     path.write_text(xdmf.format(series + series))
     refused(path, "one temporal collection and one beside it")

@@ -1,21 +1,17 @@
 """Numbers that count their roundings, and the kernels' own files executed on them, or on arrays of NumPy (`House`).
 
-A counted number is what exact arithmetic gives, a polynomial in atoms and, to the first order, in the unit roundoff u.
-Beside it is what rounding may have taken, in u: ``lost``, a polynomial in magnitudes, and ``common``, roundings of the
-number as a whole. An atom is a number of the input, or what is no polynomial: a magnitude, a maximum, a root, a
-reciprocal. A sum of exact numbers is an atom where it is a factor: it has one rounding, whatever cancels in it.
+A counted number has, at each of many drawn inputs, its value in exact arithmetic, by how many unit roundoffs u the code
+means to differ from that (as in a product by 1 + 8u), and how many u rounding may have taken on the way: a running
+error analysis to the first order. The inputs (`number`) are drawn so that each term of a formula outweighs the others
+in some of them, as the terms of a bound are held one by one.
 """
 
-import ast
 import builtins
 import operator
 import re
 import types
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from fractions import Fraction
+from collections.abc import Callable
 from functools import cache
-from math import comb, isqrt, prod
 from pathlib import Path
 from typing import Any
 
@@ -23,327 +19,121 @@ import numpy as np
 
 from ccd_warp import kernels
 
-ONE = Fraction(1)
-_BESIDE_ROUNDING = 2.0**-60  # the absolute terms of step 5
 _FOLDER = Path(kernels.__file__).parent
-
-
-@dataclass(eq=False)
-class Atom:
-    """A factor of monomials; it is not less in magnitude than those that it covers, nor larger than its size."""
-
-    name: str
-    value: Callable | None = None
-    positive: bool = False
-    power: bool = False  # of two
-    covers: frozenset = frozenset()
-    size: dict | None = None
-    of: tuple = ()
-    weight: tuple = ()  # the name of a parameter t, and 1 - t if this is t, or t if this is 1 - t
-
-    def __lt__(self, other: "Atom") -> bool:
-        return self.name < other.name
-
-    def __repr__(self) -> str:
-        return self.name
-
-    def at(self, numbers: dict) -> Fraction:
-        return self.value(numbers) if self.value else numbers[self.name]
-
-
-U = Atom("u", lambda _: 0)
-_made: dict[tuple, Atom] = {}
-
-
-class Cancels(ArithmeticError):
-    """A sum has no error relative to itself."""
-
-
-def joined(a: dict, b: dict, factor: Any = 1) -> dict:
-    r = dict(a)
-    for m, c in b.items():
-        r[m] = r.get(m, 0) + factor * c
-    return {m: c for m, c in r.items() if c}
-
-
-def times(a: dict, b: dict) -> dict:
-    r: dict = {}
-    for m, c in a.items():
-        for n, d in b.items():
-            key = tuple(sorted(m + n))
-            if key.count(U) < 2:
-                r[key] = r.get(key, 0) + c * d
-    return {m: c for m, c in r.items() if c}
-
-
-def scaled(a: dict, factor: Any) -> dict:
-    return joined({}, a, factor)
-
-
-def plain(a: dict) -> dict:
-    """The part without u."""
-    return {m: c for m, c in a.items() if U not in m}
-
-
-def first_order(a: dict) -> dict:
-    """The part with u, divided by it."""
-    return {tuple(x for x in m if x is not U): c for m, c in a.items() if U in m}
-
-
-def value(a: dict, at: dict) -> Fraction:
-    """The part without u at given numbers."""
-    return sum((c * prod((x.at(at) for x in m), start=ONE) for m, c in plain(a).items()), Fraction(0))
-
-
-def atom_of(kind: str, a: dict, size: dict | None = None) -> Atom:
-    """The atom that stands for a sum, its magnitude, its root or its reciprocal."""
-    key = kind, frozenset(a.items())
-    if key not in _made:
-        root = lambda x: Fraction(isqrt(int(x * 2**400)), 2**200)  # noqa: E731
-        of = {"sum": lambda x: x, "abs": abs, "1/": lambda x: 1 / x, "root": root}[kind]
-        is_positive = kind in ("abs", "root") or all(c > 0 and all(x.positive for x in m) for m, c in a.items())
-        text = f"{kind}({' + '.join(f'{c} {m}' for m, c in sorted(a.items(), key=str))})"
-        _made[key] = Atom(text, lambda at: of(value(a, at)), is_positive, size=size)
-    return _made[key]
-
-
-def magnitude_of(x: Atom) -> Atom:
-    if x.positive:
-        return x
-    of = Atom(f"|{x}|", lambda at: abs(x.at(at)), True, covers=frozenset({x}), size=x.size)
-    return _made.setdefault(("magnitude", x), of)
+_compared: list[tuple] = []  # the numbers that were compared
 
 
 class Number:
-    def __init__(self, exact: dict, size: dict | None = None, lost: dict | None = None, common: Any = 0, unit: Any = 0):
-        self.exact, self.lost, self.common, self.unit = exact, lost or {}, Fraction(common), Fraction(unit)
-        self.size = {m: abs(c) for m, c in plain(exact).items()} if size is None else size
+    """A number at all inputs; all but the value in u.
 
-    def total(self) -> dict:
-        """All that rounding may have taken."""
-        return joined(self.lost, self.size, self.common)
+    Args:
+        value: In exact arithmetic.
+        shift: What it is meant to be above its value.
+        lost: What rounding may have taken.
+        last: The part of that which the last operation took.
+        unit: Unit roundoff of its type; 0 for a constant, which takes the type of what it meets.
+        is_power: Whether it is a power of two.
+        is_dyadic: Whether its difference from 1 is exact.
+    """
 
-    def is_constant(self) -> bool:
-        return all(set(m) <= {U} for m in self.exact)
+    __array_ufunc__ = None  # arrays leave products with numbers to these
 
-    def as_atom(self) -> "Number":
-        if self.lost or len(self.exact) < 2 or plain(self.exact) != self.exact:
-            return self
-        return Number({(atom_of("sum", self.exact),): ONE}, None, None, self.common, self.unit)
+    def __init__(self, value, shift=0.0, lost=0.0, last=0.0, unit=0.0, is_power=False, is_dyadic=False):
+        self.value, self.shift, self.lost, self.last, self.unit = value, shift, lost, last, unit
+        is_constant_power = unit == 0 and not np.any(shift) and np.all(np.frexp(np.abs(value))[0] == 0.5)
+        self.is_power, self.is_dyadic = is_power or bool(is_constant_power), is_dyadic
 
-    def relative(self) -> Fraction:
-        """Roundings of the number as a whole; its terms may only lose where all are positive."""
-        for m in self.lost:
-            if any(m.count(x) % 2 for x in m if not x.positive) or self.exact.get(m, 0) <= 0:
-                raise Cancels(m)
-        return max((c / self.exact[m] for m, c in self.lost.items()), default=Fraction(0)) + self.common
+    def rounded(self, unit: float) -> "Number":
+        last = unit * np.abs(self.value)
+        return Number(self.value, self.shift, self.lost + last, last, unit)
 
-    def is_power_of_two(self) -> bool:
-        (m, c), *others = [*self.exact.items(), ((), Fraction(3))][: max(1, len(self.exact))]
-        both = abs(c.numerator), c.denominator
-        return not others and all(k & (k - 1) == 0 for k in both) and all(x.power for x in m) and not self.total()
+    def is_zero(self) -> bool:
+        return self.unit == 0 and not np.any(self.value) and not np.any(self.shift)
 
-    def plus(self, other: Any, sign: int = 1) -> "Number":
-        b = numeral(other)
-        if not b.size and not b.exact:
-            return self
-        if not self.size and not self.exact:
-            return b if sign > 0 else -b
-        if self is b and sign > 0:  # twice a number
-            return Number(scaled(self.exact, 2), scaled(self.size, 2), scaled(self.lost, 2), self.common, self.unit)
-        unit, lost = max(self.unit, b.unit), joined(self.total(), b.total())
-        return Number(joined(self.exact, b.exact, sign), joined(self.size, b.size), lost, unit, unit)
+    def plus(self, other: Any) -> "Number":
+        a, b = self, numeral(other)
+        if a.is_zero() or b.is_zero():
+            return b if a.is_zero() else a
+        r = Number(a.value + b.value, a.shift + b.shift, a.lost + b.lost)
+        return r.rounded(0 if a is b else max(a.unit, b.unit))
 
     def minus(self, other: Any) -> "Number":
         b = numeral(other)
-        weight = next(iter(b.exact))[0].weight if len(b.exact) == 1 and next(iter(b.exact)) else ()
-        if self.exact == {(): 1} and weight and not b.total():  # a weight of its own
-            return Number({(weight[1],): ONE}, None, None, 0 if weight[2] else b.unit, b.unit)
-        return self.plus(b, -1)
+        r = self.plus(-b)
+        return Number(r.value, unit=r.unit) if b.is_dyadic else r
 
     def by(self, other: Any) -> Any:
         if isinstance(other, Vector):
             return NotImplemented
-        a, b = self.as_atom(), numeral(other).as_atom()
-        unit = max(a.unit, b.unit)
-        common = a.common + b.common + (0 if a.is_power_of_two() or b.is_power_of_two() else unit)
-        lost = joined(times(a.lost, b.size), times(a.size, b.lost))
-        return Number(times(a.exact, b.exact), times(a.size, b.size), lost, common, unit)
+        a, b = self, numeral(other)
+        r = Number(
+            a.value * b.value,
+            a.shift * b.value + a.value * b.shift,
+            a.lost * np.abs(b.value) + np.abs(a.value) * b.lost,
+            unit=max(a.unit, b.unit),
+        )
+        return r if a.is_power or b.is_power else r.rounded(r.unit)
 
     def over(self, other: Any) -> "Number":
-        a, b = self.as_atom(), numeral(other)
-        inverse = {(atom_of("1/", b.exact),): ONE}
-        next(iter(inverse))[0].power = b.is_power_of_two()
-        unit = max(a.unit, b.unit)
-        common = a.common + b.relative() + (0 if b.is_power_of_two() else unit)
-        return Number(times(a.exact, inverse), times(a.size, inverse), times(a.lost, inverse), common, unit)
+        b = numeral(other)
+        with np.errstate(all="ignore"):
+            square = b.value * b.value
+            inverse = Number(1 / b.value, -b.shift / square, b.lost / square, 0.0, b.unit, is_power=True)
+            r = self * inverse
+            return r if b.is_power else r.rounded(max(self.unit, b.unit))
 
-    def __neg__(self) -> "Number":
-        return Number(scaled(self.exact, -1), self.size, self.lost, self.common, self.unit)
+    def root(self) -> "Number":
+        value = np.sqrt(self.value)
+        return Number(value, self.shift / (2 * value), self.lost / (2 * value)).rounded(self.unit)
 
     def __pow__(self, n: int) -> "Number":
         return self if n == 1 else self * self ** (n - 1)
 
+    def __neg__(self) -> "Number":
+        return Number(-self.value, -self.shift, self.lost, self.last, self.unit, self.is_power)
+
     def __abs__(self) -> "Number":
-        a = self.as_atom()
-        if len(a.exact) == 1:
-            ((m, c),) = a.exact.items()
-            return Number({tuple(sorted(map(magnitude_of, m))): abs(c)}, None, a.lost, a.common, a.unit)
-        atom = atom_of("abs", plain(a.exact), a.size)
-        return a if a.is_constant() else Number({(atom,): ONE}, None, a.total(), 0, a.unit)
+        return choose(np.asarray(self.value) < 0, -self, self)
 
     __add__, __sub__, __mul__, __truediv__, __radd__, __rmul__ = plus, minus, by, over, plus, by
     __rsub__, __rtruediv__ = (lambda s, o: numeral(o).minus(s)), (lambda s, o: numeral(o).over(s))
-    __lt__, __gt__ = (lambda s, o: compared("<", s, numeral(o))), (lambda s, o: compared("<", numeral(o), s))
-    __le__, __ge__ = (lambda s, o: compared("<=", s, numeral(o))), (lambda s, o: compared("<=", numeral(o), s))
+    __lt__, __gt__ = (lambda s, o: compare(operator.lt, s, o)), (lambda s, o: compare(operator.gt, s, o))
+    __le__, __ge__ = (lambda s, o: compare(operator.le, s, o)), (lambda s, o: compare(operator.ge, s, o))
 
 
 def numeral(x: Any) -> Number:
-    return x if isinstance(x, Number) else Number({(): Fraction(x)} if x else {})
+    return x if isinstance(x, Number) else Number(float(x))
 
 
-def given(x: Number) -> Number:
-    """A computed number as one of its own: what it lost is judged elsewhere."""
-    atom = atom_of("sum", x.exact, x.size) if len(x.exact) > 1 else next(iter(x.exact))[0]
-    return Number({(atom,): ONE}, unit=x.unit)
+def compare(relation: Callable, a: Any, b: Any) -> Any:
+    """An outcome for each input, or one for all of them."""
+    a, b = numeral(a), numeral(b)
+    _compared.append((a, b))
+    outcome = np.asarray(relation(a.value, b.value))
+    return bool(outcome.flat[0]) if outcome.all() == outcome.any() else outcome
 
 
-def root(x: Number) -> Number:
-    return Number({(atom_of("root", x.exact),): ONE}, None, None, x.relative() / 2 + x.unit, x.unit)
+def comparisons(function: Callable, *args: Any) -> tuple[Any, list[tuple]]:
+    """What a function gives, and the numbers that it compared."""
+    _compared.clear()
+    return function(*args), list(_compared)
 
 
-def extreme(a: Number, b: Number, which: Callable) -> Number:
-    """The greater or the lesser of two numbers, as an atom."""
-    if a.exact == b.exact:
-        return a
-    key = which, frozenset(frozenset(x.exact.items()) for x in (a, b))
-    atom = _made.setdefault(key, Atom(f"{which.__name__} {len(_made)}"))
-    atoms = [m[0] for x in (a, b) for m, c in x.exact.items() if len(x.exact) == len(m) == c == 1]
-    atom.of, atom.value = (a, b), lambda at: which(value(x.exact, at) for x in (a, b))
-    atom.covers = frozenset(atoms).union(*(x.covers for x in atoms)) if which is max else frozenset()
-    atom.positive = len(atoms) == 2 and all(x.positive for x in atoms)
-    r = Number({(atom,): ONE}, unit=max(a.unit, b.unit))
-    try:
-        r.common = max(a.relative(), b.relative())
-    except Cancels:
-        lost = a.total(), b.total()
-        r.lost = {m: max(x.get(m, Fraction(0)) for x in lost) for m in {**lost[0], **lost[1]}}
-    return r
-
-
-# ---- Choices, each by itself ----
-
-
-@dataclass
-class Path:
-    """The outcomes of comparisons, some of which are known."""
-
-    decisions: list[bool]
-    known: Callable
-    conditions: list
-    taken: int = 0
-
-    def decide(self, relation: str, a: Number, b: Number) -> bool:
-        before = [c[3] for c in self.conditions if c[0] == relation and (c[1].exact, c[2].exact) == (a.exact, b.exact)]
-        outcome = before[0] if before else self.known(relation, a, b)
-        if outcome is None:
-            self.decisions += [True] if self.taken == len(self.decisions) else []
-            outcome = self.decisions[self.taken]
-            self.taken += 1
-        self.conditions.append((relation, a, b, outcome))
-        return outcome
-
-
-_path: list[Path] = []
-
-
-def compared(relation: str, a: Number, b: Number) -> Any:
-    """The outcome on a path; outside of all, what the greater or the lesser of two numbers is recognised by."""
-    if a.exact == b.exact:
-        return relation == "<="
-    if a.is_constant() and b.is_constant():
-        return a.exact.get((), 0) < b.exact.get((), 0)
-    return _path[-1].decide(relation, a, b) if _path else types.SimpleNamespace(lesser=a, greater=b)
-
-
-def paths(function: Callable, known: Callable = lambda *_: None) -> Iterator[tuple[list, Any]]:
-    """The comparisons of a function and what it gives, for each outcome of those that are not known."""
-    decisions: list[bool] = []
-    while True:
-        _path.append(Path(decisions, known, []))
-        try:
-            found = _path[-1].conditions, function()
-        finally:
-            _path.pop()
-        yield found
-        while decisions and not decisions[-1]:
-            decisions.pop()
-        if not decisions:
-            return
-        decisions[-1] = False
-
-
-# ---- What bounds what ----
-
-
-def _bernstein(a: dict) -> Fraction:
-    """The largest coefficient of a polynomial in weights t and 1 - t, as one of Bernstein."""
-    for t in {min(x, x.weight[1]) for m in a for x in m}:
-        rest, raised = t.weight[1], {}
-        degree = max(m.count(t) + m.count(rest) for m in a)
-        for m, c in a.items():
-            missing = degree - m.count(t) - m.count(rest)
-            for i in range(missing + 1):
-                key = tuple(sorted(m + (t,) * i + (rest,) * (missing - i)))
-                raised[key] = raised.get(key, 0) + c * comb(missing, i)
-        a = {m: c / comb(degree, m.count(t)) for m, c in raised.items()}
-    return max(a.values())
-
-
-def in_magnitudes(a: dict, covering: Any = ()) -> dict:
-    """A polynomial above it in magnitudes, without weights, and with atoms that cover others in the place of these."""
-    rows: dict = {}
-    for m, c in a.items():
-        rest = [next((y for y in covering if x in y.covers), magnitude_of(x)) for x in m if not x.weight]
-        row = rows.setdefault(tuple(sorted(rest)), {})
-        weights = tuple(x for x in m if x.weight)
-        row[weights] = row.get(weights, 0) + abs(c)
-    return {m: _bernstein(row) for m, row in rows.items()}
-
-
-def expanded(a: dict) -> dict:
-    """A polynomial with sizes in the place of atoms that have one."""
-    r: dict = {}
-    for m, c in a.items():
-        term = {(): c}
-        for x in m:
-            term = times(term, {(x,): ONE} if x.size is None else expanded(x.size))
-        r = joined(r, term)
-    return r
-
-
-def share(lost: dict, bound: dict) -> float:
-    """How much of a bound is taken by what is lost, on the term on which that is most; of one below 0 all.
-
-    Of a magnitude what its own bound does not cover is that of the terms that it is made of.
-    """
-    if min(bound.values(), default=0) < -_BESIDE_ROUNDING:
-        return np.inf
-    covering = {x for m in bound for x in m if x.covers}
-    covered = frozenset().union(*(x.covers for x in covering))
-    composite = {m for m in {**lost, **bound} if any(x.size and x not in covered for x in m)}
-    left = {m: c - bound.get(m, 0) for m, c in lost.items() if m in composite and c > bound.get(m, 0)}
-    lost = joined({m: c for m, c in lost.items() if m not in composite}, expanded(left))
-    above = in_magnitudes({m: c for m, c in bound.items() if m not in composite})
-    taken = in_magnitudes({m: c for m, c in lost.items() if c > _BESIDE_ROUNDING}, covering)
-    return max((float(c / above[m]) if m in above else np.inf for m, c in taken.items()), default=0.0)
-
-
-# ---- The kernels' own files ----
+def choose(m: Any, a: Any, b: Any) -> Any:
+    """One or the other, by a mask."""
+    if isinstance(a, Vector):
+        return a.each(lambda x, y: choose(m, x, y), b)
+    if not isinstance(m, np.ndarray):
+        return a if m else b
+    if not isinstance(a, Number) and not isinstance(b, Number):
+        return np.where(m, a, b)
+    a, b = numeral(a), numeral(b)
+    fields = (np.where(m, getattr(a, n), getattr(b, n)) for n in ("value", "shift", "lost", "last"))
+    return Number(*fields, max(a.unit, b.unit), a.is_power and b.is_power)
 
 
 class Vector:
-    __array_ufunc__ = None  # arrays leave products with vectors to these
+    __array_ufunc__ = None
 
     def __init__(self, *of: Any) -> None:
         self.of = list(of or (numeral(0),) * 3)
@@ -363,12 +153,62 @@ class Vector:
     __mul__, __rmul__ = (lambda a, k: a.each(lambda x: x * k)), (lambda a, k: a.each(lambda x: k * x))
 
 
-def dot(a: Vector, b: Vector) -> Any:
+def dot(a: Any, b: Any) -> Any:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Any, b: Any) -> Vector:
     return Vector(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+# ---- Numbers of the input ----
+
+# Kinds of inputs, so many of each: all of similar size; of each vector an axis, and some vectors, far above the rest;
+# besides that, alike at both ends of the step; with parallel sides.
+_EACH = 6000
+_SIMILAR, _APART, _ALIKE, _PARALLEL = range(4)
+_SMALL = 2.0**-40
+
+
+def number(name: str, roundings: float = 0, *, unit: float = 1.0, positive: bool = False) -> Number:
+    """A number that is itself so many roundings off; of the component of a vector the name ends with its axis."""
+    blocks = []
+    for kind in range(4):
+        alike = (
+            re.sub(r"\.[01]", "", name) if kind == _ALIKE else name.replace("q.", "r.") if kind == _PARALLEL else name
+        )
+        rng = np.random.default_rng([kind, *alike.encode()])
+        x = rng.uniform(0.5, 1, _EACH) * rng.choice([-1, 1], _EACH)
+        if kind in (_APART, _ALIKE) and alike[-1] in "xyz" and len(alike) > 1:
+            of_vector = np.random.default_rng([kind, *alike[:-1].encode()])
+            x *= np.where(of_vector.integers(3, size=_EACH) == "xyz".index(alike[-1]), 1, _SMALL)
+            x *= np.where(of_vector.random(_EACH) < 0.3, _SMALL, 1)
+        elif kind != _SIMILAR:
+            x *= np.where(rng.random(_EACH) < 0.3, _SMALL, 1)
+        blocks.append(x)
+    x = np.concatenate(blocks)
+    x = np.abs(x) if positive else x
+    return Number(x, 0.0, roundings * np.abs(x), roundings * np.abs(x), unit)
+
+
+def vector(name: str, roundings: float = 0, **more: Any) -> Vector:
+    return Vector(*(number(name + k, roundings, **more) for k in "xyz"))
+
+
+def parameter(name: str, *, is_dyadic: bool = False) -> Number:
+    """A number between 0 and 1, near an end of that in some inputs."""
+    rng = np.random.default_rng([*name.encode()])
+    x = rng.choice([_SMALL, 1 - _SMALL, 0.5, 0.25], 4 * _EACH)
+    x = np.where(rng.random(4 * _EACH) < 0.4, rng.uniform(0.01, 0.99, 4 * _EACH), x)
+    return Number(x, unit=1.0, is_dyadic=is_dyadic)
+
+
+def given(x: Any) -> Any:
+    """A computed number, or vector, as one of the input: what it lost is judged elsewhere."""
+    return x.each(given) if isinstance(x, Vector) else Number(x.value, unit=x.unit)
+
+
+# ---- The kernels' own files ----
 
 
 class Function:
@@ -399,23 +239,16 @@ class Real:
         if dtype is not None:
             with np.errstate(over="ignore"):
                 return x.astype(dtype) if isinstance(x, np.ndarray) else dtype(x)
-        if isinstance(x, Number) and x.unit < unit and x.unit:  # rounded to fewer digits
-            exact, size = x.exact, x.size
-            atom = _made.setdefault(
-                ("narrowed", str(exact)), Atom(f"narrowed({exact})", lambda at: value(exact, at), size=size)
-            )
-            x = x if len(exact) == 1 else Number({(atom,): ONE}, None, x.total())
-            return Number(x.exact, x.size, x.lost, x.common + unit, unit)
         if isinstance(x, Number):
-            is_exact = x.unit or (x.exact.get((), ONE) * 2**20).denominator == 1
-            return Number(x.exact, x.size, x.lost, x.common if is_exact else unit, unit if x.unit else 0)
-        exact = Fraction(x) if np.isfinite(x) else Fraction(2) ** 1024
-        simple = exact.limit_denominator(2 * 10**11)
-        if simple != exact and float(simple) == x:
-            return Number({(): simple}, None, None, unit)
-        near = Fraction(round(exact * 2**20), 2**20) if abs(x) < 2**20 else exact
-        more = (exact - near) * 2**53  # of 1 + 32u that is written as a number
-        return Number({(): near, (U,): more}) if near and 0 < abs(more) < 2**12 else numeral(exact)
+            if x.unit and x.unit < unit:  # rounded to fewer digits
+                return x.rounded(unit)
+            return Number(x.value, x.shift, x.lost, x.last, unit, x.is_power) if x.unit else x
+        near = round(x * 2**20) / 2**20 if abs(x) < 2**20 else x
+        shift = (x - near) * 2**53
+        if near and 0 < abs(shift) < 2**12:  # 1 + 32u, written as a number
+            return Number(near, shift * self.house.units["float64"])
+        is_exact = not np.isfinite(x) or np.frexp(x)[0] * 2**24 % 1 == 0
+        return Number(float(x), 0.0, 0.0 if is_exact else unit * abs(x))
 
 
 class _Anything:
@@ -431,31 +264,23 @@ class _Anything:
 
 
 @cache
-def _compiled(name: str, cuts: tuple) -> types.CodeType:
-    """A file with variables of functions cut after they are set for the last time."""
-    tree = ast.parse((_FOLDER / f"{name.replace('.', '/')}.py").read_text(encoding="utf-8"))
-    for function in (f for f in ast.walk(tree) if isinstance(f, ast.FunctionDef)):
-        for variable in (x for f, *of in cuts for x in of if f == function.name):
-            last = max(k for k, x in enumerate(function.body) if ast.unparse(x).startswith(f"{variable} = "))
-            function.body.insert(last + 1, ast.parse(f"{variable} = cut_({variable!r}, {variable})").body[0])
-    return compile(ast.fix_missing_locations(tree), name, "exec")
+def _compiled(name: str) -> types.CodeType:
+    return compile((_FOLDER / f"{name.replace('.', '/')}.py").read_text(encoding="utf-8"), name, "exec")
 
 
 class House:
     """The kernels' files, executed as plain Python: on counted numbers, or on arrays with a dtype.
 
     Args:
-        real: Precision of the iteration.
+        real: Precision of the iteration, whose unit roundoff is u.
         dtype: Of the arrays, or None.
-        cuts: Names of variables by file and function, which are numbers of their own once they are set.
     """
 
-    def __init__(self, real: str = "float64", dtype: Any = None, cuts: Any = ()) -> None:
-        self.dtype, self.cuts, self.loaded = dtype, dict(cuts), {}
-        self.units = {"float64": ONE, "float32": Fraction(2**29)}
+    def __init__(self, real: str = "float64", dtype: Any = None) -> None:
+        self.dtype, self.loaded = dtype, {}
+        self.units = {"float64": 1.0, "float32": 2.0**29}
         self.units = {name: unit / self.units[real] for name, unit in self.units.items()}
         self.types = {name: Real(self, name) for name in self.units}
-        self.cut: dict[str, Any] = {}  # what was cut, by the name of the variable
         self.parameters = {n: x for n, x in vars(kernels.parameters).items() if n[0] != "_" and n not in ("Any", "wp")}
         self.parameters["real"] = self.types[real]
         self.warp = self._warp()
@@ -467,7 +292,6 @@ class House:
         if key in self.loaded:
             return self.loaded[key]
         module = self.loaded[key] = types.ModuleType(name)
-        code = _compiled(name, tuple((f, *of) for (file, f), of in self.cuts.items() if file == name))
 
         def imported(what: str, scope: Any = None, local: Any = None, wanted: Any = (), level: int = 0) -> Any:
             if level == 0:
@@ -481,28 +305,21 @@ class House:
                 return types.SimpleNamespace(**{w: self.load(".".join([*path, w]), **values) for w in wanted})
             return types.SimpleNamespace(**values) if path == ["parameters"] else self.load(".".join(path), **values)
 
-        vars(module).update(__builtins__={**vars(builtins), "__import__": imported}, cut_=self._cut)
-        exec(code, vars(module))
+        vars(module).update(__builtins__={**vars(builtins), "__import__": imported})
+        exec(_compiled(name), vars(module))
         if name == "pair.rounding" and self.dtype is None:
-            of = {t: Number({(U,): self.units[t.__name__]}) for t in self.types.values()}
-            module.UNIT_ROUNDOFF = of
-            module.EIGHTH_UP = 0.125 * (1.0 + module.SAGITTA * of[self.types["float64"]])
+            module.UNIT_ROUNDOFF = {t: Number(0.0, self.units[t.__name__]) for t in self.types.values()}
+            for name_of in ("TINY", "SQUARE_UNDERFLOW"):  # far below all inputs
+                setattr(module, name_of, dict.fromkeys(self.types.values(), 2.0**-900))
         if name == "pair.simd":
             module.func = module.rare = self._function
-            module.bits_of = module.bits_of if self.dtype is None else lambda m: int(np.any(m))
+            module.bits_of = lambda m: int(np.any(m))
         if name in ("pair.rounding", "pair.lane_scale") and self.dtype is None:
             module.inverse_power_of_two = self.power
         return module
 
-    def _cut(self, name: str, x: Any) -> Any:
-        self.cut[name] = x
-        if isinstance(x, Vector):
-            return vector(name, unit=x.x.unit)
-        return Number({(Atom(name, lambda at: value(x.exact, at), True),): ONE}, unit=x.unit)
-
-    def power(self, x: Any) -> Number:
-        atom = Atom(f"scale {len(_made)}", lambda _: Fraction(1, 4), True, power=True)
-        return Number({(atom,): ONE}, unit=self.units["float64"])
+    def power(self, x: Number) -> Number:
+        return Number(np.ldexp(1.0, -np.frexp(x.value)[1]), unit=self.units["float64"], is_power=True)
 
     def _function(self, f: Callable | None = None, **_: Any) -> Any:
         return self._function if f is None else Function(f, {} if "<locals>" in f.__qualname__ else f.__globals__)
@@ -514,7 +331,7 @@ class House:
         text = re.sub(r"^(\w+)\((.+) \? (.+) : (.+)\)$", r"\1(choose(\2, \3, \4))", text)
         text = re.sub(r"!(\w+\(m\))", r"opposite(\1)", text)
         scope = dict.fromkeys(("lanes", "mask", "of_lanes", "of_mask"), lambda x: x)
-        scope |= {"fabs": abs, "choose": self.choose, "opposite": lambda m: ~m if isinstance(m, np.ndarray) else not m}
+        scope |= {"fabs": abs, "choose": choose, "opposite": lambda m: ~m if isinstance(m, np.ndarray) else not m}
 
         def decorate(f: Callable) -> Function:
             def native(*args: Any) -> Any:
@@ -525,17 +342,9 @@ class House:
 
         return decorate
 
-    def choose(self, m: Any, a: Any, b: Any) -> Any:
-        if isinstance(a, Vector):
-            return a.each(lambda x, y: self.choose(m, x, y), b)
-        if isinstance(m, types.SimpleNamespace):
-            assert {id(a), id(b)} == {id(m.lesser), id(m.greater)}, "a choice outside of paths"
-            return extreme(a, b, max if a is m.greater else min)
-        return np.where(m, a, b) if isinstance(m, np.ndarray) else a if m else b
-
-    def _extreme(self, is_greatest: bool) -> Callable:
+    def _extreme(self, relation: Callable) -> Callable:
         def of_two(a: Any, b: Any) -> Any:
-            return self.choose(b < a if is_greatest else a < b, a, b)
+            return choose(relation(a, b), a, b)
 
         def of(a: Any, b: Any = None) -> Any:
             if b is None:
@@ -556,39 +365,18 @@ class House:
             cls.__init__ = make
             return cls
 
-        def of_root(x: Any) -> Any:
-            return root(x) if isinstance(x, Number) else np.sqrt(x)
+        def root(x: Any) -> Any:
+            return x.root() if isinstance(x, Number) else np.sqrt(x)
 
         vars(wp).update(self.types, struct=struct, func=self._function, kernel=self._function, func_native=self._native)
-        vars(wp).update(dict.fromkeys(("uint32", "int32", "int64", "uint64"), int), bool=bool, where=self.choose)
+        vars(wp).update(dict.fromkeys(("uint32", "int32", "int64", "uint64"), int), bool=bool, where=choose)
         vars(wp).update(dict.fromkeys(("vec3d", "vec4d", "vec2d"), Vector), inf=float("inf"), nan=float("nan"))
-        vars(wp).update(dict.fromkeys(("constant", "static", "cast"), identity), dot=dot, cross=cross, sqrt=of_root)
-        vars(wp).update(max=self._extreme(True), min=self._extreme(False), length=lambda x: of_root(dot(x, x)))
+        vars(wp).update(dict.fromkeys(("constant", "static", "cast"), identity), dot=dot, cross=cross, sqrt=root)
+        vars(wp).update(max=self._extreme(operator.gt), min=self._extreme(operator.lt))
         vars(wp).update(abs=lambda x: x.each(abs) if isinstance(x, Vector) else abs(x), floor=np.floor)
+        wp.length = lambda x: root(dot(x, x))
         wp.types = types.SimpleNamespace(
             vector=lambda length, dtype: Vector if length == 3 else _Anything, matrix=_Anything
         )
         wp.__getattr__ = lambda _: _Anything
         return wp
-
-
-# ---- Numbers of the input ----
-
-
-def number(name: str, roundings: Any = 0, *, unit: Any = 1, positive: bool = False) -> Number:
-    atom = _made.setdefault(("input", name, positive), Atom(name, positive=positive))
-    return Number({(atom,): ONE}, None, None, roundings, unit)
-
-
-def vector(name: str, roundings: Any = 0, **more: Any) -> Vector:
-    return Vector(*(number(name + k, roundings, **more) for k in "xyz"))
-
-
-def parameter(name: str, *, is_dyadic: bool = False) -> Number:
-    """A number in [0, 1], whose difference from 1 is an atom, too."""
-    x = number(name, positive=True)
-    (atom,) = next(iter(x.exact))
-    if not atom.weight:
-        rest = Atom(f"1-{name}", lambda at: 1 - at[name], True)
-        atom.weight, rest.weight = (name, rest, is_dyadic), (name, atom, is_dyadic)
-    return x

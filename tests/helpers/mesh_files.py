@@ -12,8 +12,9 @@ import trimesh
 
 import ccd_warp as ccd
 
-# Twelve vertices, so that a face may name a vertex of two digits, and the last index is one.
-VERTICES = np.round(np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3)), 3)
+# Twelve vertices, so that a face may name a vertex of two digits, and the last index is one; one needs all 53 bits.
+VERTICES = np.random.default_rng(7).uniform(-2.0, 2.0, (12, 3))
+VERTICES[1:] = np.round(VERTICES[1:], 3)
 FACES = np.array([[0, 1, 2], [2, 3, 4], [4, 5, 6], [6, 7, 8], [8, 9, 10], [9, 1, 10]])
 _HEADER = "ply\nformat {} 1.0\ncomment a test\nelement vertex {}\nproperty double x\nproperty double y\n"
 _HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_indices\nend_header\n"
@@ -21,13 +22,21 @@ _HEADER += "property double z\nelement face {}\nproperty list uchar int vertex_i
 
 _DAE = (
     '<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1"><asset/><library_geometries>'
-    '<geometry id="g"><mesh><source id="s"><float_array id="a" count="{}">{}</float_array><technique_common>'
-    '<accessor source="#a" count="{}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>'
+    '<geometry id="g"><mesh><source id="s"><float_array id="a" count="{numbers}">{x}</float_array><technique_common>'
+    '<accessor source="#a" count="{points}" stride="3"><param name="X" type="float"/><param name="Y" type="float"/>'
     '<param name="Z" type="float"/></accessor></technique_common></source><vertices id="v"><input semantic="POSITION" '
-    'source="#s"/></vertices><polylist count="{}"><input semantic="VERTEX" source="#v" offset="0"/><vcount>{}</vcount>'
-    "<p>{}</p></polylist></mesh></geometry></library_geometries><library_visual_scenes><visual_scene id='w'>"
-    "<node id='n'><instance_geometry url='#g'/></node></visual_scene></library_visual_scenes>"
+    'source="#s"/></vertices><polylist count="{faces}"><input semantic="VERTEX" source="#v" offset="0"/>'
+    "<vcount>{sizes}</vcount><p>{corners}</p></polylist></mesh></geometry></library_geometries><library_visual_scenes>"
+    "<visual_scene id='w'><node id='n'><instance_geometry url='#g'/></node></visual_scene></library_visual_scenes>"
     "<scene><instance_visual_scene url='#w'/></scene></COLLADA>"
+)
+
+
+_VTP = (
+    '<VTKFile type="PolyData"><PolyData><Piece NumberOfPoints="{points}" NumberOfPolys="{faces}"><Points>'
+    '<DataArray type="Float64" NumberOfComponents="3" format="ascii">{x}</DataArray></Points><Polys>'
+    '<DataArray type="Int64" Name="connectivity" format="ascii">{corners}</DataArray>'
+    '<DataArray type="Int64" Name="offsets" format="ascii">{ends}</DataArray></Polys></Piece></PolyData></VTKFile>'
 )
 
 
@@ -48,21 +57,24 @@ def polygon_file(name, vertices, polygons) -> str:
     match name.rpartition(".")[2]:
         case "obj":
             lines = [f"v {row}" for row in rows] + [" ".join(["f", *(str(k + 1) for k in face)]) for face in polygons]
-        case "dae":
-            corners = [str(corner) for polygon in polygons for corner in polygon]
-            texts = " ".join(rows), " ".join(map(str, counts)), " ".join(corners)
-            lines = [_DAE.format(3 * len(rows), texts[0], len(rows), len(counts), *texts[1:])]
+        case "dae" | "vtp" as kind:
+            corners = [corner for polygon in polygons for corner in polygon]
+            words = {"x": rows, "sizes": counts, "corners": corners, "ends": np.cumsum(counts)}
+            texts = {name: " ".join(map(str, values)) for name, values in words.items()}
+            template = {"dae": _DAE, "vtp": _VTP}[kind]
+            lines = [template.format(numbers=3 * len(rows), points=len(rows), faces=len(counts), **texts)]
         case kind:
-            head = (
-                _HEADER.format("ascii", len(rows), len(lists))
-                if kind == "ply"
-                else f"OFF\n{len(rows)} {len(lists)} 0\n"
-            )
-            lines = [head.rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
+            heads = {"ply": _HEADER.format("ascii", len(rows), len(lists)), "off": f"OFF\n{len(rows)} {len(lists)} 0"}
+            lines = [heads[kind].rstrip(), *rows, *(f"{count} {row}" for count, row in zip(counts, lists, strict=True))]
     return "\n".join([*lines, ""])
 
 
-PLY = polygon_file("a.ply", VERTICES, FACES.tolist())
+_ITEM = '<DataItem DataType="{}" Precision="8" Dimensions="{}" Format="XML">{}</DataItem>'
+XDMF = (  # of one triangle
+    '<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Triangle" NumberOfElements="1">'
+    f'{_ITEM.format("Int", "1 3", "0 1 2")}</Topology><Geometry GeometryType="XYZ">'
+    f"{_ITEM.format('Float', '3 3', '0 0 0 1 0 0 0 1 0')}</Geometry></Grid></Domain></Xdmf>"
+)
 
 
 def gltf_files(vertices=VERTICES, faces=FACES) -> tuple[dict, bytes]:
@@ -78,15 +90,20 @@ def exported(kind, vertices=VERTICES, faces=FACES) -> bytes:
     return data.encode() if isinstance(data, str) else data
 
 
-def of_extra(module, kind) -> bytes:
-    """A file of a format for which trimesh needs another package."""
-    pytest.importorskip(module)
-    return exported(kind)
+def of_extra(module):
+    """A package of the extra `formats`; where it is not installed the test is skipped."""
+    return pytest.importorskip(module, reason="the extra formats is not installed")
+
+
+def _of_corners() -> bytes:
+    """A file of COLLADA whose faces have normals of their own, for each of which a vertex is there again."""
+    of_extra("collada")
+    return exported("dae", VERTICES[FACES].reshape(-1, 3), np.arange(FACES.size).reshape(-1, 3))
 
 
 def of_meshio(name, mesh=None, **options) -> bytes:
     """A file of cells as meshio writes it: a quadrilateral behind the triangles, and a field of vectors."""
-    meshio = pytest.importorskip("meshio", reason="the extra formats is not installed")
+    meshio = of_extra("meshio")
     mesh = mesh or meshio.Mesh(VERTICES, [("triangle", FACES[:5]), ("quad", [[9, 1, 10, 0]])], {"u": VERTICES})
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, name)
@@ -99,20 +116,22 @@ def of_meshio(name, mesh=None, **options) -> bytes:
 
 def of_triangles():
     """The triangles alone, as meshio holds them."""
-    return pytest.importorskip("meshio", reason="the extra formats is not installed").Mesh(
-        VERTICES, {"triangle": FACES}
-    )
+    return of_extra("meshio").Mesh(VERTICES, {"triangle": FACES})
 
 
 def of_vtk(name, *how) -> bytes:
     """A file of the same as PolyData as VTK writes it: settings of its writer, called in turn."""
-    pyvista = pytest.importorskip("pyvista", reason="the extra formats is not installed")
+    pyvista = of_extra("pyvista")
     from vtkmodules import vtkIOLegacy, vtkIOXML
 
     mesh = pyvista.PolyData(VERTICES, faces=[*np.insert(FACES[:5], 0, 3, axis=1).ravel(), 4, 9, 1, 10, 0])
     mesh["u"] = VERTICES
-    writer = vtkIOXML.vtkXMLPolyDataWriter() if name.endswith("vtp") else vtkIOLegacy.vtkPolyDataWriter()
-    writer.SetInputData(mesh)
+    writer = {
+        "vtp": vtkIOXML.vtkXMLPolyDataWriter,
+        "vtu": vtkIOXML.vtkXMLUnstructuredGridWriter,
+        "vtk": vtkIOLegacy.vtkPolyDataWriter,
+    }[name.rpartition(".")[2]]()
+    writer.SetInputData(mesh.cast_to_unstructured_grid() if name.endswith("vtu") else mesh)
     with tempfile.TemporaryDirectory() as folder:
         writer.SetFileName(f"{folder}/{name}")
         for setting in how:
@@ -131,33 +150,52 @@ def _gltf() -> bytes:
 WHOLE = {
     "scene.glb": lambda: exported("glb"),
     "scene.gltf": _gltf,
-    "scene.dae": lambda: of_extra("collada", "dae"),
-    "scene.3mf": lambda: of_extra("lxml", "3mf"),
+    "scene.dae": _of_corners,
+    "scene.3mf": lambda: of_extra("lxml") and exported("3mf"),
     "text_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=False),
     "binary_42.vtk": lambda: of_meshio("a.vtk", fmt_version="4.2", binary=True),
     "text_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=False),
     "binary_51.vtk": lambda: of_meshio("a.vtk", fmt_version="5.1", binary=True),
-    "text.vtu": lambda: of_meshio("a.vtu", binary=False),
+    "text.vtu": lambda: of_vtk("a.vtu", "SetDataModeToAscii"),
     "binary.vtu": lambda: of_meshio("a.vtu"),
     "text.vtp": lambda: of_vtk("a.vtp", "SetDataModeToAscii"),
     "binary.vtp": lambda: of_vtk("a.vtp", "SetDataModeToBinary", "SetCompressorTypeToNone"),
     "raw.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetCompressorTypeToNone"),
     "packed.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetCompressorTypeToLZ4"),
+    "big_endian.vtp": lambda: of_vtk("a.vtp", "SetDataModeToBinary", "SetByteOrderToBigEndian"),
+    "raw_big_endian.vtp": lambda: of_vtk("a.vtp", "EncodeAppendedDataOff", "SetByteOrderToBigEndian"),
+    "big_endian.vtu": lambda: of_vtk("a.vtu", "SetDataModeToBinary", "SetByteOrderToBigEndian"),
     "binary_of_polygons.vtk": lambda: of_vtk("a.vtk", "SetFileTypeToBinary"),
     "text.xdmf": lambda: of_meshio("a.xdmf", data_format="XML"),
     "text_22.msh": lambda: of_meshio("a.msh", of_triangles(), fmt_version="2.2", binary=False),
     "binary_22.msh": lambda: of_meshio("a.msh", fmt_version="2.2"),
+    "text_40.msh": lambda: of_meshio("a.msh", of_triangles(), fmt_version="4.0", binary=False),
+    "binary_40.msh": lambda: of_meshio("a.msh", fmt_version="4.0"),
     "text_41.msh": lambda: of_meshio("a.msh", of_triangles(), binary=False),
     "binary_41.msh": lambda: of_meshio("a.msh", of_triangles()),
     "text.mesh": lambda: of_meshio("a.mesh"),
     "text.inp": lambda: of_meshio("a.inp"),
+    # Decimals with all digits in files that say that they hold single precision.
+    "float_42.vtk": lambda: whole("text_42.vtk").replace(b"double", b"float", 1),
+    "float.vtp": lambda: whole("text.vtp").replace(b"Float64", b"Float32"),
+    "float.mesh": lambda: whole("text.mesh").replace(b"Formatted 2", b"Formatted 1"),
+}
+
+
+# What `test_drawn_files` reads in full, and one that is to be damaged by hand.
+_FURTHER = {
+    **{
+        name: lambda name=name: polygon_file(name, VERTICES, FACES.tolist()).encode()
+        for name in ("text.ply", "text.obj")
+    },
+    "one.xdmf": lambda: of_extra("meshio") and XDMF.encode(),
 }
 
 
 @cache
 def whole(name) -> bytes:
     """The mesh in the format that a name says."""
-    return WHOLE[name]()
+    return (WHOLE | _FURTHER)[name]()
 
 
 def content(path) -> tuple[np.ndarray, np.ndarray]:

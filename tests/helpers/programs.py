@@ -57,9 +57,9 @@ def _serve(asked) -> None:
         asked.send(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 
-def _begun(folder, *arguments):
+def begun(folder, *arguments, **variables):
     """What `python ARGUMENTS` does in a folder, in a process that is begun for it: its status and output."""
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))} | variables
     command = [sys.executable, *map(str, arguments)]
     done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
     return done.returncode, done.stdout, done.stderr
@@ -68,7 +68,7 @@ def _begun(folder, *arguments):
 def programs(device):
     """Yields a function that runs `python ARGUMENTS` in a folder, for tests on a device: its status and output."""
     if device.startswith("cuda"):
-        yield _begun
+        yield begun
         return
     processes = multiprocessing.get_context("spawn")
     ours, theirs = processes.Pipe()

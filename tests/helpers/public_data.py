@@ -24,7 +24,8 @@ import ccd_warp as ccd
 
 ROWS = 8  # of a query: four points at the start, four at the end
 _KINDS = {"vf": "vertex-face", "ee": "edge-edge"}
-_DEPTHS = ("", "*/", "*/*/")  # of the scenes: the folder itself, its children, their children
+_RATIO = rb"(-?[0-9]+), *([0-9]+)"
+_ROW = re.compile(rb", *".join([_RATIO] * 3) + rb"(?:, *([01]))?")
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,27 +55,29 @@ def find_queries(folder: Path) -> list[Queries]:
     sets: dict[tuple[bool, str, int], list[Path]] = {}
     kinds = list(_KINDS.values())
     for part in (*kinds, "queries"):
-        for path in sorted(path for depth in _DEPTHS for path in folder.glob(f"{depth}{part}/*.csv")):
+        for path in _under(folder, f"{part}/*.csv"):
             kind = _KINDS.get(path.stem[-2:], "") if part == "queries" else part
             if not kind:
                 raise ValueError(f"{path}: its name says no kind of queries; expected one that ends in vf or ee")
-            key = part == "queries", _scene(path, folder), kinds.index(kind)
-            sets.setdefault(key, []).append(path)
+            sets.setdefault((part == "queries", _scene(path, folder), kinds.index(kind)), []).append(path)
     if not sets:
         raise ValueError(f"{folder} holds no queries in folders {', '.join(kinds)} or queries")
-    return [_joined(name, kinds[k], paths) for (_, name, k), paths in sorted(sets.items())]
+    found = []
+    for (_, name, k), paths in sorted(sets.items()):
+        starts, ends, truths = zip(*map(_with_truth, paths), strict=True)
+        if len({truth is None for truth in truths}) != 1:
+            raise ValueError(f"the truth of some files of {name}, {kinds[k]}, is not known; expected it of all or none")
+        truth = None if truths[0] is None else np.concatenate(truths)
+        found.append(Queries(name, kinds[k], np.concatenate(starts), np.concatenate(ends), truth))
+    return found
 
 
-def _joined(name: str, kind: str, paths: list[Path]) -> Queries:
-    starts, ends, truths = zip(*map(_read, paths), strict=True)
-    if len({truth is None for truth in truths}) != 1:
-        raise ValueError(f"the truth of some files of {name}, {kind}, is not known; expected it of all or of none")
-    return Queries(
-        name, kind, *map(np.concatenate, (starts, ends)), None if truths[0] is None else np.concatenate(truths)
-    )
+def _under(folder: Path, pattern: str) -> list[Path]:
+    """The files of the scenes of a folder: in itself, its children or their children."""
+    return sorted(path for depth in ("", "*/", "*/*/") for path in folder.glob(depth + pattern))
 
 
-def _read(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def _with_truth(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """The queries of a file, with the truth of the file that belongs to it."""
     start, end, truth = read_queries(path)
     beside = path.parents[1] / "mma_bool" / f"{path.stem}_mma_bool.json"
@@ -94,44 +97,36 @@ def read_queries(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]
     may be followed by blanks. Some published files have no line end at their end, so that a file which is cut within
     its very last number cannot be told from a whole one.
     """
-    text = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip(b"\n")
-    rows = re.sub(rb", +(?=[-0-9])", b",", text).split(b"\n") if text else []
-    columns = rows[0].count(b",") + 1 if rows else 6
-    if columns not in (6, 7) or len(rows) % ROWS:
-        raise ValueError(
-            f"{path}, line {len(rows)}: {len(rows)} rows of {columns} columns; expected 6 or 7, and 8 a query"
-        )
-    points, truths = np.empty((len(rows), 3)), np.empty(len(rows), dtype=bool)
+    rows = path.read_bytes().removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip(b"\n").split(b"\n")
+    rows = rows if rows != [b""] else []
+    if len(rows) % ROWS:
+        raise ValueError(f"{path}: has {len(rows)} rows; expected {ROWS} a query")
+    points, truths = np.empty((len(rows), 3)), []
     for k, row in enumerate(rows):
         try:
-            if not re.fullmatch(rb"-?[0-9]+(,-?[0-9]+)*", row) or row.count(b",") + 1 != columns:
-                raise ValueError(f"{row[:80]!r} is not {columns} integers")
-            fields = row.split(b",")
-            points[k] = [_exact(int(n), int(d)) for n, d in zip(fields[0:6:2], fields[1:6:2], strict=True)]
-            if columns == 7 and fields[6] not in (b"0", b"1"):
-                raise ValueError(f"the truth is {fields[6]!r}; expected 0 or 1")
-        except ValueError as error:  # of int() for more digits than a float64 has
-            raise ValueError(f"{path}, line {k + 1}: {error}") from None
-        truths[k] = fields[-1] == b"1"
-    of_query = truths.reshape(-1, ROWS)
-    if columns == 7 and (mixed := (of_query != of_query[:, :1]).any(axis=1)).any():
-        raise ValueError(f"{path}, line {ROWS * int(np.argmax(mixed)) + 1}: one query has two truths")
+            *fields, truth = _ROW.fullmatch(row).groups()
+            points[k] = [_exact(int(n), int(d)) for n, d in zip(fields[::2], fields[1::2], strict=True)]
+        except (AttributeError, ValueError):  # of int() for more digits than a float64 has
+            expected = "three float64, each as two integers, and the truth, 0 or 1, in all rows or none"
+            raise ValueError(f"{path}, line {k + 1}: {row[:80]!r}; expected {expected}") from None
+        truths.append(truth)
+    of_query = [{*truths[k : k + ROWS]} for k in range(0, len(rows), ROWS)]
+    if any(len(found) > 1 or (None in found) != (truths[0] is None) for found in of_query):
+        raise ValueError(f"{path}: expected one truth a query, or none of all")
     ends = points.reshape(-1, 2, 4, 3)
-    return ends[:, 0].copy(), ends[:, 1].copy(), of_query[:, 0].copy() if columns == 7 else None
+    truth = None if not truths or truths[0] is None else np.array([found == {b"1"} for found in of_query])
+    return ends[:, 0].copy(), ends[:, 1].copy(), truth
 
 
 def _exact(n: int, d: int) -> float:
-    """A rational as float64, if it is one."""
-    if d <= 0:
-        raise ValueError(f"a denominator is {d}; expected a positive integer")
+    """A rational as float64; a ValueError where it is none."""
     try:
-        value = n / d  # rounded once, to nearest
-    except OverflowError:
-        value = float("inf")
-    p, q = value.as_integer_ratio() if value < float("inf") else (0, 0)
-    if not q or p * d != n * q:
-        raise ValueError(f"{str(n)[:40]}/{str(d)[:40]} is not a float64")
-    return value
+        p, q = (n / d).as_integer_ratio()  # rounded once, to nearest
+    except ArithmeticError as error:
+        raise ValueError from error
+    if p * d != n * q:
+        raise ValueError
+    return n / d
 
 
 def read_truth(path: Path) -> np.ndarray:
@@ -168,7 +163,7 @@ def _list(path: Path) -> list:
 def find_steps(folder: Path) -> dict[str, tuple[Path, Path]]:
     """Both frames of the step of each scene under a folder, by its name, in the order of their numbers."""
     scenes: dict[str, list[Path]] = {}
-    for path in sorted(path for depth in _DEPTHS for path in folder.glob(f"{depth}frames/*.ply")):
+    for path in _under(folder, "frames/*.ply"):
         scenes.setdefault(_scene(path, folder), []).append(path)
     for name, paths in scenes.items():
         if len(paths) != 2 or not all(path.stem.isdecimal() for path in paths):

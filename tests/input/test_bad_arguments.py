@@ -135,8 +135,7 @@ def check_refusal(error, words, phrase=""):
 
 def leaves(result, name=""):
     """The arrays and plain values that a result consists of, but for times, by where they are."""
-    if isinstance(result, wp.array):
-        result = result.numpy()
+    result = result.numpy() if isinstance(result, wp.array) else result
     if isinstance(result, (ccd.CollisionMesh, ccd.Proximities)):
         parts = result.__getstate__()
     elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion)):
@@ -265,6 +264,7 @@ def put(array, index, value):
 
 
 TWO, WORLDS, MATRICES = np.tile(np.eye(7)[6], (2, 1)), np.tile(np.eye(7)[6], (3, 2, 1)), np.tile(np.eye(4), (2, 1, 1))
+OF_THREE = {"poses_t0": WORLDS, "poses_t1": WORLDS}
 REST, LIFTED, FLOOR = [0.0, 0, 0, 0, 0, 0, 1], [0, 0, 1, 0, 0, 0, 1], ccd.HalfSpace([0.0, 0, 0], [0.0, 0, 1])
 BARS = ccd.CollisionMesh.from_arrays([([[0.0, 0], [1, 0]], [[0, 1]])] * 2, rigid=[0, 1])
 COPIES = MESH.replicate(3)
@@ -302,9 +302,7 @@ TOGETHER = {
     "find_candidates": [(MOVED, r"vertex 0 of body 1 \(ball\), which is static, by 1")],
     "CollisionPipeline": [({"mesh": THICK, "minimum_separation": 0.1}, "0.1 and the mesh has a radius of up to 0.1")],
     **{
-        call: [
-            ({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t0")
-        ]
+        call: [({"vertices_t1": END.astype(np.float32)}, "vertices_t1 has dtype vec3f; expected vec3d like vertices_t")]
         for call in ("CollisionPipeline.launch", "DeviceContacts.points_at")
     },
     "vertex_face_ccd": [
@@ -314,10 +312,7 @@ TOGETHER = {
     ],
     "point_point_ccd": [({"minimum_distance": 1.0, "minimum_separation": 0.1}, "is 0.1; expected one")],
     "rigid_ccd": [
-        (
-            {"poses_t0": [REST], "poses_t1": [REST], "within": 0},
-            "poses_t0 is of 1 body; expected 2 bodies, those of the",
-        ),
+        ({"poses_t0": [REST], "poses_t1": [REST], "within": 0}, "poses_t0 is of 1 body; expected 2 bodies, those"),
         ({"poses_t0": [REST], "poses_t1": [REST]}, r"within has shape \(2,\); .* such lengths of shape \(1,\)"),
         ({"mesh": COPIES, "poses_t0": [REST] * 2, "poses_t1": [REST] * 2}, "poses_t0 is of 2 bodies; expected 6"),
         ({"mesh": BARS, "poses_t0": [REST] * 2, "poses_t1": [REST, LIFTED]}, "takes body 1 out of the plane of the"),
@@ -326,12 +321,9 @@ TOGETHER = {
     "RigidMotion": [
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
-        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
-        ({"poses_t0": WORLDS, "poses_t1": WORLDS, "within": [0.5]}, r"a finite length of at least 0, or such .* \(3"),
-        (
-            {"poses_t0": WORLDS, "poses_t1": WORLDS, "within": put(np.zeros((3, 2)), (2, 1), -1)},
-            "within is -1.0 for body 1 of world 2",
-        ),
+        (OF_THREE | {"pivot": np.zeros((3, 3))}, r"\(3,\) or \(2, 3\) or \(3, 2, 3\)"),
+        (OF_THREE | {"within": [0.5]}, r"a finite length of at least 0, or such .* \(3"),
+        (OF_THREE | {"within": put(np.zeros((3, 2)), (2, 1), -1)}, "within is -1.0 for body 1 of world 2"),
         ({"within": [0, np.nan]}, "within is nan for body 1; expected"),
         ({"within": np.inf}, "within is inf; expected a finite length"),
         *(
@@ -353,10 +345,7 @@ TOGETHER = {
     "RigidMotion.from_scalar_first": [
         ({"poses_t0": MATRICES}, r"poses_t0 has shape \(2, 4, 4\); expected .* quaternion w x y z, scalar first"),
         ({"poses_t1": put(TWO, (1, 6), 0)}, "0 for body 1; .*w x y z, scalar first"),
-        (
-            {"poses_t1": None, "twist": put(np.zeros((2, 6)), (0, 4), 1e6)},
-            "twist turns body 0 by 1e.06 rad; .*divide it",
-        ),
+        ({"poses_t1": None, "twist": put(np.zeros((2, 6)), (0, 4), 1e6)}, "body 0 by 1e.06 rad; .*divide it"),
     ],
     "RigidMotion of a twist": [
         ({"twist": [REST[:6]]}, "twist is of 1 body; expected 2 bodies like poses_t0"),
@@ -374,15 +363,9 @@ TOGETHER = {
     "CollisionMesh.from_arrays": [
         ({"kinematic": [1]}, r"static and kinematic both hold body 1 \(cable\); expected it in one of them"),
         ({"static": ["bal"]}, r"static holds 'bal'; expected body indices in \[0, 2\) or names of bodies"),
-        (
-            {"static": [False, True]},
-            r"static holds False; .* names of bodies; of one flag a body np.flatnonzero\(static\)",
-        ),
+        ({"static": [False, True]}, r"static holds False; .*; of one flag a body np.flatnonzero\(static\)"),
         ({"body_pairs": [[True, False], [True, True]]}, r"differs at \(0, 1\) and \(1, 0\), body 0 \(face\) and"),
-        (
-            {"body_pairs": {"bodies": [("face", "cable")]}},
-            r"body_pairs is {'bodies.*; expected pairs .* as \[\(0, 1\)\]",
-        ),
+        ({"body_pairs": {"bodies": [("face", "cable")]}}, r"is {'bodies.*; expected pairs .* as \[\(0, 1\)\]"),
         ({"body_pairs": [("face", "lid")]}, "body_pairs holds 'lid'; expected indices or names of the mesh's bodies"),
         ({"body_pairs": [(0, 2)]}, r"body_pairs holds body 2 in row 0; expected an index in \[0, 2\)"),
         ({"body_pairs": [(1, 1)]}, r"body_pairs holds body 1 \(cable\) with itself; expected pairs of two bodies"),

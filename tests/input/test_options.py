@@ -96,24 +96,24 @@ def is_same(result, expected, rows=slice(None)):
     return all(np.array_equal(getattr(result, name), value[rows]) for name, value in vars(expected).items())
 
 
-@pytest.mark.parametrize("num_threads", [1, 2])
-def test_as_many_pairs_as_are_kept_and_one_more_have_the_results_that_they_have_among_many(num_threads):
-    points = random_pairs(small_batch.CAPACITY + 1)
-    whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
-    for count in (0, 1, 600, 3001, 5000, 2001, small_batch.CAPACITY):
-        assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
-
-
-def test_few_pairs_of_two_threads_are_all_solved_where_warp_takes_no_parts(monkeypatch):
-    points = random_pairs(3001)
-    expected = ccd.vertex_face_ccd(*points, num_threads=2)
+@pytest.mark.parametrize("num_threads, has_parts", [(1, True), (2, True), (2, False)])
+def test_few_pairs_have_the_results_that_they_have_among_many(num_threads, has_parts, monkeypatch):
+    """Up to as many as are kept; where Warp takes no parts; in the plane behind pairs of space, which have a z."""
 
     def refused(launch):
         raise AttributeError
 
     monkeypatch.setattr(small_batch, "_idle", {})
-    monkeypatch.setattr(PackedLaunch, "_pack", refused)
-    assert is_same(ccd.vertex_face_ccd(*points, num_threads=2), expected)
+    if not has_parts:
+        monkeypatch.setattr(PackedLaunch, "_pack", refused)
+    points = random_pairs(small_batch.CAPACITY + 1)
+    whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
+    for count in (0, 1, 512, 513, 600, 3001, 5000, 2001, small_batch.CAPACITY):
+        assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
+    flat = [np.ascontiguousarray(x[:, :3, :2]) for x in points]
+    whole = ccd.point_segment_ccd(*flat)
+    ccd.point_segment_ccd(*(x[:8, :3] for x in points))
+    assert is_same(ccd.point_segment_ccd(*(x[:8] for x in flat)), whole, slice(8))
 
 
 def test_few_arrays_of_warp_have_results_of_their_own():
@@ -124,14 +124,6 @@ def test_few_arrays_of_warp_have_results_of_their_own():
         array.zero_()
         assert np.array_equal(getattr(results[1], name).numpy(), getattr(expected, name))
         assert getattr(results[1], name).dtype == array.dtype and array.device.is_cpu
-
-
-def test_points_of_the_plane_do_not_see_the_third_coordinate_of_the_call_before():
-    points = [x[:, :3] for x in random_pairs(8)]
-    flat = [np.ascontiguousarray(x[:, :, :2]) for x in points]
-    expected = ccd.point_segment_ccd(*(np.tile(x, (20, 1, 1)) for x in flat))
-    ccd.point_segment_ccd(*points)
-    assert is_same(ccd.point_segment_ccd(*flat), expected, slice(8))
 
 
 def test_calls_one_after_another_and_of_many_threads_do_not_see_each_other():

@@ -1,8 +1,12 @@
 """What calls return, as named NumPy arrays whose bits can be compared."""
 
-from collections.abc import Mapping
+import hashlib
+import os
+import pickle
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,6 +27,8 @@ _NAMES: dict[type, tuple[str, ...]] = {
 }
 
 Outputs = dict[str, np.ndarray]
+# The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
+_KEPT = os.environ.get("CCD_WARP_KEPT_ANSWERS")
 
 
 def outputs_of(value: Any, name: str = "") -> Outputs:
@@ -77,10 +83,26 @@ def _of_device_contacts(contacts: ccd.DeviceContacts, name: str) -> Outputs:
     return found | {f"{name}.count": count.copy(), f"{name}.order_by_toi": by_toi}
 
 
+def rows_of(found):
+    """What was found, as (kind, first, second) in order."""
+    return [(k, *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
+
+
 def tois_of(contacts: ccd.Contacts) -> dict[tuple[int, int, int], float]:
     """The toi of each contact, by kind and primitives."""
     keys = map(tuple, np.column_stack([contacts.kind, contacts.primitives]).tolist())
     return dict(zip(keys, contacts.toi.tolist(), strict=True))
+
+
+def kept_outputs(case: Any, call: Callable[[], Any]) -> Any:
+    """What a call returns, or has returned in another process."""
+    path = Path(_KEPT or "", hashlib.sha256(repr(case).encode()).hexdigest())
+    if _KEPT and path.exists():
+        return pickle.loads(path.read_bytes())
+    answer = call()
+    if _KEPT:
+        path.write_bytes(pickle.dumps(answer))
+    return answer
 
 
 def different(ours: Outputs, theirs: Outputs) -> list[str]:

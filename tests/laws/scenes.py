@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scenes import TETRAHEDRON, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from laws.calls import StepCase
+from laws.turning import turned, unit
 
 # Of those without a motion. Half of the scenes are of no family, and have coordinates at random or on a grid.
 FAMILIES = ("touching", "slivers", "parallel", "far", "in plane", "close", "dust", "worlds")
@@ -94,6 +96,28 @@ def pressed(seed: int) -> Scene:
 # --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
 
 _CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
+
+
+def motion_of(mesh, rng, num_worlds=None):
+    """Bodies that turn, by next to nothing or by several turns, on screws or about pivots, towards each other."""
+    bodies = np.flatnonzero(mesh.rigid)
+    size, middle = np.ptp(mesh.vertices, axis=0).max(), mesh.vertices.mean(axis=0)
+    centre = np.array([mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
+    shape = centre.shape if num_worlds is None else (num_worlds, *centre.shape)
+    centre = np.broadcast_to(centre, shape)
+    turns = [np.append(0.3 * rng.standard_normal(shape), np.ones((*shape[:-1], 1)), axis=-1) for _ in range(2)]
+    place = centre - turned(unit(turns[0]), centre) + 0.05 * size * rng.standard_normal(shape)
+    shift = rng.choice([0.5, 1.0, 2.0]) * (middle - centre) + 0.1 * size * rng.standard_normal(shape)
+    motion = {"poses_t0": np.concatenate([place, turns[0]], axis=-1), "path": str(rng.choice(["linear", "screw"]))}
+    if rng.random() < 0.3:
+        end = centre - turned(unit(turns[1]), centre) + shift
+        motion["poses_t1"] = np.concatenate([end, turns[1]], axis=-1)
+    else:
+        omega = rng.choice([1e-9, 0.05, 0.5, 4.0]) * rng.standard_normal(shape)
+        motion["twist"] = np.concatenate([shift, omega], axis=-1)
+    if motion["path"] == "linear" and rng.random() < 0.7:
+        motion["pivot"] = centre
+    return motion
 
 
 def _mixed(rng):
@@ -195,10 +219,11 @@ class _Drawing:
         names = {}
         self.add_roles(names, len(bodies), shapes)
         self.add_filters(names, len(bodies), shapes)
+        bodies = self.in_any_order(bodies, names, shapes)
         options = self.options()
         bare = ccd.CollisionMesh.from_arrays(bodies, **names)
         if "minimum_separation" not in options and bare.num_vertices != len(bodies):
-            self.add_radii(names, bare, shapes)
+            self.add_radii(names, bare)
         self.add_worlds(names, bare)
         copies = self.num_copies() if self.family == "worlds" and bare.num_vertices < 30 else 1
         lists = self.listed(bare)
@@ -298,11 +323,26 @@ class _Drawing:
             names["exclusion_rings"] = int(self.rng.integers(2, 4))
 
     @feature
-    def add_radii(self, names, mesh, shapes) -> None:
+    def in_any_order(self, bodies, names, shapes) -> list:
+        """The bodies with half-spaces anywhere among them, of which ``names`` speaks then."""
+        if len(bodies) == shapes or self.flip(0.3):
+            return bodies
+        order = self.rng.permutation(len(bodies))
+        number = np.argsort(order)
+        for name in names.keys() & {"static", "kinematic", "rigid"}:
+            names[name] = sorted(number[names[name]].tolist())
+        for name in names.keys() & {"codimensional_points", "self_collision"}:
+            names[name] = [names[name][b] for b in order]
+        if "body_pairs" in names:
+            names["body_pairs"] = names["body_pairs"][np.ix_(order, order)]
+        return [bodies[b] for b in order]
+
+    @feature
+    def add_radii(self, names, mesh) -> None:
         """Radii of vertices, whose sums are exact."""
         if self.flip(0.5):
             radius = self.rng.random(mesh.num_vertices) * self.rng.integers(0, 2, mesh.num_vertices)
-            radius *= self.rng.choice([0.01, 0.1]) * (mesh.vertex_body < shapes)
+            radius *= self.rng.choice([0.01, 0.1]) * ~np.isin(mesh.vertex_body, mesh.planes.bodies)
             names["radius"] = np.round(radius * 2.0**24) * (2.0**-24 * self.size)
 
     @feature
@@ -410,20 +450,19 @@ class _Drawing:
     def stacked(self, mesh, start, end):
         """Each body begins or ends where it just touches the one before, along the last axis, and slides or parts."""
         body = mesh.vertex_body
-        for b in range(1, mesh.num_bodies):
-            own, below = body == b, body == b - 1
-            if own.any() and below.any():
-                rise = start[below, -1].max() - start[own, -1].min()
-                start[own, -1] += rise
-                end[own] = start[own] + self.on_grid(self.size * self.rng.uniform(-0.3, 0.3, self.dimension))
-                way = self.rng.integers(0, 3)  # slides, parts, or comes from above
-                drop = self.size / _GRID * self.rng.integers(1, 5)
-                if way == 0:
-                    end[own, -1] = start[own, -1]
-                    end[below, -1] = start[below, -1]
-                elif way == 2:
-                    end[own, -1] = start[own, -1] + (end[below, -1].max() - start[below, -1].max())
-                    start[own, -1] += drop
+        for before, after in pairwise(np.unique(body)):
+            own, below = body == after, body == before
+            rise = start[below, -1].max() - start[own, -1].min()
+            start[own, -1] += rise
+            end[own] = start[own] + self.on_grid(self.size * self.rng.uniform(-0.3, 0.3, self.dimension))
+            way = self.rng.integers(0, 3)  # slides, parts, or comes from above
+            drop = self.size / _GRID * self.rng.integers(1, 5)
+            if way == 0:
+                end[own, -1] = start[own, -1]
+                end[below, -1] = start[below, -1]
+            elif way == 2:
+                end[own, -1] = start[own, -1] + (end[below, -1].max() - start[below, -1].max())
+                start[own, -1] += drop
         return start, end
 
     @feature

@@ -12,9 +12,9 @@ from ccd_warp._rigid import motion_worlds
 from laws.moving import Moves
 from laws.near_paths import NearPaths
 from laws.outputs import different, outputs_of, tois_of
-from laws.scenes import drawn
+from laws.scenes import drawn, motion_of
 from laws.truth import PLANE, UNITS
-from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of, turned, unit
+from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -26,28 +26,6 @@ MEDIAN_ERROR = {"float64": 1e-12, "float32": 1e-5}
 
 
 # --- scenes ---
-
-
-def motion_of(mesh, rng, num_worlds=None):
-    """Bodies that turn, by next to nothing or by several turns, on screws or about pivots, towards each other."""
-    bodies = np.flatnonzero(mesh.rigid)
-    size, middle = np.ptp(mesh.vertices, axis=0).max(), mesh.vertices.mean(axis=0)
-    centre = np.array([mesh.vertices[mesh.vertex_body == b].mean(axis=0) for b in bodies])
-    shape = centre.shape if num_worlds is None else (num_worlds, *centre.shape)
-    centre = np.broadcast_to(centre, shape)
-    turns = [np.append(0.3 * rng.standard_normal(shape), np.ones((*shape[:-1], 1)), axis=-1) for _ in range(2)]
-    place = centre - turned(unit(turns[0]), centre) + 0.05 * size * rng.standard_normal(shape)
-    shift = rng.choice([0.5, 1.0, 2.0]) * (middle - centre) + 0.1 * size * rng.standard_normal(shape)
-    motion = {"poses_t0": np.concatenate([place, turns[0]], axis=-1), "path": str(rng.choice(["linear", "screw"]))}
-    if rng.random() < 0.3:
-        end = centre - turned(unit(turns[1]), centre) + shift
-        motion["poses_t1"] = np.concatenate([end, turns[1]], axis=-1)
-    else:
-        omega = rng.choice([1e-9, 0.05, 0.5, 4.0]) * rng.standard_normal(shape)
-        motion["twist"] = np.concatenate([shift, omega], axis=-1)
-    if motion["path"] == "linear" and rng.random() < 0.7:
-        motion["pivot"] = centre
-    return motion
 
 
 def beside(mesh, motion, rng, num_worlds=None):

@@ -13,10 +13,12 @@ from oracle import exact_tois
 from toi_scenes import array, taped
 
 import ccd_warp as ccd
+from ccd_warp._engine.device.input import SAFETY, LineSearch
+from ccd_warp._engine.device.line_search import passes_of
 from laws import moving, trajectories, turning
+from laws.calls import EVERY_PER
 from laws.moving import Moves
-from laws.scenes import drawn
-from laws.test_bodies_that_turn import motion_of
+from laws.scenes import drawn, motion_of
 from laws.trajectories import BITS
 from laws.turning import KINDS, random_pairs, step_of
 
@@ -322,6 +324,7 @@ def test_pairs_of_bodies_that_turn(kind, precision):
 
 
 TOIS = ("toi", "world_toi", "body_toi", "vertex_toi")
+ROUNDS = 3
 
 
 def backward(tape, result, weights):
@@ -364,6 +367,69 @@ def test_tapes_of_drawn_scenes():
             terms = [(x.grad.numpy() * (late[name] - early[name])).ravel() for name, x in given.items()]
             found.append(abs(sum(x.sum() for x in terms) - expected) / sum(np.abs(x).sum() for x in terms))
     assert len(found) > 8 and np.median(found) < 1e-12 and max(found) < 1e-7
+
+
+NONE, STAYS, CHANGES = 0, 1, 2  # the derivative of a position: none, that of a start where it stays, or any
+
+
+def searched_by_launches(step, per, **options):
+    """What a line search makes of the end positions, and of their derivatives, by a launch for each of its passes.
+
+    A vertex that a pass shortens depends on those of the contact that does so, and has no derivative where one of them
+    or the contact has none. One that a pass stops stays at its start, for all moves if the contact is regular.
+    """
+    mesh, start, x, safety = step.mesh, step.given["start"], step.given["end"].copy(), 0.9
+    dtype, rating = wp.vec3d if mesh.dimension == 3 else wp.vec2d, np.full(mesh.num_vertices, CHANGES)
+    own = {"world": mesh.vertex_world, "body": mesh.vertex_body, "vertex": np.arange(mesh.num_vertices)}
+    free = np.flatnonzero(~(mesh.static | mesh.kinematic)[mesh.vertex_body])
+    pairs, least_toi = Moves(mesh, start, x).pairs, np.inf
+    for number, (of, share) in enumerate(passes_of(LineSearch.of(per, ROUNDS))):
+        pipeline, name = ccd.CollisionPipeline(mesh, **options), TOIS[EVERY_PER.index(of)]
+        _, result = taped(lambda: pipeline.launch(array(start, dtype), array(x, dtype)))  # noqa: B023
+        contacts, before = result.to_host().contacts, rating.copy()
+        tois, firsts, is_regular = (
+            np.atleast_1d(values)
+            for values in (
+                getattr(result, name).numpy(),
+                first_contacts(mesh, contacts)[name],
+                result.is_regular(of).numpy(),
+            )
+        )
+        least_toi = min(least_toi, tois.min()) if number == 0 else least_toi
+        for v in free.tolist():
+            g = own[of][v] if of in own else 0
+            if np.isfinite(tois[g]):
+                kind, primitives = contacts.kind[firsts[g]], contacts.primitives[firsts[g]]
+                corners = pairs.corners(kind, primitives)[0].tolist()
+                if kind == ccd.PairKind.VERTEX_PLANE and mesh.planes.vertices[primitives[1]] >= 0:
+                    corners.append(mesh.planes.vertices[primitives[1]])
+                of_contact = min(before[corners]) if is_regular[g] else NONE
+                fraction = (safety if share is SAFETY else share) * tois[g]
+                rating[v] = min(rating[v], of_contact) if fraction > 0 else max(STAYS, of_contact)
+                x[v] = (1 - fraction) * start[v] + fraction * x[v]
+    return x, rating == CHANGES, least_toi
+
+
+@pytest.mark.parametrize("per", EVERY_PER)
+def test_positions_of_line_searches_have_derivatives_by_the_contacts_of_their_passes(per):
+    num_compared, seen = 0, set()
+    for step in (_step_of(drawn(seed), lambda mesh: None) for seed in range(96)):
+        options = {"minimum_distance": float(step.given["distance"]), "start_gap_fraction": None, **step.options}
+        end, is_regular, least_toi = searched_by_launches(step, per, **options)
+        if least_toi == 0:  # a gap that is only lost in rounding lets the first pass move by a share of it
+            continue
+        dtype = wp.vec3d if step.mesh.dimension == 3 else wp.vec2d
+        given, pipeline = (
+            [array(step.given[name], dtype) for name in ("start", "end")],
+            ccd.CollisionPipeline(step.mesh, **options),
+        )
+        _, result = taped(lambda: pipeline.launch_line_search(*given, per=per, num_rounds=ROUNDS))  # noqa: B023
+        np.testing.assert_allclose(given[1].numpy(), end, rtol=0, atol=1e-9 * np.ptp(end))
+        assert np.array_equal(result.is_regular().numpy(), is_regular)
+        stays = (end == step.given["start"]).all(axis=1) & (end != step.given["end"]).any(axis=1)
+        num_compared += 1
+        seen |= {*zip(stays.tolist(), is_regular.tolist(), strict=True)}
+    assert num_compared > 20 and seen >= {(False, True), (True, True), (False, False)}
 
 
 def first_contacts(mesh, contacts):

@@ -11,10 +11,10 @@ from slides import SLIDERS, slides_of
 import ccd_warp as ccd
 from ccd_warp._engine.boxes import some_queries
 from ccd_warp._engine.host.contact_step import ContactStep
+from laws.asked import SEEDS, kinds_of, near_pairs, scene_of
 from laws.calls import EVERY_PER, PRECISIONS
+from laws.outputs import rows_of
 from laws.scenes import pressed
-from laws.test_searches import rows_of
-from laws.test_truth import SEEDS, kinds_of, near_pairs, scene_of
 from laws.truth import NAMES, PLANE, Pairs, PlaneTruth, distances_at, first_times, sizes
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")

@@ -25,7 +25,7 @@ import ccd_warp as ccd
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
-from laws.outputs import different, outputs_of
+from laws.outputs import different, kept_outputs, outputs_of
 from laws.scenes import drawn
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
@@ -324,25 +324,12 @@ _MORE = {
     "steps": [2, "arcs 0", "arcs 3"],  # with half-spaces
 }
 ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes if (call, scene) not in ON_OTHER]
-# The folder in which processes keep the answers of the CPU for each other, as those of `planted` do.
-_KEPT = os.environ.get("CCD_WARP_KEPT_ANSWERS")
-
-
-def kept(case, call):
-    """What a call returns, or has returned in another process."""
-    path = Path(_KEPT or "", hashlib.sha256(repr(case).encode()).hexdigest())
-    if _KEPT and path.exists():
-        return pickle.loads(path.read_bytes())
-    answer = call()
-    if _KEPT:
-        path.write_bytes(pickle.dumps(answer))
-    return answer
 
 
 @cache
 def difference_of_devices(call, scene, other_device):
     """What differs in a bit between this device and the other one."""
-    here = kept((call, scene), lambda: asked(call, scene))
+    here = kept_outputs((call, scene), lambda: asked(call, scene))
     with other_device():
         return different(asked(call, scene), here)
 
@@ -409,7 +396,7 @@ def test_threads_and_graphs_and_arrays_of_warp_change_no_bit_of_pairs(kind, opti
 def difference_of_pairs(kind, options, precision, other_device):
     """What differs in a bit between this device and the other one."""
     name, *points = points_of(kind, 16)
-    here = kept((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
+    here = kept_outputs((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
     with other_device():
         return different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here)
 

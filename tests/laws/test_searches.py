@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 
 import ccd_warp as ccd
+from laws.asked import SEEDS, kinds_of, scene_of
 from laws.calls import OF_SEARCH
+from laws.outputs import rows_of
 from laws.scenes import drawn
-from laws.test_truth import SEEDS, kinds_of, scene_of
 from laws.truth import candidates, displacement_bounds, intersections, plane_value, proximities
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
-
-
-def rows_of(found):
-    """What was found, as (kind, first, second) in order."""
-    return [(k, *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
 
 
 def features_of(found, row):

@@ -57,6 +57,10 @@ PLANTED = [
           "least(two, crossing * round_down)", "least(two, crossing * round_up)", (_COUNTED,)),
     Fault("the bound of a side in the cull below what it loses", "kernels/search/cull.py",
           "bound = _SIDES * dot(m, size)", "bound = _QUARTER * _SIDES * dot(m, size)", (_COUNTED,)),
+    # --- worlds of a motion ---
+    Fault("bodies of slices as if half-spaces were last in the mesh", "ccd_warp/_rigid/motion_worlds.py",
+          "bodies[rows][:, copied]", "bodies[rows][:, : len(copied)]",
+          ("laws/test_bodies_that_turn.py::test_contacts_of_a_step",)),
     # --- pairs on arcs ---
     Fault("the slack of a vertex on an arc below what places lose", "kernels/rigid/place_bodies.py",
           "return _PLACE_POSITION * far + _PLACE *", "return _NO_TURN * _PLACE_POSITION * far + _NO_TURN * _PLACE *",

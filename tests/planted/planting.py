@@ -55,28 +55,32 @@ class Copy:
         """Where a file of the project lies in the copy."""
         return self.folder / "package" / (file if file.startswith("ccd_warp/") else f"ccd_warp/{file}")
 
-    def failing_test(self, tests: list[str], most_seconds: float | None = None) -> str | None:
-        """The first of the tests that fails, or how the process ended; None also of tests that are not done in time."""
+    def failing_test(self, tests: list[str], marks: str = "not long", most_seconds: float | None = None) -> str | None:
+        """The first of the tests that fails, or how the process ended; None if they pass.
+
+        Raises:
+            subprocess.TimeoutExpired: If they are not done in time; what they have started is ended, too.
+            RuntimeError: If they could not be run.
+        """
         environment = {**os.environ, "PYTHONPATH": str(self.folder / "package")}
         # with the seed Warp writes the functions of a module in one order, and few modules are compiled again
         environment |= {"CCD_WARP_KEPT_ANSWERS": str(self.folder / "answers"), "PYTHONHASHSEED": "0"}
         if self.is_planted:  # no later process may find what it has compiled
             environment["PYTHONDONTWRITEBYTECODE"] = "1"
         command = [sys.executable, "-P", "-m", "pytest", "-x", "-q", "-rfE", "--tb=line", "-p", "no:cacheprovider"]
-        command += ["-m", "not long"]  # the tests of every run have to find it
+        command += ["-m", marks]  # the tests of every run have to find it
         command += [str(self.folder / "tests" / test) for test in tests]
-        try:
-            result = subprocess.run(
-                command, cwd=self.folder, env=environment, capture_output=True, text=True, timeout=most_seconds
-            )
-        except subprocess.TimeoutExpired:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True, "errors": "replace"}
+        with subprocess.Popen(command, cwd=self.folder, env=environment, start_new_session=True, **streams) as process:
+            try:
+                output, _ = process.communicate(timeout=most_seconds)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                raise
+        if process.returncode == 0:
             return None
-        if result.returncode == 0:
-            return None
-        if result.returncode == 1 and (
-            found := re.search(r"^(?:FAILED|ERROR) \S*?(test_\w+\.py\S.*)$", result.stdout, re.M)
-        ):
+        if process.returncode == 1 and (found := re.search(r"^(?:FAILED|ERROR) \S*?(test_\w+\.py\b.*)$", output, re.M)):
             return found[1]
-        if -result.returncode in _CRASHES:
-            return f"signal {-result.returncode}"
-        raise RuntimeError(f"pytest ended with {result.returncode}:\n{result.stdout[-3000:]}{result.stderr[-3000:]}")
+        if -process.returncode in _CRASHES:
+            return f"signal {-process.returncode}"
+        raise RuntimeError(f"pytest ended with {process.returncode}:\n{output[-5000:]}")

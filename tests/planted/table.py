@@ -1,10 +1,14 @@
 """The planted faults as a table of Markdown: what is planted where, and the tests that have to find it."""
 
-from planted import of_gpu, of_host
+from planted import of_each_file, of_gpu, of_host
 from planted.planting import Fault
 
-PLANTED = [*of_gpu.PLANTED, *of_host.PLANTED]
-_PARTS = {"as GPU code has them": of_gpu.PLANTED, "on the CPU and on the host": of_host.PLANTED}
+_PARTS = {
+    "as GPU code has them": of_gpu.PLANTED,
+    "on the CPU and on the host": of_host.PLANTED,
+    "for which a single file of tests is there": of_each_file.PLANTED,
+}
+PLANTED = [fault for faults in _PARTS.values() for fault in faults]
 
 
 def tests_of(fault: Fault) -> list[str]:

@@ -6,18 +6,11 @@ import pytest
 
 from ccd_warp._runtime import lanes
 
+WIDE = [({"AVX", "AVX2", "AVX512F"}, 8), ({"X86_V2", "X86_V3", "X86_V4"}, 8), ({"AVX", "AVX2"}, 4)]
+NARROW = [({"AVX"}, 1), ({"NEON", "ASIMD"}, 1), (set(), 1)]
 
-@pytest.mark.parametrize(
-    ("features", "width"),
-    [
-        ({"AVX", "AVX2", "AVX512F"}, 8),
-        ({"X86_V2", "X86_V3", "X86_V4"}, 8),
-        ({"AVX", "AVX2"}, 4),
-        ({"AVX"}, 1),
-        ({"NEON", "ASIMD"}, 1),
-        (set(), 1),
-    ],
-)
+
+@pytest.mark.parametrize(("features", "width"), WIDE + NARROW)
 def test_width_by_processor(features, width, monkeypatch):
     monkeypatch.setattr(lanes, "cpu_features", lambda: features)
     monkeypatch.setattr(lanes, "cpu_lanes", lanes.cpu_lanes.__wrapped__)

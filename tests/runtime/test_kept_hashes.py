@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes import rest_order
+from programs import begun
 
 import ccd_warp as ccd
 from ccd_warp import kernels
@@ -20,6 +21,8 @@ from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.target import set_flags
 
+MODULE = rest_order.fill_centres.module
+
 
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
@@ -29,7 +32,15 @@ def cache(tmp_path, monkeypatch):
     return tmp_path
 
 
-def _is_recalled(module):
+def _kept(module=MODULE):
+    """The hash of a module, which is computed anew, and kept; an earlier test may have recalled it."""
+    module.mark_modified()
+    module_hash = module.get_module_hash(1)
+    keep_in_cache(module, 1)
+    return module_hash
+
+
+def _is_recalled(module=MODULE):
     module.mark_modified()
     recall_from_cache(module, 1)
     return 1 in module.hashers
@@ -55,53 +66,42 @@ def test_hashes_that_are_kept_are_those_that_warp_computes(cache):
 
 
 def test_hashes_are_kept_for_options_and_of_files_of_this_package_alone(cache):
-    module = rest_order.fill_centres.module
-    module.get_module_hash(1)
-    keep_in_cache(module, 1)
-    assert _is_recalled(module)
-    set_flags(module, wp.get_device("cpu"))
-    module.options["cpu_compiler_flags"] += " -g"
-    assert not _is_recalled(module)
+    _kept()
+    assert _is_recalled()
+    set_flags(MODULE, wp.get_device("cpu"))
+    MODULE.options["cpu_compiler_flags"] += " -g"
+    assert not _is_recalled()
 
     @wp.kernel(module="unique")
     def of_user(x: wp.array[int]):
         x[wp.tid()] = 1
 
-    of_user.module.get_module_hash(1)
-    keep_in_cache(of_user.module, 1)
+    _kept(of_user.module)
     assert not _is_recalled(of_user.module)
 
 
-@pytest.mark.parametrize(
-    "damaged", [b"", bytes(100), b'{"sources": ', b"[1]", b'{"sources": "of others", "hashes": {}}']
-)
+DAMAGED = [b"", bytes(100), b'{"sources": ', b"[1]", b'{"sources": "of others", "hashes": {}}']
+
+
+@pytest.mark.parametrize("damaged", DAMAGED)
 def test_a_damaged_hash_is_as_if_it_were_not_there(cache, damaged):
-    module = rest_order.fill_centres.module
-    module.mark_modified()
-    module.get_module_hash(1)
-    keep_in_cache(module, 1)
+    _kept()
     (path,) = cache.glob("wp_ccd_warp.hashes/*")
     path.write_bytes(damaged)
-    assert not _is_recalled(module)
+    assert not _is_recalled()
 
 
 def test_a_cache_that_cannot_be_written_keeps_none(cache, monkeypatch):
     (cache / "file").touch()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(cache / "file"))
-    module = rest_order.fill_centres.module
-    module.mark_modified()
-    module.get_module_hash(1)
-    keep_in_cache(module, 1)
-    assert not _is_recalled(module)
+    _kept()
+    assert not _is_recalled()
 
 
 def test_what_is_compiled_is_named_by_warp_whatever_was_kept(cache, monkeypatch):
-    kernel = rest_order.fill_centres
-    module, device = kernel.module, wp.get_device("cpu")
-    module.mark_modified()  # an earlier test may have recalled its hash
+    kernel, module, device = rest_order.fill_centres, MODULE, wp.get_device("cpu")
     set_flags(module, device)
-    right = module.get_module_hash(1)
-    keep_in_cache(module, 1)
+    right = _kept()
     (path,) = cache.glob("wp_ccd_warp.hashes/*")
     path.write_text(path.read_text().replace(right.hex(), "0" * 64))
     assert _is_recalled(module) and module.get_module_hash(1) == bytes(32)
@@ -205,10 +205,6 @@ print(0 < before < len(later._functions))
 """
 
 
-def test_a_first_call_reads_no_function_where_all_is_compiled():
-    tests = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-P", "-c", OF_FIRST_CALL]
-    environment = {**os.environ, "PYTHONPATH": path}
-    outputs = [subprocess.run(command, env=environment, capture_output=True, text=True) for _ in range(2)]
-    assert outputs[1].stdout.split()[-1:] == ["True"], outputs[1].stderr
+def test_a_first_call_reads_no_function_where_all_is_compiled(tmp_path):
+    _, (_, shown, error) = (begun(tmp_path, "-P", "-c", OF_FIRST_CALL) for _ in range(2))
+    assert shown.split()[-1:] == ["True"], error

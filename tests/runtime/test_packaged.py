@@ -1,11 +1,8 @@
 """Kernels that come with the package: loaded without a compiler or a cache; compiled where they are no good."""
 
 import json
-import os
 import shutil
-import subprocess
-import sys
-import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +11,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.kept_code import codes
 from ccd_warp.kernels.later import sources
+from programs import begun
 from shared_objects import SharedObjects
 from warp._src import build
 
@@ -77,11 +75,10 @@ def _load_anew():
     return any(Path(wp.config.kernel_cache_dir).iterdir())
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_kernel_of_the_package_is_loaded_from_there_and_nothing_is_written(package):
     files = {path: path.stat() for path in package.iterdir()}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert not _load_anew()
+    assert not _load_anew()
     assert files == {path: path.stat() for path in package.iterdir()}
 
 
@@ -124,14 +121,13 @@ def _half_an_index(package):
     return "this installation holds none"
 
 
+@pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("change", [_of_other_warp, _half_an_index])
 def test_a_package_that_does_not_fit_is_as_if_it_were_not_there(package, change):
     assert packaged.why_none(wp.get_device("cpu")) == "" and packaged.has_any()
     reason = change(package)
     packaged._index.cache_clear()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert _load_anew()
+    assert _load_anew()
     assert packaged.why_none(wp.get_device("cpu")).startswith(reason) and not packaged.has_any()
 
 
@@ -202,19 +198,17 @@ def test_two_processes_at_once_need_neither_a_compiler_nor_a_cache(folder, tmp_p
     every = every_module(cpu_lanes())
     _fill({name: every[name] for name in needed(every, {"mesh_ccd"})})
     (tmp_path / "file").touch()
-    tests = str(Path(__file__).resolve().parents[1])
-    path = os.pathsep.join([tests, f"{tests}/helpers", os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "PYTHONPATH": path, "WARP_CACHE_PATH": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
-    command = [sys.executable, "-P", "-c", OF_PROCESS]
+    variables = {"WARP_CACHE_PATH": str(tmp_path / "file"), "TMPDIR": str(tmp_path)}
 
-    def begin(objects):
-        return subprocess.Popen([*command, objects], env=environment, stdout=-1, stderr=-1, text=True)
+    def shown_with(objects):
+        return begun(tmp_path, "-P", "-c", OF_PROCESS, objects, **variables)[1:]
 
-    both = [process.communicate() for process in [begin(folder), begin(folder)]]
+    with ThreadPoolExecutor(2) as threads:
+        both = [*threads.map(shown_with, [folder, folder])]
     expected = ccd.mesh_ccd(*_scene()).vertex_toi.tobytes().hex()
     assert [out.split()[-1:] for out, _ in both] == [[expected]] * 2, both[0][1]
     assert not list(tmp_path.glob("ccd_warp_*")), "the cache in place of that which cannot be is gone at the end"
-    assert f"cannot be written in {tmp_path}/file" in begin(tmp_path).communicate()[1]
+    assert f"cannot be written in {tmp_path}/file" in shown_with(tmp_path)[1]
 
 
 def _planar():
@@ -233,10 +227,6 @@ def _ground(mesh, start, end):
     plane = ccd.HalfSpace([0, 0, -0.1], [0, 0, 1.0])
     mesh = ccd.CollisionMesh.from_arrays([(start[:25], mesh.faces[:32]), plane])
     return ccd.mesh_ccd(mesh, mesh.vertices, end[:25])
-
-
-def _excluded(mesh, start, end):
-    return ccd.mesh_ccd(mesh.excluding({"bodies": [[0, 1]]}), start, end)
 
 
 def _turn(mesh, start, end):
@@ -258,7 +248,7 @@ OF_WORDS = {
     "2d,launch": lambda *_: _launch(*_planar()),
     "hash": lambda *scene: ccd.mesh_ccd(*scene, broad_phase="hash"),
     "half_spaces": _ground,
-    "excluded_pairs": _excluded,
+    "excluded_pairs": lambda mesh, *ends: ccd.mesh_ccd(mesh.excluding({"bodies": [[0, 1]]}), *ends),
     "find_candidates": ccd.find_candidates,
     "find_proximity": lambda mesh, start, end: ccd.find_proximity(mesh, start, 2.0),
     "find_intersections": lambda mesh, start, end: ccd.find_intersections(mesh, start * [1, 1, 0.0]),
@@ -313,13 +303,17 @@ print(json.dumps({name: module.get_module_hash(1).hex() for name, module in modu
 """
 
 
-def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_before():
-    hashes = []
-    for order in ("forwards", "backwards"):
-        command = [sys.executable, "-P", "-c", HASHES, str(cpu_lanes()), order]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        hashes.append(json.loads(done.stdout.splitlines()[-1]))
+def _hashes(folder, program, *arguments):
+    """What a program prints in its last line."""
+    status, shown, error = begun(folder, "-P", "-c", program, *arguments)
+    assert status == 0, error
+    return json.loads(shown.splitlines()[-1])
+
+
+def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_before_and_calls_ask_for_it(tmp_path):
+    hashes = [_hashes(tmp_path, HASHES, cpu_lanes(), order) for order in ("forwards", "backwards")]
     assert hashes[0] == hashes[1] and len(hashes[0]) > 50
+    assert set(_hashes(tmp_path, AS_CALLS_ASK)) <= set(hashes[0].values())
 
 
 AS_CALLS_ASK = """
@@ -341,12 +335,3 @@ for kernel in kernels:
     set_flags(kernel.module, cpu)
 print(json.dumps([kernel.module.get_module_hash(1).hex() for kernel in kernels]))
 """
-
-
-def test_what_calls_ask_for_is_what_the_package_has():
-    outputs = []
-    for command in ([AS_CALLS_ASK], [HASHES, str(cpu_lanes()), "forwards"]):
-        done = subprocess.run([sys.executable, "-P", "-c", *command], capture_output=True, text=True, check=True)
-        outputs.append(json.loads(done.stdout.splitlines()[-1]))
-    wanted, packaged = outputs
-    assert set(wanted) <= set(packaged.values())

@@ -2,12 +2,12 @@
 
 import os
 import re
-import subprocess
 import sys
 
 import numpy as np
 import pytest
 import warp as wp
+from programs import begun
 
 import ccd_warp as ccd
 from ccd_warp._runtime import quiet
@@ -50,16 +50,16 @@ print(wp.get_module("own")._get_compile_output_name(wp.get_device("cpu")))
 def test_a_script_prints_what_it_prints_and_what_its_user_has_asked_for(tmp_path, code, shown):
     script = tmp_path / "script.py"  # a file, because Warp reads the source of kernels
     script.write_text(code, encoding="utf-8")
-    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0 and re.fullmatch(shown, done.stdout, re.DOTALL), done
-    shown = [line for line in done.stderr.splitlines() if not line.startswith("ccd_warp: compiling kernels")]
+    status, out, error = begun(tmp_path, script)
+    assert status == 0 and re.fullmatch(shown, out, re.DOTALL), (out, error)
+    shown = [line for line in error.splitlines() if not line.startswith("ccd_warp: compiling kernels")]
     assert shown == [] or "warp.init()" in code or "LOG_DEBUG" in code
 
 
-def test_threads_that_compile_first_do_not_ask_warp_for_the_version_of_its_compiler_at_once():
+def test_threads_that_compile_first_do_not_ask_warp_for_the_version_of_its_compiler_at_once(tmp_path):
     """Warp 1.19 writes it into one buffer: a thread may read an empty text, and name its object without it."""
-    done = subprocess.run([sys.executable, "-c", FIRST_NAME], capture_output=True, text=True, check=True)
-    assert re.search(r"\.cpu[0-9a-f]{8}\.o$", done.stdout.strip()), done.stdout
+    status, shown, error = begun(tmp_path, "-c", FIRST_NAME)
+    assert status == 0 and re.search(r"\.cpu[0-9a-f]{8}\.o$", shown.strip()), (shown, error)
 
 
 def test_a_gpu_that_is_not_there_is_refused_without_a_line_of_warp(capfd):

@@ -1,10 +1,8 @@
 """What the set-up of the tests promises of a run: what hangs or dies is named, the others run, Ctrl-C is one."""
 
-import os
 import signal
-import subprocess
-import sys
-from pathlib import Path
+
+from programs import begun
 
 TESTS = """
 import os, signal, time
@@ -27,14 +25,8 @@ def test_runs_on_the_device():
 
 
 def _run(folder, *options, **environment):
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), *sys.path]),
-        **environment,
-    }
-    command = [sys.executable, "-m", "pytest", "test_it.py", "-p", "conftest", "--device", "cpu", *options]
     (folder / "test_it.py").write_text(TESTS)
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=300)
+    return begun(folder, *"-m pytest test_it.py -p conftest --device cpu".split(), *options, **environment)
 
 
 def test_what_dies_or_hangs_is_named_and_the_others_run(tmp_path):
@@ -42,17 +34,17 @@ def test_what_dies_or_hangs_is_named_and_the_others_run(tmp_path):
     options = ["-n", "1", "-o", "faulthandler_timeout=3", "-o", "faulthandler_exit_on_timeout=true"]
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
-        done = _run(tmp_path, *options, "--junitxml=it.xml")
+        status, shown, error = _run(tmp_path, *options, "--junitxml=it.xml")
     finally:
         signal.signal(signal.SIGINT, before)
-    assert done.returncode == 1 and "2 failed, 2 passed" in done.stdout, done.stdout + done.stderr
+    assert status == 1 and "2 failed, 2 passed" in shown, shown + error
     for name in ("test_dies", "test_hangs"):
-        assert f"crashed while running 'test_it.py::{name}'" in done.stdout
+        assert f"crashed while running 'test_it.py::{name}'" in shown
         assert f'name="{name}"' in (tmp_path / "it.xml").read_text()
 
 
 def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path):
     """As where HOME cannot be written, and WARP_CACHE_PATH names no other place."""
-    done = _run(tmp_path, WARP_CACHE_PATH=str(tmp_path / "test_it.py" / "cache"))
-    assert done.returncode == 4 and "INTERNALERROR" not in done.stdout + done.stderr
-    assert "ERROR: Warp's kernel cache cannot be written in" in done.stderr and "WARP_CACHE_PATH" in done.stderr
+    status, shown, error = _run(tmp_path, WARP_CACHE_PATH=str(tmp_path / "test_it.py" / "cache"))
+    assert status == 4 and "INTERNALERROR" not in shown + error
+    assert "ERROR: Warp's kernel cache cannot be written in" in error and "WARP_CACHE_PATH" in error

@@ -11,6 +11,7 @@ from ccd_warp._results.pairs import pair_corners
 from ccd_warp._runtime.display import shortened
 from ccd_warp._scene.input.mesh_checks import vertices_without_primitive
 from ccd_warp._scene.input.names import body_label
+from ccd_warp._scene.replicate import bodies_of_copies
 from ccd_warp.kernels.pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
 from ccd_warp.kernels.pair.start_gap import LEAST_TOLERANCE
 
@@ -71,7 +72,9 @@ class Farthest(NamedTuple):
     def described(self, mesh: "CollisionMesh") -> str:
         """Which vertex is how far from the others, and when."""
         when = "end" if self.is_end else "start"
-        return f"vertex {self.vertex}{mesh._where(self.vertex)} is {self.length:.3g} from the others at the {when}"
+        mesh = mesh._as_given
+        vertex = self.vertex % mesh.num_vertices
+        return f"vertex {vertex}{mesh._where(vertex)} is {self.length:.3g} from the others at the {when}"
 
 
 class DistanceInEdges(NamedTuple):
@@ -225,17 +228,21 @@ def _doubled_sentence(mesh: "CollisionMesh", start: NDArray[np.float64]) -> str:
 def _most_common_bodies(mesh: "CollisionMesh", keys: "Mapping[PairKind, wp.array]") -> str:
     """Words on the two bodies, or the one, to which the most pairs of a sample belong; none below a tenth of them."""
     total = sum(map(len, keys.values()))
+    of_caller, given = mesh._as_given, np.arange(mesh.num_bodies)
+    if of_caller is not mesh:
+        given = bodies_of_copies(of_caller, mesh.num_worlds // of_caller.num_worlds)
+    names = of_caller.names
     sample = []
     for kind, of_kind in keys.items():
         most = max(1, _MOST_SAMPLED * len(of_kind) // total)
         sampled = of_kind[:: max(1, -(-len(of_kind) // most))].numpy()
         pairs = np.stack([sampled >> 32, sampled & 0xFFFFFFFF], axis=1).astype(np.int32)
-        bodies = [mesh.vertex_body[corners[:, 0]] for corners in pair_corners(mesh, kind, pairs)]
+        bodies = [given[mesh.vertex_body[corners[:, 0]]] for corners in pair_corners(mesh, kind, pairs)]
         sample.append(np.sort(np.stack(bodies, axis=1), axis=1))
     pairs, counts = np.unique(np.concatenate(sample), axis=0, return_counts=True)
     share = counts.max() / counts.sum()
     if share < _LEAST_SHARE:
         return ""
     a, b = pairs[np.argmax(counts)].tolist()
-    names = f"{shortened(mesh.names[a])} and {'itself' if a == b else shortened(mesh.names[b])}"
-    return f"; they are most often of {names} ({100 * share:.0f} % of a sample)"
+    pair = f"{shortened(names[a])} and {'itself' if a == b else shortened(names[b])}"
+    return f"; they are most often of {pair} ({100 * share:.0f} % of a sample)"

@@ -52,7 +52,13 @@ class Workspace:
         self._active: wp.array | None = None
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
-        self._said: set[object] = set() if beside is None else beside._said
+        self._said: set[object] = set()
+        self.warn_beside(beside)
+
+    def warn_beside(self, other: "Workspace | None") -> None:
+        """Warn from now on of what another has not warned of, which then does not, either."""
+        if other is not None:
+            self._said = other._said
 
     def warn_once(self, what: object, message: Callable[[], str]) -> None:
         """Warn of something, with a message made only then, unless a step of this mesh has warned of it before.
