@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import FACE, TRIANGLE
+from scenes import FACE, TRIANGLE, two_of_every_kind
 
 import ccd_warp as ccd
 
@@ -12,11 +12,7 @@ DISTANCE = 0.1
 @pytest.fixture(scope="module")
 def step():
     """Two bodies, the upper one (1) comes within the distance of the lower one (0), and that of the ground (2)."""
-    lower = [*TRIANGLE, [-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
-    upper = np.multiply(lower, [0.98, 1.04, 1.0]) + [0.02, 0.01, 0.5]
-    upper += 0.02 * np.random.default_rng(0).random(upper.shape)
-    bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), ccd.HalfSpace([0, 0, -0.35], [0, 0, 2.0])]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, self_collision=False)
+    mesh = two_of_every_kind(ccd.HalfSpace([0, 0, -0.35], [0, 0, 2.0]))
     end = mesh.vertices - np.where(mesh.vertex_body == 1, 0.75, 0.3)[:, None] * [0, 0, 1]
     contacts = ccd.mesh_ccd(mesh, mesh.vertices, end, minimum_distance=DISTANCE).contacts
     at_toi = [(1 - contact.toi) * mesh.vertices + contact.toi * end for contact in contacts]

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
-from scenes import FACE, TRIANGLE
+from laws.calls import EVERY_PER
+from scenes import FACE, TETRAHEDRON, TRIANGLE
 
 import ccd_warp as ccd
 
 FALL = np.array([[0.0, 0, 0]] * 3 + [[0.0, 0, 1]] * 3)
-PER = ("scene", "world", "body", "vertex")
 
 
 @pytest.fixture(scope="module")
@@ -61,8 +61,7 @@ def library(request, device):
 def thrown():
     """Tetrahedra that are thrown into each other and deform: a pipeline, and both ends."""
     rng = np.random.default_rng(1)
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    corners, faces = TETRAHEDRON
     places = 1.5 * rng.standard_normal((5, 3))
     bodies = [(corners + 0.2 * rng.standard_normal((4, 3)) + place, faces) for place in places]
     mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False)
@@ -83,7 +82,7 @@ def test_results_are_those_of_launches_and_pass_the_check_of_gradients(library):
     ends, on_device = [make(x) for x in given], [wp.array(x) for x in given]
     result = pipeline.launch(*on_device).to_host()
     tois = {"scene": result.toi, "world": [result.toi], "body": result.body_toi, "vertex": result.vertex_toi}
-    for per in PER:
+    for per in EVERY_PER:
         found = numbers(ours.toi(pipeline, *ends, per=per))
         np.testing.assert_array_equal(found, tois[per])
         np.testing.assert_array_equal(numbers(ours.toi_is_regular(pipeline, *ends, per=per)), np.isfinite(found))
@@ -155,8 +154,7 @@ PIVOTS = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 0.1]])
 def turning():
     """A pipeline of two tetrahedra; by world their poses at both ends, of quaternions of any length, and twists."""
     rng = np.random.default_rng(0)
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]]) - 0.25
-    body = corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
+    body = TETRAHEDRON[0] - 0.25, TETRAHEDRON[1]
     mesh = ccd.CollisionMesh.from_arrays([body, body], rigid=[0, 1])
     start, end, twist = (rng.normal(size=(5, 2, count)) for count in (7, 7, 6))
     start[..., :3], end[..., :3] = [[0.0, 0, 0], [3, 0, 0]], [[0.0, 0, 0.1], [0.3, 0.2, 0.1]]

@@ -4,8 +4,9 @@ import pickle
 
 import numpy as np
 import pytest
-from exact import rows
 from expected_warnings import OF_ROUNDING
+from laws.calls import EVERY_PER
+from laws.outputs import tois_of
 from laws.truth import Pairs, plane_value
 from rounding_samples import exactly, rational
 from scenes import FACE, NO_FACES, TRIANGLE, sheet
@@ -58,7 +59,7 @@ def check(mesh, start, end, distance=0.0, is_euclidean=False):
     """Each vertex meets each plane in time, and where its gap says; returns how many do."""
     options = {"minimum_distance": distance} if is_euclidean else {"minimum_separation": distance, "length_scale": 1.0}
     contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
-    found = dict(zip(rows(contacts), zip(contacts.toi.tolist(), contacts.gap.tolist(), strict=True), strict=True))
+    found = dict(zip(tois_of(contacts), zip(contacts.toi.tolist(), contacts.gap.tolist(), strict=True), strict=True))
     normals, f, g = exactly(mesh.planes.normals), values(mesh, start), values(mesh, end)
 
     def excess(value, reach, normal):
@@ -176,7 +177,7 @@ def test_a_floor_that_rises_meets_what_is_at_rest_in_each_world_its_own():
     assert ccd.mesh_ccd(worlds, *frames).world_toi.tolist() == pytest.approx([np.inf, 0.5, 0.25], abs=1e-15)
 
 
-@pytest.mark.parametrize("per", ["scene", "world", "body", "vertex"])
+@pytest.mark.parametrize("per", EVERY_PER)
 def test_a_piston_strikes_what_cannot_get_out_of_its_way(per):
     mesh, start = lift()
     mesh = mesh.excluding({"vertex_plane": [(3, 1)]})

@@ -5,12 +5,11 @@ import warnings
 import numpy as np
 import pytest
 import warp as wp
-from scenes import FACE, TRIANGLE, falling
+from laws.calls import EVERY_PER
+from scenes import FACE, TRIANGLE, falling, two_of_every_kind
 from toi_scenes import array, taped
 
 import ccd_warp as ccd
-
-PER = ("scene", "world", "body", "vertex")
 
 
 def pipeline_of(mesh, **options):
@@ -56,13 +55,8 @@ def searched(pipeline, given, weights, **search):
 
 def scene(**options):
     """All kinds of pairs: two bodies, one of which falls on the other and on two half-spaces, one of them moving."""
-    cables = [[-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
-    lower = np.array([*TRIANGLE, *cables])
-    upper = lower * [0.98, 1.04, 1.0] + [0.02, 0.01, 0.5] + 0.02 * np.random.default_rng(0).random(lower.shape)
     planes = [ccd.HalfSpace([0, 0, -0.35], [0.1, 0.2, 2.0]), ccd.HalfSpace([0, 0, -0.5], [0, 0.1, 1.0])]
-    bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), *planes]
-    options = {"codimensional_points": True, "self_collision": False, "kinematic": [3]} | options
-    mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
+    mesh = two_of_every_kind(*planes, **{"kinematic": [3]} | options)
     fall, amount = (np.array(x)[mesh.vertex_body, None] for x in ([0.3, 0.75, 0.0, -0.1], [0.05, 0.05, 0, 0]))
     noise = np.random.default_rng(2).standard_normal(mesh.vertices.shape)
     return mesh, mesh.vertices.copy(), mesh.vertices - fall * [0, 0, 1] + amount * noise
@@ -103,7 +97,7 @@ def test_gradients_follow_the_form_of_the_input(dtype, form):
         np.testing.assert_allclose(x, y, rtol=tolerance, atol=tolerance)
 
 
-@pytest.mark.parametrize("per", PER)
+@pytest.mark.parametrize("per", EVERY_PER)
 def test_line_searches_change_as_their_gradients_say(per):
     """Differences of the shortened positions themselves, by both ends and radii, of what is regular."""
     mesh, *ends = scene(radius=np.linspace(0.0, 0.02, 17))

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from exact import exact_tois, rows
+from exact import exact_tois
+from laws.outputs import tois_of
 from published import requires_data, simulation_boxes, simulation_queries, simulation_step
 from scenes import FACE, NO_FACES, TRIANGLE, crowd, crowd_in_plane, sheet_over_floor, stacked
 
@@ -70,7 +71,7 @@ def test_published_step(scene):
         earliest = min(earliest, *(e.approx for e in exact))
     for precision, tolerance in (("float64", 1e-9), ("float32", 1e-2)):
         result = ccd.mesh_ccd(mesh, step.vertices_t0, step.vertices_t1, precision=precision)
-        assert {k for k, *_ in touching} == {0, 1} and touching <= rows(result.contacts).keys()
+        assert {k for k, *_ in touching} == {0, 1} and touching <= tois_of(result.contacts).keys()
         assert earliest - tolerance <= result.toi <= earliest
 
 
@@ -111,7 +112,7 @@ def test_bisection_is_early_by_its_tolerance_and_earlier_where_it_is_cut_short()
     assert len(whole.contacts) > 20 and whole.contacts.toi.tobytes() != clipped.contacts.toi.tobytes()
     assert whole.toi == pytest.approx(clipped.toi, abs=1e-2)  # at the speeds of the scene, about one
     assert (cut.contacts.status == ccd.CCDStatus.ITERATION_LIMIT).any()
-    early, late = rows(cut.contacts), rows(whole.contacts)
+    early, late = tois_of(cut.contacts), tois_of(whole.contacts)
     assert early.keys() >= late.keys() and sum(early[key] for key in late) < sum(late.values())
 
 

@@ -18,8 +18,8 @@ from ccd_warp._runtime.display import point_text
 
 PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, distributed) for name in part.__all__]
 INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
-CALLS = [each for each in PUBLIC if inspect.isfunction(each)]
-CALLS += [
+FUNCTIONS = [each for each in PUBLIC if inspect.isfunction(each)]
+FUNCTIONS += [
     each
     for of in filter(inspect.isclass, PUBLIC)
     for name, each in inspect.getmembers(of, lambda each: inspect.isfunction(each) or inspect.ismethod(each))
@@ -34,7 +34,7 @@ def described(documented: object, section: str) -> list[str]:
 
 
 def test_every_argument_of_a_call_and_every_field_of_a_result_is_described_once():
-    for call in CALLS:
+    for call in FUNCTIONS:
         names = [name for name in inspect.signature(call).parameters if name != "self"]
         assert described(call, "Args") == names, call
     for table in filter(is_dataclass, PUBLIC):
@@ -54,7 +54,7 @@ def test_a_method_of_a_pipeline_says_what_its_function_says():
 
 
 def test_help_of_every_call_fits_on_a_screen_or_two():
-    calls = list(CALLS)
+    calls = list(FUNCTIONS)
     for of in filter(inspect.isclass, PUBLIC):
         calls += [each for _, each in inspect.getmembers(of, lambda each: isinstance(each, property))]
     assert len(calls) > 100

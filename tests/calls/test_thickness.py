@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.thickness import add_rounded_up
-from exact import exact_tois, rows
+from exact import exact_contacts
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
-from laws.truth import NAMES, Pairs
+from laws.outputs import tois_of
+from laws.truth import Pairs
 from scenes import FACE, NO_FACES, TRIANGLE, crowd_of_all_kinds
 
 import ccd_warp as ccd
@@ -98,15 +99,14 @@ def test_boxes_that_touch_overlap_though_they_grow_by_a_radius_and_an_inflation_
 def test_tiny_and_huge_radii_are_never_late_and_nothing_is_said_of_overflow(largest, precision):
     radius = largest * np.random.default_rng(0).integers(0, 2, 3 * 18)
     mesh, start, end = crowd_of_all_kinds(np.random.default_rng(98), count=2, radius=radius)
-    found, pairs = rows(ccd.mesh_ccd(mesh, start, end, precision=precision).contacts), Pairs(mesh)
-    for kind, of_kind in enumerate(pairs.of_kinds):
+    found, pairs = tois_of(ccd.mesh_ccd(mesh, start, end, precision=precision).contacts), Pairs(mesh)
+    if largest < 1:
+        assert not any(time.late(found[key]) for key, time in exact_contacts(mesh, start, end).items())
+        return
+    for kind, of_kind in enumerate(pairs.of_kinds):  # all that are thick are in contact
         with np.errstate(over="ignore"):
-            corners, distances = pairs.corners(kind, of_kind), pairs.radii(kind, of_kind)
-        if largest > 1:  # all that are thick are in contact
-            assert all(found[kind, *pair] == 0.0 for pair in of_kind[distances > 0].tolist())
-        else:
-            times = exact_tois(NAMES[kind], start[corners], end[corners]) if len(corners) else []
-            assert not any(t.hit and t.late(found[kind, *p]) for p, t in zip(of_kind.tolist(), times, strict=True))
+            is_thick = pairs.radii(kind, of_kind) > 0
+        assert all(found[kind, *pair] == 0.0 for pair in of_kind[is_thick].tolist())
 
 
 def test_radius_counts_where_a_difference_of_coordinates_is_beyond_the_largest_number():

@@ -4,14 +4,14 @@ import pickle
 
 import numpy as np
 import pytest
+from scenes import TETRAHEDRON
 
 import ccd_warp as ccd
 from ccd_warp._gradients import toi_slopes
 from ccd_warp._rigid import motion_worlds
 from ccd_warp._rigid.turn_gradient import _inverse_jacobian, _jacobian
 
-CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
-FACES = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
+CORNERS, FACES = TETRAHEDRON
 PIVOT = [[0.1, 0.2, 0], [0, 0.3, -0.1], [0, 0, 0]]
 
 

@@ -3,16 +3,12 @@
 import time
 
 import numpy as np
-from laws.calls import EVERY_PER
+from laws.calls import SCALARS, on_host
 from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
 from ccd_warp.distributed import DistributedMesh
 
-SCALARS = ["collision_free_step", "is_step_collision_free"]
-SEARCHES = [f"line_search {per}" for per in EVERY_PER]
-OF_STARTS = ["find_proximity", "displacement_bounds", "find_intersections"]
-CALLS = ["mesh_ccd", "find_candidates", *OF_STARTS, *SCALARS, *SEARCHES]
 # Of each result: what each rank has of its own vertices, what all have, and the lists of which each has some rows.
 _LOCAL = {"mesh_ccd": ["vertex_toi"], "line_search": ["vertices", "vertex_fraction"]}
 _SAME = {"mesh_ccd": ["toi", "body_toi", "world_toi"], "line_search": ["fraction", "num_rounds", "is_limited"]}
@@ -113,16 +109,10 @@ def wait_for_all(comm):
 
 def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
     """Make one call on all ranks and in one process, and compare every bit."""
-    name, _, per = call.partition(" ")
-    share = {"find_proximity": 0.05, "displacement_bounds": 0.1, "find_candidates": 0.01}.get(name)
-    given = ({"per": per} if per else {}) | ({} if motion is None else {"motion": motion})
-
-    def made(of, *positions):
-        more = () if share is None else (share * cut.mesh.length_scale,)
-        return getattr(of, name)(*positions[: 1 if name in OF_STARTS else 2], *more, **given)
-
-    found, is_root = made(pipeline, cut.local(start), cut.local(end)), comm.Get_rank() == 0
-    expected = made(one, start, end) if is_root else None
+    name, given = call.split()[0], {} if motion is None else {"motion": motion}
+    distance, is_root = 0.05 * cut.mesh.length_scale, comm.Get_rank() == 0
+    found = on_host(call, pipeline, cut.local(start), cut.local(end), distance, **given)
+    expected = on_host(call, one, start, end, distance, **given) if is_root else None
     wait_for_all(comm)
     expected = comm.bcast(expected)
     ours, theirs, lists = {}, {}, [(name, found, expected)] * hasattr(found, "to_root")

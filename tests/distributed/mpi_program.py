@@ -25,10 +25,10 @@ sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in (""
 
 import numpy as np
 import warp as wp
-from laws.calls import PRECISIONS
+from laws.calls import AT_ONE_TIME, ON_HOST, PRECISIONS, SCALARS, SEARCHES
 from laws.scenes import drawn, pressed
 from mpi4py import MPI
-from mpi_parts import CALLS, OF_STARTS, SCALARS, SEARCHES, Cut, compare_call, wait_for_all, whole_mesh
+from mpi_parts import Cut, compare_call, wait_for_all, whole_mesh
 from scenes import FACE, NO_FACES, TRIANGLE, sheet, with_static_at_rest
 
 import ccd_warp as ccd
@@ -77,7 +77,7 @@ def check_cut(mesh, cut, start, end, calls, *, motion=None, **options):
     return pipelines[0]
 
 
-def falling(count=12, **options):
+def wavy_sheets(count=12, **options):
     """A wavy sheet that falls through another, and where both are at both ends."""
     upper, faces = sheet(count)
     upper += 0.3 * np.sin(9 * upper[:, [1, 0, 0]]) * [0, 0, 1] + [0.013, 0.007, 0.2]
@@ -96,10 +96,10 @@ def drawn_scenes(seeds, family=None):
         of_search = {name: value for name, value in of_step.items() if name != "t_max"}
         of_search["precision"] = PRECISIONS[seed % 2]
         motion = None if case.make_motion is None else case.make_motion()
-        groups = ([*CALLS[:2], *SCALARS], of_step), (OF_STARTS * (motion is None), {}), (SEARCHES, of_search)
+        groups = ([*ON_HOST[:2], *SCALARS], of_step), (AT_ONE_TIME * (motion is None), {}), (SEARCHES, of_search)
         own = cut_of(mesh, (interleaved, in_blocks)[seed // 3 % 2], with_owners=seed % 5 == 0)
         for calls, options in groups:
-            calls = [call for call in calls if CALLS.index(call) % 3 == seed % 3]
+            calls = [call for call in calls if ON_HOST.index(call) % 3 == seed % 3]
             if calls:
                 check_cut(*own, start, end, calls, motion=motion, **options)
 
@@ -131,10 +131,12 @@ def starts_that_are_not_sound():
 
 
 def a_sheet_in_blocks():
-    check(*falling(), in_blocks, CALLS)
-    check(*falling(static=[1]), interleaved, ["mesh_ccd", "line_search vertex"], with_owners=True, broad_phase="hash")
+    check(*wavy_sheets(), in_blocks, ON_HOST)
+    check(
+        *wavy_sheets(static=[1]), interleaved, ["mesh_ccd", "line_search vertex"], with_owners=True, broad_phase="hash"
+    )
     with mock.patch.object(_ranks, "MOST_BYTES", 5_000):  # what does not fit into a message comes in several
-        check(*falling(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), CALLS[:2] + SCALARS)
+        check(*wavy_sheets(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), ON_HOST[:2] + SCALARS)
 
 
 def a_giant_face():
@@ -142,7 +144,7 @@ def a_giant_face():
     giant = TRIANGLE * 50.0 + [0.3, 0.2, -0.2]
     mesh = ccd.CollisionMesh.from_arrays([sheet(10), (giant, FACE)], static=[1])
     end = mesh.vertices - [0.01, 0.02, 0.5] * (mesh.vertex_body == 0)[:, None]
-    check(mesh, mesh.vertices, end, interleaved, CALLS[:2] + SCALARS)
+    check(mesh, mesh.vertices, end, interleaved, ON_HOST[:2] + SCALARS)
 
 
 def nothing_at_all():
@@ -178,7 +180,7 @@ def vertices_that_take_no_part():
         x = np.where(is_unused, far, np.tile(nodes, (2, 1)))
         mesh = ccd.CollisionMesh.from_arrays([(x[:120], faces[:20]), (x[120:], faces[20:])], **options)
         end = with_static_at_rest(mesh, x, 0.9 * x)
-        pipeline = check(mesh, x, end, interleaved, [CALLS[k] for k in (0, 2, 3, 5, -1)])
+        pipeline = check(mesh, x, end, interleaved, [ON_HOST[k] for k in (0, 2, 3, 5, -1)])
         assert "take no part" in repr(pipeline.mesh)
         assert not np.isin(pipeline._planned.part.vertex_ids, 2 * np.flatnonzero(is_unused) + 5).any()
 
@@ -203,12 +205,12 @@ def a_bound_from_a_sample():
     """
     with mock.patch.object(topology, "WORTH_SAMPLING", 1):
         for options in ({"max_iterations": 1}, {"precision": "float32"}, {"broad_phase": "hash", "max_iterations": 1}):
-            check(*falling(16), interleaved, SCALARS, **options)
+            check(*wavy_sheets(16), interleaved, SCALARS, **options)
 
 
 def many_steps():
     """A plan is kept while boxes stay in it, made anew when they leave it, and static bodies may be moved."""
-    mesh, cut = cut_of(falling(static=[1])[0], in_blocks)
+    mesh, cut = cut_of(wavy_sheets(static=[1])[0], in_blocks)
     x = mesh.vertices
     pipeline, one, num_plans = DistributedPipeline(cut.mesh), ccd.CollisionPipeline(mesh), 0
     velocity = [0, 0, -0.02] * (mesh.vertex_body == 0)[:, None]
@@ -415,7 +417,7 @@ def refused_meshes():
 
 def begun():
     """A mesh, its part on this rank with a pipeline, and where its vertices are at both ends."""
-    mesh, start, end = falling()
+    mesh, start, end = wavy_sheets()
     mesh, cut = cut_of(mesh, in_blocks)
     return mesh, cut, DistributedPipeline(cut.mesh), start, end
 

@@ -17,6 +17,7 @@ from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
 from laws.calls import on_device
 from laws.outputs import different, kept_outputs, outputs_of
+from scenes import crowd, pairs_in_worlds
 
 import ccd_warp as ccd
 from ccd_warp._engine import stages
@@ -36,17 +37,9 @@ def assert_equal_on_both(case, call, num_multiprocessors=4):
     return expected
 
 
-def crowd(num_faces, size, seed=43, speed=0.1):
-    """Faces at random places that move at random: a mesh, and where it is at both ends."""
-    rng = np.random.default_rng(seed)
-    start = (rng.random((num_faces, 1, 3)) + size * rng.standard_normal((num_faces, 3, 3))).reshape(-1, 3)
-    mesh = ccd.CollisionMesh.from_arrays([(start, np.arange(len(start)).reshape(-1, 3))])
-    return mesh, start, start + speed * rng.standard_normal(start.shape)
-
-
 def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
     def contacts(max_contacts):
-        mesh, start, end = crowd(40, 0.15)
+        mesh, start, end = crowd(np.random.default_rng(43), 40, 0.15)
         result = ccd.CollisionPipeline(mesh, max_contacts=max_contacts).launch(on_device(start), on_device(end))
         stored = outputs_of(result.contacts.to_host()).values()
         return outputs_of(result), [tuple(map(bytes, row)) for row in zip(*stored, strict=True)]
@@ -63,7 +56,7 @@ def test_contacts_beyond_the_capacity_are_missing_from_the_list_alone():
 @pytest.mark.parametrize("broad_phase", ["tree", "hash"])
 def test_searches_culls_and_solvers_do_not_race(broad_phase):
     """Contacts of a scene in which every write of these to memory is looked at."""
-    mesh, start, end = crowd(40, 0.2, 44)
+    mesh, start, end = crowd(np.random.default_rng(44), 40, 0.2)
     with emulation(Emulation(watches_all=True)):
         pipeline = ccd.CollisionPipeline(mesh, precision="float32", broad_phase=broad_phase)
         result = pipeline.launch(on_device(start), on_device(end))
@@ -81,10 +74,8 @@ def test_needles_that_cross_at_many_speeds(distance):
     def step():
         speeds = np.random.default_rng(5).permutation(np.linspace(0.5, 1, 8))[:, None, None]
         x = np.repeat(start[hardest : hardest + 1], 8, axis=0)
-        y = (x + speeds * (end[hardest] - x)).reshape(-1, 3)
-        bodies = [(x.reshape(-1, 3), np.zeros((0, 3), int), np.arange(32).reshape(-1, 2))]
-        mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=np.repeat(np.arange(8), 4))
-        return outputs_of(ccd.mesh_ccd(mesh, mesh.vertices, y, **options))
+        y = x + speeds * (end[hardest] - x)
+        return outputs_of(ccd.mesh_ccd(*pairs_in_worlds("edge-edge", x, y), **options))
 
     assert np.isfinite(assert_equal_on_both(("needles", distance), step)[".world_toi"]).sum() > 4
 
@@ -94,7 +85,7 @@ def test_searches_of_so_many_boxes(count):
     """As many faces as places in some blocks, one more, and one less; each overlaps its neighbours in the order."""
 
     def search():
-        mesh, start, end = crowd(count, 0.12 * (40 / count) ** (1 / 3), count, 0.05)
+        mesh, start, end = crowd(np.random.default_rng(count), count, 0.12 * (40 / count) ** (1 / 3), 0.05)
         return outputs_of(ccd.CollisionPipeline(mesh, max_pairs=9000).launch(on_device(start), on_device(end)))
 
     assert_equal_on_both(("boxes", count), search)
@@ -103,10 +94,10 @@ def test_searches_of_so_many_boxes(count):
 def test_replays_with_lists_too_short_for_the_candidates(monkeypatch):
     """What does not fit is culled in a branch of the graph, which a replay may take or not."""
     monkeypatch.setattr("ccd_warp._engine.device.step.CANDIDATES_EACH", 1)  # a place for each pair, not four
-    start, end = crowd(60, 0.25, speed=0.3)[1:]
+    start, end = crowd(np.random.default_rng(43), 60, 0.25, 0.3)[1:]
 
     def replays():
-        mesh = crowd(60, 0.25)[0]
+        mesh = crowd(np.random.default_rng(43), 60, 0.25)[0]
         counts = ccd.CollisionPipeline(mesh)
         counts.mesh_ccd(start, end)
         most = max(counts.counts.num_after_cull.values())
@@ -146,7 +137,7 @@ def test_more_candidates_than_32_bits_count(first, monkeypatch):
     monkeypatch.setattr(stages.Stages, "reset", reset_to_many)
 
     def launch():
-        mesh, start, end = crowd(150, 0.1)
+        mesh, start, end = crowd(np.random.default_rng(43), 150, 0.1)
         return outputs_of(ccd.CollisionPipeline(mesh).launch(on_device(start), on_device(end)))
 
     assert 0 < assert_equal_on_both("many candidates", launch)[".toi"][0] < 1
@@ -158,7 +149,7 @@ def test_more_candidates_than_32_bits_count(first, monkeypatch):
 )
 def test_counters_of_all_kinds_are_read_at_once(ground, self_collision, most):
     """Counts after the search, those after the narrow phase with every toi, the contacts; bodies or planes before."""
-    _, start, end = crowd(60, 0.15)
+    _, start, end = crowd(np.random.default_rng(43), 60, 0.15)
     bodies = [(x, np.arange(len(x)).reshape(-1, 3)) for x in np.split(start, 4)]
     mesh = ccd.CollisionMesh.from_arrays([*bodies, *ground], self_collision=[self_collision] * 4 + [True] * len(ground))
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from exact import exact_tois
-from laws.truth import NAMES, Pairs
+from exact import exact_contacts
+from laws.calls import EVERY_PER
 from scenes import FACE, TRIANGLE, stacked, triangles
 
 import ccd_warp as ccd
@@ -13,7 +13,6 @@ from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.device.line_search import passes_of
 from ccd_warp._results.pairs import pair_vertices
 
-EVERY_PER = ("scene", "world", "body", "vertex")
 every_per = pytest.mark.parametrize("per", EVERY_PER)
 
 
@@ -24,18 +23,6 @@ def launched(mesh, start, end, dtype=wp.vec3d, **options):
     of_pipeline = {name: options.pop(name) for name in ("precision", "max_pairs") if name in options}
     result = ccd.CollisionPipeline(mesh, **of_pipeline).launch_line_search(x, y, **options)
     return x.numpy().astype(np.float64), y.numpy().astype(np.float64), result.to_host()
-
-
-def exact_contacts(mesh, start, end):
-    """Pairs that may meet, have a vertex that moves, and touch: (kind, first, second), by exact arithmetic."""
-    pairs, moved = Pairs(mesh), (start != end).any(axis=1)
-    found = []
-    for kind, of_kind in enumerate(pairs.of_kinds):
-        corners = pairs.corners(kind, of_kind)
-        at = moved[corners].any(axis=1)
-        times = exact_tois(NAMES[kind], start[corners[at]], end[corners[at]]) if at.any() else []
-        found += [(kind, *pair) for pair, time in zip(of_kind[at].tolist(), times, strict=True) if time.hit]
-    return found
 
 
 def num_touching(mesh, start, end, **options):
@@ -53,11 +40,11 @@ def test_one_body_falls_on_another(per, safety):
     mesh, start = stacked(0.0, 1.0)
     end = start - [0, 0, 2.0] * (mesh.vertex_body == 1)[:, None]
     step = ccd.line_search(mesh, start, end, per=per, safety=safety)
-    assert exact_contacts(mesh, start, step.vertices) == []
+    assert exact_contacts(mesh, start, step.vertices) == {}
     assert step.fraction == pytest.approx(0.5 * safety, rel=1e-9)  # the toi is a half, up to rounding
     for dtype in (wp.vec3d, wp.vec3f):
         before, after, _ = launched(mesh, start, end, dtype, per=per, safety=safety)
-        assert exact_contacts(mesh, before, after) == []
+        assert exact_contacts(mesh, before, after) == {}
         assert after[3:, 2].min() == pytest.approx(1.0 - safety, rel=1e-6 if safety < 0.99 else 1e-3)
         assert np.array_equal(after[:3], before[:3]) and np.array_equal(after[:, :2], before[:, :2])  # in all bits
     free = ccd.line_search(mesh, start, start + 0.1, per=per)
@@ -88,7 +75,7 @@ def test_a_world_whose_search_takes_too_long_moves_by_one_fraction_and_does_not_
     step = ccd.line_search(one.replicate(2), *both, per="vertex", max_rounds=3)
     assert step.is_limited and step.num_rounds <= 3 and len(set(step.vertex_fraction[:count])) == 1
     assert step.vertex_fraction[0] < 1.0 and (step.vertex_fraction[count:] == 1.0).all()
-    assert exact_contacts(one, start, step.vertices[:count]) == []
+    assert exact_contacts(one, start, step.vertices[:count]) == {}
 
 
 def test_a_search_that_takes_too_long_leaves_bodies_of_free_worlds_where_they_were_found_free():
@@ -123,7 +110,7 @@ def test_without_capacity_for_pairs_nothing_moves_into_another():
     for per in EVERY_PER:
         for max_pairs, flag in ((1, ccd.LaunchFlag.PAIRS_OVERFLOW), (1000, 0)):
             _, reached, result = launched(mesh, start, wished, per=per, max_pairs=max_pairs)
-            assert exact_contacts(mesh, start, reached) == [] and result.flags == flag
+            assert exact_contacts(mesh, start, reached) == {} and result.flags == flag
 
 
 @pytest.mark.parametrize("name", [*EVERY_PER, "launch", "proximity", "bounds"])

@@ -9,7 +9,7 @@ import pytest
 import scenes
 import trimesh
 import warp as wp
-from exact import rows
+from laws.outputs import tois_of
 
 import ccd_warp as ccd
 
@@ -56,7 +56,7 @@ def test_pairs_that_touch_at_the_start_do_so_wherever_others_end(option):
     at_rest = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **option).contacts
     at_start = contacts[contacts.status == AT_START]
     assert (at_rest.status == AT_START).all() and np.isin(contacts.status, [AT_START, HIDDEN]).all()
-    assert rows(at_start) == rows(at_rest) != {}
+    assert tois_of(at_start) == tois_of(at_rest) != {}
 
 
 def test_a_launch_flags_what_rounding_hides():

@@ -19,7 +19,7 @@ from ccd_warp._engine.mesh.topology import Topology, choose_quantization
 
 pytestmark = OF_ROUNDING
 
-CALLS = ("mesh_ccd", "collision_free_step", "find_candidates")
+STEPS = ("mesh_ccd", "collision_free_step", "find_candidates")
 
 
 def least_bytes(error):
@@ -147,13 +147,13 @@ def test_steps_of_a_size_that_was_seen_allocate_nothing():
     mesh, start, end = crowd(np.random.default_rng(11), 2000, 0.05)
     pipeline, num_allocations = ccd.CollisionPipeline(mesh), []
     for _ in range(5):  # the first finds out how much capacity the pairs need
-        for name in CALLS:
+        for name in STEPS:
             getattr(pipeline, name)(start, end)
         num_allocations.append(pipeline.num_allocations)
     assert len({*num_allocations[1:]}) == 1 and num_allocations[0] > 5
 
 
-@pytest.mark.parametrize("call", CALLS)
+@pytest.mark.parametrize("call", STEPS)
 def test_positions_of_a_large_mesh_are_let_go(call):
     """Those of more than 2¹⁵ vertices are read where they are."""
     mesh = ccd.CollisionMesh.from_trimesh(trimesh.creation.icosphere(subdivisions=6))

@@ -8,6 +8,7 @@ import ccd_warp as ccd
 TRIANGLE = np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
 FACE = np.array([[0, 1, 2]])
 NO_FACES = np.zeros((0, 3), dtype=int)
+TETRAHEDRON = np.eye(4, 3, -1), np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 # Points of a pair.
 CORNERS = {"vertex_face": 4, "edge_edge": 4, "point_segment": 3, "point_point": 2}
 
@@ -33,10 +34,25 @@ def triangles(rng, count, **options):
     return mesh, mesh.vertices.copy()
 
 
-def crowd(rng, num_faces=400, size=0.08, speed=0.1):
-    """Faces at random places that move at random: mesh, start and end positions."""
-    start, faces = soup(rng, num_faces, size)
-    return single(start, faces), start, start + speed * rng.standard_normal(start.shape)
+def crowd(rng, num_faces=400, size=0.08, speed=0.1, *, num_bodies=1, num_others=0, dust=0, **options):
+    """Faces at random places that move at random, but for static ones: mesh, start and end positions.
+
+    Each body has half as many faces as the one before, so many cables and particles among them, and as many vertices
+    in one place as ``dust`` says.
+    """
+    bodies = []
+    for count in (num_faces >> k for k in range(num_bodies)):
+        x = np.concatenate([soup(rng, count + num_others, size)[0], 0.01 * rng.standard_normal((dust, 3))])
+        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
+        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **options)
+    end = mesh.vertices + speed * rng.standard_normal(mesh.vertices.shape)
+    return mesh, mesh.vertices.copy(), with_static_at_rest(mesh, mesh.vertices, end)
+
+
+def crowd_of_three(num_faces, num_others=0, size=0.1, **options):
+    """Three bodies of faces, and cables and particles among them."""
+    return crowd(np.random.default_rng(21), num_faces, size, 1.5 * size, num_bodies=3, num_others=num_others, **options)
 
 
 def random_pairs(kind, count=200, seed=0, dimension=3):
@@ -138,6 +154,16 @@ def crowd_of_all_kinds(rng, count=8, **options):
     a, b, *_ = particles[: len(particles) // 4 * 4].reshape(-1, 4).T
     end[a], end[b] = start[b], start[a]
     return mesh, start, with_static_at_rest(mesh, start, end)
+
+
+def two_of_every_kind(*half_spaces, **options):
+    """A face, a cable and particles, the same a little higher as another body, and half-spaces: a mesh."""
+    cables = [[-2.0, 0, 0], [-1.5, 0.4, 0.02], [2.0, 0.1, 0.01], [-1.75, 0.2, 0.01], [5.0, 5.0, 0.02]]
+    lower = np.array([*TRIANGLE, *cables])
+    upper = lower * [0.98, 1.04, 1.0] + [0.02, 0.01, 0.5] + 0.02 * np.random.default_rng(0).random(lower.shape)
+    bodies = [*((x, FACE, [[3, 4]]) for x in (lower, upper)), *half_spaces]
+    options = {"codimensional_points": True, "self_collision": False} | options
+    return ccd.CollisionMesh.from_arrays(bodies, **options)
 
 
 def sheet_over_floor():

@@ -5,7 +5,7 @@ import pickle
 
 import numpy as np
 import pytest
-from exact import rows
+from laws.outputs import tois_of
 from laws.scenes import drawn
 
 import ccd_warp as ccd
@@ -55,7 +55,7 @@ def test_contacts_and_proximities_of_all_kinds_are_excluded_as_they_are_and_copi
         kinds |= {*contacts.kind.tolist()}
         fewer, others = mesh.excluding(contacts), mesh.excluding(contacts[3:])
         assert ccd.mesh_ccd(fewer, start, end).toi == np.inf and ccd.is_step_collision_free(fewer, start, end)
-        assert rows(ccd.mesh_ccd(others, start, end).contacts) == rows(contacts[:3])
+        assert tois_of(ccd.mesh_ccd(others, start, end).contacts) == tois_of(contacts[:3])
         for same in (others, copy.copy(others), copy.deepcopy(others), pickle.loads(pickle.dumps(others))):
             assert same.exclude_pairs == others.exclude_pairs
             for pairs in same.exclude_pairs.values():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,11 @@ Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 PRECISIONS = ("float64", "float32")
 EVERY_PER = ("scene", "world", "body", "vertex")
 VECTORS = {("float64", 3): wp.vec3d, ("float32", 3): wp.vec3f, ("float64", 2): wp.vec2d, ("float32", 2): wp.vec2f}
+# The calls on the host by their names, line searches with what they are made per.
+AT_ONE_TIME = ("find_proximity", "displacement_bounds", "find_intersections")
+SCALARS = ("collision_free_step", "is_step_collision_free")
+SEARCHES = tuple(f"line_search {per}" for per in EVERY_PER)
+ON_HOST = ("mesh_ccd", "find_candidates", *AT_ONE_TIME, *SCALARS, *SEARCHES)
 OF_SEARCH = ("broad_phase", "pair_kinds", "num_threads")
 
 
@@ -54,6 +60,15 @@ class StepCase:
         return ccd.CollisionPipeline(mesh, **given)
 
 
+def on_host(name: str, of: Any, start: np.ndarray, end: np.ndarray, distance: float = 0.0, **options: Any) -> Any:
+    """One of the calls on the host, of a pipeline or a mesh: of a step, or of its end alone, and within a distance."""
+    name, _, per = name.partition(" ")
+    call = partial(getattr(ccd, name), of) if isinstance(of, ccd.CollisionMesh) else getattr(of, name)
+    positions = (end,) if name in AT_ONE_TIME else (start, end)
+    within = (distance,) if name in ("find_candidates", *AT_ONE_TIME[:2]) else ()
+    return call(*positions, *within, **({"per": per} if per else {}), **options)
+
+
 Call = Callable[[StepCase, str], Outputs]
 CALLS: dict[str, Call] = {}
 
@@ -70,8 +85,8 @@ def steps(case: StepCase, precision: str) -> Outputs:
     mesh, start, end = case.make()
     given = {**case.options, **case.motion(), "precision": precision}
     found: Outputs = {}
-    for name in ("mesh_ccd", "collision_free_step", "is_step_collision_free"):
-        found |= outputs_of(getattr(ccd, name)(mesh, start, end, **given), name)
+    for name in ("mesh_ccd", *SCALARS):
+        found |= outputs_of(on_host(name, mesh, start, end, **given), name)
     found |= outputs_of(ccd.mesh_ccd(mesh, end, start, **given), "mesh_ccd back")
     pipeline = ccd.CollisionPipeline(mesh, **case.options, precision=precision)
     found |= outputs_of(pipeline.mesh_ccd(start, end[mesh.moving_vertices], **case.motion()), "pipeline.mesh_ccd")
@@ -123,8 +138,8 @@ def line_searches(case: StepCase, precision: str) -> Outputs:
     given = {name: value for name, value in case.options.items() if name != "t_max"}
     given |= {**case.motion(), "precision": precision}
     found: Outputs = {}
-    for per in EVERY_PER:
-        found |= outputs_of(ccd.line_search(mesh, start, end, per=per, **given), f"line_search {per}")
+    for name in SEARCHES:
+        found |= outputs_of(on_host(name, mesh, start, end, **given), name)
     return found
 
 
@@ -273,18 +288,6 @@ def not_a_number(case: StepCase, precision: str) -> Outputs:
     return {name: array for name, array in found.items() if ".contacts" not in name}
 
 
-# What a memory limit divides, with all options of a step, or with those of a search alone.
-_DIVIDED: dict[str, Callable[[ccd.CollisionPipeline, np.ndarray, np.ndarray, float], Any]] = {
-    "mesh_ccd": lambda pipeline, start, end, size: pipeline.mesh_ccd(start, end),
-    "collision_free_step": lambda pipeline, start, end, size: pipeline.collision_free_step(start, end),
-    "is_step_collision_free": lambda pipeline, start, end, size: pipeline.is_step_collision_free(start, end),
-    "find_candidates": lambda pipeline, start, end, size: pipeline.find_candidates(start, end, 0.02 * size),
-    "find_intersections": lambda pipeline, start, end, size: pipeline.find_intersections(end),
-    "find_proximity": lambda pipeline, start, end, size: pipeline.find_proximity(end, 0.03 * size),
-    "displacement_bounds": lambda pipeline, start, end, size: pipeline.displacement_bounds(end, 0.03 * size),
-}
-
-
 @row
 def batches(case: StepCase, precision: str, *, is_limited: bool = True, with_order: bool = False) -> Outputs:
     """The calls on the host with as little memory as they can do with, and with twice that; or with enough.
@@ -293,8 +296,8 @@ def batches(case: StepCase, precision: str, *, is_limited: bool = True, with_ord
     """
     mesh, start, end = case.make()
     found: Outputs = {}
-    for name, call in _DIVIDED.items():
-        is_step = name in ("mesh_ccd", "collision_free_step", "is_step_collision_free")
+    for name in (name for name in ON_HOST if name not in SEARCHES):
+        is_step = name == "mesh_ccd" or name in SCALARS
         given, least = {**case.options, "precision": precision} if is_step else case.only(*OF_SEARCH), 1
         for times in (1, 2):
             while True:
@@ -302,7 +305,7 @@ def batches(case: StepCase, precision: str, *, is_limited: bool = True, with_ord
                     mesh, **given, **({"memory_limit": times * least} if is_limited else {})
                 )
                 try:
-                    result = call(pipeline, start, end, case.size)
+                    result = on_host(name, pipeline, start, end, 0.03 * case.size)
                     break
                 except ValueError as error:  # each device counts by itself what it needs
                     least = int(re.search(r"at least (\d+)", str(error))[1])  # type: ignore[index]

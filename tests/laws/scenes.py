@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scenes import TETRAHEDRON, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from laws.calls import StepCase
@@ -92,30 +93,9 @@ def pressed(seed: int) -> Scene:
     return Scene(lambda: (mesh, mesh.vertices, -1.5 * count * size * turn[-1]), options, 1_000, "pressed", size)
 
 
-def with_static_at_rest(mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """The end positions, with static bodies where they start."""
-    return np.where(mesh.static[mesh.vertex_body][:, None], start, end)
-
-
 # --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
 
 _CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
-_TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-
-
-def crowd(num_faces, num_others=0, size=0.1, seed=21, dust=0, **of_mesh):
-    """Three bodies of faces, and cables and particles among them, that move at random, but for static ones."""
-    rng = np.random.default_rng(seed)
-    bodies = []
-    for count in (num_faces, num_faces // 2, num_faces // 4):
-        x = rng.random((count + num_others, 1, 3)) + size * rng.standard_normal((count + num_others, 3, 3))
-        x = x.reshape(-1, 3)
-        k = np.arange(3 * count, 3 * count + 2 * num_others, 2)
-        x = np.concatenate([x, 0.01 * rng.standard_normal((dust, 3))])
-        bodies.append((x, np.arange(3 * count).reshape(-1, 3), np.stack([k, k + 1], axis=1)))
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=num_others > 0, **of_mesh)
-    end = mesh.vertices + 1.5 * size * rng.standard_normal(mesh.vertices.shape)
-    return mesh, mesh.vertices, with_static_at_rest(mesh, mesh.vertices, end)
 
 
 def motion_of(mesh, rng, num_worlds=None):
@@ -158,16 +138,14 @@ def _fan(rng):
 
 def _sheet(rng):
     """A square of eight faces, flat or not."""
-    x = np.stack([*np.mgrid[-1:2, -1:2], np.zeros((3, 3))], axis=-1).reshape(-1, 3) * 0.8
+    x, faces = sheet(2, 1.6)
     x[:, 2] += rng.choice([0.0, 0.2]) * rng.standard_normal(9)
-    a = np.array([0, 1, 3, 4])
-    faces = np.concatenate([np.stack([a, a + 3, a + 1], 1), np.stack([a + 1, a + 3, a + 4], 1)])
     return x, faces[rng.permutation(8)[rng.integers(0, 4) :]], np.zeros((0, 2), int)
 
 
 def _tetrahedron(rng):
     """A closed surface, sometimes with a face twice, a face with a vertex twice, and a cable at a corner."""
-    faces, cable = np.concatenate([_TETRAHEDRON, [[2, 1, 0]], [[3, 3, 1]]]), np.array([[0, 4]])
+    faces, cable = np.concatenate([TETRAHEDRON[1], [[2, 1, 0]], [[3, 3, 1]]]), np.array([[0, 4]])
     return 0.6 * rng.standard_normal((6, 3)), faces[: rng.choice([4, 4, 5, 6])], cable[: rng.integers(0, 2)]
 
 
@@ -294,17 +272,14 @@ class _Drawing:
     @feature
     def large(self) -> tuple:
         """A sheet of 288 faces, or a chain of edges, above the others; perhaps with thousands of unused vertices."""
-        k, height = 13, self.rng.uniform(0.3, 0.8)
+        height = self.rng.uniform(0.3, 0.8)
         if self.dimension == 2:
             n = np.arange(300)
-            x = np.column_stack([n / 150.0 - 1.0, height + 0.01 * self.rng.standard_normal(300)])
-            parts = (np.stack([n[:-1], n[1:]], axis=1),)
+            x, parts = np.column_stack([n / 150.0 - 1.0, 0 * n]), (np.stack([n[:-1], n[1:]], axis=1),)
         else:
-            x = np.stack([*np.mgrid[:k, :k], np.zeros((k, k))], axis=-1).reshape(-1, 3) / (0.5 * (k - 1)) - [1, 1, 0]
-            x[:, 2] = height + 0.01 * self.rng.standard_normal(len(x))
-            a = np.arange(k * (k - 1))[np.arange(k * (k - 1)) % k < k - 1]
-            faces = np.concatenate([np.stack([a, a + k, a + 1], 1), np.stack([a + 1, a + k, a + k + 1], 1)])
+            x, faces = sheet(12, 2.0)
             parts = faces, np.zeros((0, 2), int)
+        x[:, -1] = height + 0.01 * self.rng.standard_normal(len(x))
         if self.is_crowded:
             x = np.concatenate([x, self.rng.uniform(-1, 1, (_UNUSED, self.dimension))])
         return self.size * x, *parts

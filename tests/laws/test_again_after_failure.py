@@ -14,15 +14,18 @@ import warp as wp
 from daily import marked
 from faults import Scenario, alarm, wrong_after_events, wrong_after_interrupts
 from hard_cases import FAMILIES
+from scenes import crowd_of_three
 
 import ccd_warp as ccd
-from laws.calls import on_device
+from laws.calls import AT_ONE_TIME, on_device, on_host
 from laws.outputs import different, outputs_of
-from laws.scenes import crowd
 
 THREADS = {"num_threads": 2}
-SMALL, ALONE = (lambda: crowd(60, 12, static=[1])), (lambda: crowd(60, 12, static=[1], self_collision=False))
-LARGE = lambda: crowd(700, 20, size=0.04, static=[1])  # noqa: E731
+SMALL, ALONE = (
+    (lambda: crowd_of_three(60, 12, static=[1])),
+    (lambda: crowd_of_three(60, 12, static=[1], self_collision=False)),
+)
+LARGE = lambda: crowd_of_three(700, 20, size=0.04, static=[1])  # noqa: E731
 
 
 def objects(make=SMALL, **options):
@@ -77,17 +80,18 @@ def two_at_once(o, x, y):
     return {"own": own, "other": other.found}
 
 
-def of_mesh(name):
-    return lambda o, x, y: getattr(ccd, name)(o.mesh, x, y, **o.options)
+def of_host(name, of):
+    """One of the calls on the host, of the mesh or of the pipeline."""
+    return lambda o, x, y: on_host(name, vars(o)[of], x, y, 0.05, **(o.options if of == "mesh" else {}))
 
 
-CALLS = {
-    **{name: of_mesh(name) for name in ("mesh_ccd", "collision_free_step", "find_candidates")},
-    "line_search": lambda o, x, y: ccd.line_search(o.mesh, x, y, per="vertex", **o.options),
-    "find_intersections": lambda o, x, y: o.pipeline.find_intersections(y),
-    "find_proximity": lambda o, x, y: o.pipeline.find_proximity(x, 0.05),
-    "displacement_bounds": lambda o, x, y: o.pipeline.displacement_bounds(x, 0.05),
-    "pipeline.mesh_ccd": lambda o, x, y: o.pipeline.mesh_ccd(x, y),
+MADE = {
+    **{
+        name: of_host(name, "mesh")
+        for name in ("mesh_ccd", "collision_free_step", "find_candidates", "line_search vertex")
+    },
+    **{name: of_host(name, "pipeline") for name in AT_ONE_TIME},
+    "pipeline.mesh_ccd": of_host("mesh_ccd", "pipeline"),
     "launch": lambda o, x, y: o.pipeline.launch(*put(o, x, y)),
     "launch_line_search": lambda o, x, y: {
         "result": o.pipeline.launch_line_search(*put(o, x, y), per="body", num_rounds=4),
@@ -104,7 +108,7 @@ CALLS = {
 
 def scenario(name, when, make=SMALL, **options):
     """A call that is the first, is made again, or comes after the static body has moved."""
-    call = CALLS[name]
+    call = MADE[name]
     before = {"first": None, "again": lambda o: call(o, *o.here), "moved": lambda o: call(o, *o.elsewhere)}[when]
     return Scenario(lambda: objects(make, **options), lambda o: call(o, *o.here), before or (lambda o: None))
 
@@ -117,7 +121,7 @@ def of_pairs(kind, count=1, as_arrays=False):
     return Scenario(lambda: (convert(start), convert(end)), lambda x: call(*x, minimum_separation=0.02, **THREADS))
 
 
-SCENARIOS = {f"{when} {name}": scenario(name, when) for when in ("first", "moved") for name in CALLS}
+SCENARIOS = {f"{when} {name}": scenario(name, when) for when in ("first", "moved") for name in MADE}
 SCENARIOS |= {
     "large mesh_ccd": scenario("mesh_ccd", "moved", LARGE),
     "large collision_free_step": scenario("collision_free_step", "again", LARGE),
@@ -165,7 +169,7 @@ def test_an_interrupted_cell_is_answered_soon_and_can_be_run_again(name, pytestc
         if name == "pairs":
             return ccd.edge_edge_ccd(*needles, **THREADS, **options)
         o.pipeline = pipeline if options else short
-        return CALLS["pipeline.mesh_ccd" if name == "mesh_ccd" else name](o, *o.here)
+        return MADE["pipeline.mesh_ccd" if name == "mesh_ccd" else name](o, *o.here)
 
     truth = outputs_of(asked())
     for _ in range(2):

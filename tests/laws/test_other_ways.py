@@ -19,22 +19,23 @@ import trimesh
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
+from scenes import crowd_of_three, pairs_in_worlds, sheet, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
 from laws.outputs import different, kept_outputs, outputs_of
-from laws.scenes import crowd, drawn, with_static_at_rest
+from laws.scenes import drawn
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
 
 
 def sheets():
-    """A sheet that falls through another, which is static."""
-    x, a = np.stack(np.divmod(np.arange(64), 8), axis=1) / 7, np.arange(54)[np.arange(54) % 8 < 7]
-    x = np.column_stack([x, 0.05 * np.sin(9 * x[:, 0]) * np.cos(8 * x[:, 1])])
-    faces = np.concatenate([np.stack([a, a + 8, a + 1], axis=1), np.stack([a + 1, a + 8, a + 9], axis=1)])
+    """A wavy sheet that falls through another, which is static."""
+    x, faces = sheet(7)
+    x += [0.5, 0.5, 0.0]
+    x[:, 2] = 0.05 * np.sin(9 * x[:, 0]) * np.cos(8 * x[:, 1])
     mesh = ccd.CollisionMesh.from_arrays([(x + [0.01, 0.02, 0.2], faces), (1.1 * x, faces)], static=[1])
     return mesh, mesh.vertices, mesh.vertices - [0.02, 0.01, 0.4] * (mesh.vertex_body == 0)[:, None]
 
@@ -80,11 +81,8 @@ def slender():
 
 def needles():
     """Needles that cross each other, each in a world of its own: many take more iterations than a first round has."""
-    start, end = (
-        x.reshape(-1, 3) for x in FAMILIES["needle_against_needle"]("edge-edge", 24, np.random.default_rng(0))
-    )
-    edges, world = np.arange(96).reshape(-1, 2), np.repeat(np.arange(24), 4)
-    return ccd.CollisionMesh.from_arrays([(start, np.zeros((0, 3), int), edges)], vertex_world=world), start, end
+    points = FAMILIES["needle_against_needle"]("edge-edge", 24, np.random.default_rng(0))
+    return pairs_in_worlds("edge-edge", *points)
 
 
 _LISTS = {
@@ -94,33 +92,38 @@ _LISTS = {
 }
 # Scenes so large that threads share them in many parts, batches are many and a device takes several turns.
 LARGE = {
-    "crowd": StepCase(lambda: crowd(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
+    "crowd": StepCase(lambda: crowd_of_three(1000, size=0.035, self_collision=[True, False, True]), {}, 60_000),
     "static": StepCase(
-        lambda: crowd(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000
+        lambda: crowd_of_three(300, 40, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}, 90_000
     ),
-    "one place": StepCase(lambda: crowd(60, 30, dust=150, static=[0]), {}, 400_000),
+    "one place": StepCase(lambda: crowd_of_three(60, 30, dust=150, static=[0]), {}, 400_000),
 }
 # Those in which a GPU has what a warp, a block or a few threads must not lose.
 ON_DEVICE = {
-    "kinds": StepCase(lambda: crowd(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}),
-    "hash": StepCase(lambda: crowd(40, 15, static=[1]), {"broad_phase": "hash"}),
-    "lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
-    "tree lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS)),
-    "thick lists": StepCase(lambda: crowd(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
-    "radii": StepCase(lambda: crowd(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}),
-    "thickness of 0": StepCase(lambda: crowd(40, 15, radius=0.0)),
+    "kinds": StepCase(
+        lambda: crowd_of_three(40, 15, static=[1]), {"minimum_separation": 0.004, "start_gap_fraction": None}
+    ),
+    "hash": StepCase(lambda: crowd_of_three(40, 15, static=[1]), {"broad_phase": "hash"}),
+    "lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS), {"broad_phase": "hash"}),
+    "tree lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS)),
+    "thick lists": StepCase(lambda: crowd_of_three(40, 15, exclude_pairs=_LISTS, radius=0.01), {"broad_phase": "hash"}),
+    "radii": StepCase(
+        lambda: crowd_of_three(40, 15, static=[1], radius=[0.02, 0.0, 0.01]), {"minimum_distance": 0.004}
+    ),
+    "thickness of 0": StepCase(lambda: crowd_of_three(40, 15, radius=0.0)),
     "sheet": StepCase(sheets),  # whose edges are more than its vertices
     "parting": StepCase(parting, {"minimum_distance": 0.02}),
     "needles": StepCase(needles, {"tolerance": 1e-15, "length_scale": 1.0, "max_work": 100_000}),
     "worlds": StepCase(in_worlds),
     "apart": StepCase(apart),
     "groups": StepCase(lambda: apart(2)),
-    "bisection": StepCase(lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
+    "bisection": StepCase(lambda: crowd_of_three(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4}),
     "bisection near": StepCase(
-        lambda: crowd(25), {"method": "bisection", "max_iterations": 300, "t_max": 0.4, "minimum_distance": 0.004}
+        lambda: crowd_of_three(25),
+        {"method": "bisection", "max_iterations": 300, "t_max": 0.4, "minimum_distance": 0.004},
     ),
-    "few iterations": StepCase(lambda: crowd(60), {"max_iterations": 3}),
-    "levels": StepCase(lambda: crowd(900, size=0.02), {}, 90_000),
+    "few iterations": StepCase(lambda: crowd_of_three(60), {"max_iterations": 3}),
+    "levels": StepCase(lambda: crowd_of_three(900, size=0.02), {}, 90_000),
     "slender": StepCase(slender, {}, 90_000),
 }
 NAMES = [name for name in CALLS if name != "batches"]  # which has a law of its own
