@@ -137,7 +137,6 @@ class MotionWorlds:
             left, num_searched = _by_turns(cells % self.num_worlds)
             num_together = min(max(num_searched, self._few_copies), len(cells))
         copied, shared = copied_bodies(self._mesh)
-        num_shared = len(shared)
         least = min(self._most_copies, num_together)
         copies = self._mesh._copies(least, least if bodies is None else self._most_copies)
         count = copies.num_worlds
@@ -149,10 +148,10 @@ class MotionWorlds:
             padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
             number, world = np.divmod(padded, self.num_worlds)
             active = np.zeros((count, len(copied)), dtype=bool)
-            active[: len(of_batch)] = True if bodies is None else bodies[rows][:, copied]
+            active[: len(of_batch)] = True if bodies is None else bodies[np.ix_(rows, copied)]
             times = self._slices.times(number)
-            begin, t_end = (np.append(np.repeat(t, len(copied)), np.zeros(num_shared)) for t in times)
-            part = Slice(begin, t_end, np.append(active, np.ones(num_shared, dtype=bool)))
+            begin, t_end = (np.append(np.repeat(t, len(copied)), np.zeros(len(shared))) for t in times)
+            part = Slice(begin, t_end, np.append(active, np.ones(len(shared), dtype=bool)))
             paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
             with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress

@@ -153,4 +153,4 @@ def _every_call(folder):
 
 
 FOLDER = tempfile.TemporaryDirectory()  # of files that calls read and write, removed at the end
-CALLS = _every_call(Path(FOLDER.name))
+EVERY_CALL = _every_call(Path(FOLDER.name))

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
-from every_call import CALLS, END, FACE, MESH, PIPELINE, POSES, START, TRIANGLE, run
+from every_call import END, EVERY_CALL, FACE, MESH, PIPELINE, POSES, START, TRIANGLE, run
 
 import ccd_warp as ccd
 from ccd_warp import viz
@@ -167,7 +167,7 @@ def check_same(result, expected):
         np.testing.assert_array_equal(found[name], leaf, err_msg=name)
 
 
-EVERY = [(call, argument) for call, (_, arguments) in CALLS.items() for argument in arguments]
+EVERY = [(call, argument) for call, (_, arguments) in EVERY_CALL.items() for argument in arguments]
 # What a message calls an argument that has parts.
 NAMES = {"bodies": "bod", "others": "", "vertices of body 0": "of body 0", "vertices": ""}
 OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "unique", "per"}
@@ -178,7 +178,7 @@ IS_PATH = {"mesh_path", "poses_path", "path", "start_path", "end_path", "paths",
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
 @pytest.mark.parametrize(("call", "argument"), EVERY)
 def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_works(call, argument):
-    function, arguments = CALLS[call]
+    function, arguments = EVERY_CALL[call]
     phrase, wrong, right = ARGUMENTS.get(f"{argument} of {call}") or ARGUMENTS[argument]
     expected = run(function, arguments)
     for name, value in (hostile.values() | dict(enumerate(wrong))).items():
@@ -203,7 +203,7 @@ def test_what_an_argument_cannot_be_is_refused_by_its_name_and_the_next_call_wor
 
 ARRAYS = [
     (call, name)
-    for call, (_, arguments) in CALLS.items()
+    for call, (_, arguments) in EVERY_CALL.items()
     for name, value in arguments.items()
     if type(value) is np.ndarray and (value.ndim > 1 or value.dtype.kind == "i")
     if call not in ("render_step", "draw_step", "show_step")  # which read what `to_pyvista` does
@@ -215,7 +215,7 @@ ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of Collis
 
 @pytest.mark.parametrize(("call", "argument"), ARRAYS)
 def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_numbers_is_named(call, argument):
-    function, arguments = CALLS[call]
+    function, arguments = EVERY_CALL[call]
     array, is_on_device = arguments[argument], any(word in call for word in ON_DEVICE)
     own = {NAMES.get(argument, argument)}
     own |= {"vertices_t1"} if is_on_device else set()
@@ -249,9 +249,9 @@ def test_an_array_in_another_form_gives_the_same_answer_and_what_is_not_such_num
 HANDED_ON = ("launch", "CollisionMesh.frame", "to_host")  # these give their arrays back
 
 
-@pytest.mark.parametrize("call", [call for call in CALLS if not any(word in call for word in HANDED_ON)])
+@pytest.mark.parametrize("call", [call for call in EVERY_CALL if not any(word in call for word in HANDED_ON)])
 def test_nothing_that_is_returned_is_the_memory_of_an_argument(call):
-    function, arguments = CALLS[call]
+    function, arguments = EVERY_CALL[call]
     given = [array for value in arguments.values() if type(value) in (np.ndarray, list) for array in arrays_of(value)]
     assert not any(np.shares_memory(a, b) for a in arrays_of(run(function, {}, arguments)) for b in given)
 
@@ -389,7 +389,7 @@ TOGETHER = {
 @pytest.mark.parametrize(("call", "changed", "message"), [(call, *row) for call in TOGETHER for row in TOGETHER[call]])
 def test_arguments_that_do_not_fit_are_refused_together(call, changed, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    function, arguments = CALLS[call]
+    function, arguments = EVERY_CALL[call]
     with pytest.raises(ValueError, match=message):
         run(function, arguments, changed)
     assert not list(tmp_path.iterdir())
@@ -512,7 +512,7 @@ def test_what_is_asked_of_an_object_that_does_not_have_it_is_refused(what, ask, 
 
 def many_pairs(call):
     """A pair function of NumPy's points, of which a graph would hold the values that they have now."""
-    function, arguments = CALLS[call]
+    function, arguments = EVERY_CALL[call]
     return function(*(np.repeat(arguments[end], 100, axis=0) for end in ("points_t0", "points_t1")))
 
 
@@ -528,7 +528,7 @@ IN_CAPTURE = [
     (lambda: ccd.CollisionPipeline(ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE)])), "a graph is being captured"),
     *(
         (lambda call=call: many_pairs(call), "(?i)captur.*(warp|device)")
-        for call in CALLS
+        for call in EVERY_CALL
         if re.fullmatch("[a-z]+_[a-z]+_ccd", call)
     ),
     (lambda: NEAR.unique(), r"ask for proximities\.unique once before"),
@@ -543,7 +543,7 @@ def test_what_a_graph_cannot_hold_is_refused_while_it_is_captured(ask, message):
 
 def test_every_public_function_is_among_those_tried():
     tried = {}
-    for function, arguments in CALLS.values():
+    for function, arguments in EVERY_CALL.values():
         tried.setdefault(function.__qualname__, set()).update(arguments)
     left_out = (ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
     for public in (getattr(part, name) for part in (ccd, viz) for name in part.__all__):

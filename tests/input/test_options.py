@@ -11,7 +11,7 @@ from dataclasses import fields
 import numpy as np
 import pytest
 import warp as wp
-from every_call import CALLS, run
+from every_call import EVERY_CALL, run
 
 import ccd_warp as ccd
 from ccd_warp._calls import small_batch
@@ -21,12 +21,14 @@ from ccd_warp._scene.input.options import Options
 
 MESH_ONLY = {"max_work", "broad_phase", "pair_kinds", "memory_limit"}
 # Every call with options.
-NAMES = [name for name, (function, arguments) in CALLS.items() if name in ccd.__all__ and "num_threads" in arguments]
+NAMES = [
+    name for name, (function, arguments) in EVERY_CALL.items() if name in ccd.__all__ and "num_threads" in arguments
+]
 
 
 def call(name, **options):
     """Call a public function by its name, with no option but these."""
-    function, arguments = CALLS[name]
+    function, arguments = EVERY_CALL[name]
     names = inspect.signature(function).parameters
     return run(function, {key: value for key, value in arguments.items() if key in names}, options)
 
@@ -35,7 +37,7 @@ def call(name, **options):
 def test_a_misspelled_option_is_told_with_the_right_name(name):
     options = {"num_thread": "did you mean 'num_threads'", "abacus": "expected one of .*device"}
     others = {"saftey": "safety", "max_round": "max_rounds", "max_pair": "max_pairs", "inflaton": "inflation"}
-    taken = CALLS[name][1]
+    taken = EVERY_CALL[name][1]
     options |= {wrong: f".* '{right}'" for wrong, right in others.items() if right in taken}
     for option, words in options.items():
         with pytest.raises(TypeError, match=rf"^{name}\(\) got an unexpected option '{option}'; {words}"):

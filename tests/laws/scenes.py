@@ -324,7 +324,7 @@ class _Drawing:
 
     @feature
     def in_any_order(self, bodies, names, shapes) -> list:
-        """The bodies with half-spaces anywhere among them, of which ``names`` speaks then."""
+        """All bodies in another order where half-spaces are among them; indices and flags of ``names`` follow it."""
         if len(bodies) == shapes or self.flip(0.3):
             return bodies
         order = self.rng.permutation(len(bodies))

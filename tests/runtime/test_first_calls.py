@@ -18,7 +18,7 @@ from ccd_warp._runtime.threads import run
 
 POINTS = np.random.default_rng(0).uniform(size=(2, 30, 4, 3))
 PAIRS = {"vertex_face_ccd": 4, "edge_edge_ccd": 4, "point_segment_ccd": 3, "point_point_ccd": 2}
-CALLS = [
+FIRST_CALLS = [
     *((name, {"precision": precision}) for precision in ("float64", "float32") for name in PAIRS),
     ("edge_edge_ccd", {"method": "bisection"}),
     ("mesh_ccd", {}),
@@ -87,8 +87,10 @@ def call_in_children(num_forks):
 
 
 IN_PROCESSES = {
-    "20 threads, then forks": lambda: (call_at_once(CALLS, 20), call_in_children(20)),
-    "nothing compiled": lambda: call_at_once(CALLS[:4], 8),  # one module of kernels, which takes seconds to compile
+    "20 threads, then forks": lambda: (call_at_once(FIRST_CALLS, 20), call_in_children(20)),
+    "nothing compiled": lambda: call_at_once(
+        FIRST_CALLS[:4], 8
+    ),  # one module of kernels, which takes seconds to compile
 }
 
 

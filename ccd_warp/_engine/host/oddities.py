@@ -72,9 +72,8 @@ class Farthest(NamedTuple):
     def described(self, mesh: "CollisionMesh") -> str:
         """Which vertex is how far from the others, and when."""
         when = "end" if self.is_end else "start"
-        mesh = mesh._as_given
-        vertex = self.vertex % mesh.num_vertices
-        return f"vertex {vertex}{mesh._where(vertex)} is {self.length:.3g} from the others at the {when}"
+        vertex = self.vertex % mesh._as_given.num_vertices
+        return f"vertex {vertex}{mesh._as_given._where(vertex)} is {self.length:.3g} from the others at the {when}"
 
 
 class DistanceInEdges(NamedTuple):
