@@ -47,11 +47,8 @@ class StartDistanceStep(StepAtOneTime):
         kept = self.options.separation(length_scale_of(self.mesh, self.options))
         return reach_of(self.topology.radius, distance, self.workspace.flag.array, kept)
 
-    def worlds_near(self, contacts: Contacts, distance: float, *, is_straight: bool) -> NDArray[np.bool_]:
-        """Whether one of these contacts of a world starts within a distance, and radii, shape [W].
-
-        Or passes by on a straight way to the positions at the end.
-        """
+    def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
+        """Whether one of these contacts of a world starts within a distance, and radii, or passes by, shape [W]."""
         topology, device = self.topology, self.topology.device
         near: wp.array = wp.zeros(self.mesh.num_worlds, dtype=wp.int32, device=device)
         if len(contacts):
@@ -60,15 +57,14 @@ class StartDistanceStep(StepAtOneTime):
                 wp.array(getattr(contacts, name), dtype=dtype, device=device) for name, dtype in values.items()
             ]
             count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
-            x: wp.array = wp.array(self.positions[0], dtype=wp.vec3d, device=device)
-            x_t1: wp.array = wp.array(self._end if is_straight else [], dtype=wp.vec3d, device=device)
+            ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device) for x in (self.positions[0], self._end)]
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
             kernels = specialised("at_one_time.near_contacts", norm=shape_of(self.norm()))
             self.execution.launch(
                 kernels.note_near_contacts,
                 len(contacts),
                 inputs=[
-                    *(count, *listed, *corners_by_kind(topology), x, x_t1),
+                    *(count, *listed, *corners_by_kind(topology), *ends),
                     *(self._reach(distance), self.workspace.contacts.minima),
                 ],
                 outputs=[near],

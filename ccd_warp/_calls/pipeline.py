@@ -628,13 +628,20 @@ class CollisionPipeline:
         Where any toi suffices, what starts close is a contact.
         """
         on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1, motion=motion)
-        toi = on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
-        near = None if toi > 0.0 or any_suffices else self._start_distances
-        if near is not None:
-            # something may start within its distance: then it has toi 0, whichever way it moves
-            distances = near.of(start_of(self.mesh, self._options, vertices_t0, motion))
+        near = None if any_suffices else self._start_distances
+        if near is None:
+            return on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
+        toi, pairs = on_step(work=LeastToiStep.earliest)
+        if toi == np.inf:
+            return toi
+        # what starts within its distance has toi 0, whichever way it moves; what is a rounding beyond it and slides has
+        # any toi
+        start = start_of(self.mesh, self._options, vertices_t0, motion)
+        end = self.mesh.frame(vertices_t1, "vertices_t1") if motion is None else start
+        if near.are_near(start, Ends(start, end, motion), pairs):
+            distances = near.of(start)
             if distances is not None:
-                toi = on_step(work=lambda step: step.least_toi(distances))
+                toi = max(toi, on_step(work=lambda step: step.least_toi(distances)))
         return toi
 
     @property

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
+from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
@@ -78,6 +79,9 @@ class Pipeline(Protocol):
     @classmethod
     def borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
         """A pipeline for one call."""
+
+    @property
+    def _start_distances(self) -> StartDistances | None: ...
 
     def _check_no_capture(self) -> None: ...
 
@@ -206,12 +210,36 @@ class MotionWorlds:
             self._add(self._pipeline.counts, self._pipeline.timings)
             return least
         if self._are_parts:
-            of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
-            least = least_of(toi for *_, toi in self._parts.search(self._on_parts(LeastToiStep, of_parts)))
-            if least > 0.0 or any_suffices or not keeps_start_distances(self._mesh, self._pipeline._options):
+            if any_suffices or not keeps_start_distances(self._mesh, self._pipeline._options):
+                of_parts = partial(LeastToiStep.least_toi, any_suffices=any_suffices)
+                return least_of(toi for *_, toi in self._parts.search(self._on_parts(LeastToiStep, of_parts)))
+            least, may_part = self._earliest_of_parts()
+            if not may_part:
                 return least
         batches = self._in_batches(lambda copies, *step: copies._least_toi(*step, any_suffices=any_suffices))
         return least_of(toi for _, toi in batches)
+
+    def _earliest_of_parts(self) -> tuple[float, bool]:
+        """The least toi by parts, and whether anything starts within its distance in a world that has this toi."""
+        mesh, least = self._mesh, np.inf
+        found: list[tuple[NDArray[np.intp], PartMesh, Contacts | None]] = []
+        for worlds, of_parts, (toi, pairs) in self._parts.search(self._on_parts(LeastToiStep, LeastToiStep.earliest)):
+            if toi < least:
+                least, found = toi, []
+            if toi == least < np.inf:
+                found.append((worlds, of_parts, pairs))
+            if least <= 0.0:
+                return least, True
+        near = self._pipeline._start_distances
+        for worlds, of_parts, pairs in found:
+            if pairs is None or near is None:
+                return least, True
+            numbers = {"vertex": of_parts.vertex, "face": of_parts.face}
+            for world in np.unique(in_one_world(pairs, of_parts.mesh, mesh, worlds, numbers).world):
+                paths = MeshPaths.of_checked(mesh, self._motion._of_worlds(np.array([world])))
+                if near.of(paths.at(mesh, self._ends[0], self._ends[0], 0.0)) is not None:
+                    return least, True
+        return least, False
 
     def result(self, *, is_of_first: bool = False) -> MeshResult:
         """The contacts in all worlds; or those among which the first of each world are, if these alone are wanted."""

@@ -213,16 +213,20 @@ class DistributedPipeline:
         *,
         any_suffices: bool = False,
     ) -> float:
-        def least(*distances: NDArray[np.float64]) -> float:
-            work = lambda step: step.least_toi(*distances, any_suffices=any_suffices)  # noqa: E731
+        def on_step(work: Callable[[LeastToiStep], _T]) -> _T:
             return self._run(LeastToiStep, *self._ends, work, self._paths)
 
         def work(start: NDArray[np.float64], end: NDArray[np.float64]) -> float:
-            toi = least()
-            near = None if toi > 0.0 or any_suffices else self._start_distances
-            distances = None if near is None else near.of(self._planned.start)
-            if distances is not None:
-                toi = least(distances)
+            near = None if any_suffices else self._start_distances
+            if near is None:
+                toi = on_step(lambda step: step.least_toi(any_suffices=any_suffices))
+            else:
+                toi, pairs = on_step(LeastToiStep.earliest)
+                at_start = self._planned.start
+                if toi < np.inf and near.are_near(at_start, Ends(at_start, self._ends[1], self._paths), pairs):
+                    distances = near.of(at_start)
+                    if distances is not None:
+                        toi = max(toi, on_step(lambda step: step.least_toi(distances)))
             self._finished()
             return toi
 

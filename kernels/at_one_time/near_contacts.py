@@ -100,8 +100,8 @@ def note_near_contacts(
 ):
     """Note the worlds of contacts that start within the distance, or pass by at it.
 
-    Those beyond the list may be in any world. Without positions at the end, as on arcs, none passes by. What passes
-    keeps its distance but for the slack that ``reach`` has beyond it.
+    Those beyond the list may be in any world. What passes keeps its distance but for the slack that ``reach`` has
+    beyond it. Without positions at the end, as on arcs, any may pass by.
     """
     n = begin + wp.tid()
     if n == 0 and count[0] > kinds.shape[0]:
@@ -116,8 +116,10 @@ def note_near_contacts(
     if world_near[world_of(minima, first[0])] != 0:
         return
     start = points_of(kind, first, second, x)
-    is_near = not (least_distance(kind, start) > distance_of(reach.distance, reach.radius, first, second))
-    if not is_near and x_t1.shape[0] > 0:
+    is_near = x_t1.shape[0] == 0
+    if not is_near:
+        is_near = not (least_distance(kind, start) > distance_of(reach.distance, reach.radius, first, second))
+    if not is_near:
         end = points_of(kind, first, second, x_t1)
         slack = reach.distance - reach.kept
         kept = distance_of(reach.kept, reach.radius, first, second) - slack

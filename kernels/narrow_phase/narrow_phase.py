@@ -125,7 +125,7 @@ def settle_pair(
             used = wp.int32(simd64.lane_of(answer.iterations, lane))
             outcome = finished_of_list(pairs, k, simd64.lane_of(answer.t, lane), used, a, b, options, cap)
     if sink == BOUND:
-        settle_least(pairs, k, outcome, options, round, cap, least)
+        settle_least(pairs, k, outcome, options, round, cap, least, contacts)
     elif is_left_open(outcome, round, options, cap):
         leave_open(pairs, k)
     elif outcome.status != STATUS_NO_COLLISION:
@@ -161,9 +161,9 @@ def solve_pairs(
     are keys; the minima are lowered, the contacts listed. The first round marks each pair that it leaves open by the
     complement of its key.
 
-    With `BOUND` the least toi alone is lowered; that of a pair left open is written beside its key. A pair is left out
-    as soon as it is free up to the least toi found so far, which it then cannot lower; so the least toi does not depend
-    on the order of the pairs.
+    With `BOUND` the least toi alone is lowered, and the earliest pairs so far are listed if there is a list; the toi of
+    a pair left open is written beside its key. A pair is left out as soon as it is free up to the least toi found so
+    far, which it then cannot lower; so the least toi does not depend on the order of the pairs.
     """
     count = wp.int64(num_rows)
     cap = options.max_iterations

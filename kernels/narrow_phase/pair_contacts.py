@@ -162,10 +162,32 @@ def record_contact(
 
 
 @wp.func(inline=True)
-def settle_least(pairs: PairList, k: int, outcome: Outcome, options: Options, round: Round, cap: int, least: LeastToi):
-    """Lower the least toi by the result of a pair, or leave the pair open."""
+def settle_least(
+    pairs: PairList,
+    k: int,
+    outcome: Outcome,
+    options: Options,
+    round: Round,
+    cap: int,
+    # out
+    least: LeastToi,
+    earliest: ContactList,
+):
+    """Lower the least toi by the result of a pair, or leave the pair open.
+
+    Where there is a list, it gets each pair that is as early as the least toi so far, and so the earliest; of several
+    that are equally early, those that are solved later may be left out.
+    """
     if is_left_open(outcome, round, options, cap):
         leave_open(pairs, k)
         least.open_toi[k] = outcome.toi
     elif outcome.status != STATUS_NO_COLLISION:
         atomic_min_int64(least.bits, 0, wp.cast(outcome.toi, wp.int64))
+        if earliest.toi.shape[0] > 0:
+            if wp.cast(outcome.toi, wp.int64) <= least.bits[0]:
+                n = claim_int(earliest.count, 0, 1)
+                if n < earliest.toi.shape[0]:
+                    earliest.kind[n] = pairs.kind
+                    earliest.primitives[n] = vertices_of_pair(pairs, k).pair
+                    earliest.toi[n] = outcome.toi
+                    earliest.parameters[n] = outcome.parameters

@@ -263,7 +263,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                     )
                 pair_outcome.write_row(k, outcome, table)
             elif wp.static(is_bound):
-                pair_contacts.settle_least(pairs, k, outcome, options, round, cap, least)
+                pair_contacts.settle_least(pairs, k, outcome, options, round, cap, least, contacts)
             elif pair_contacts.is_left_open(outcome, round, options, cap):
                 pair_contacts.leave_open(of_kind, k)
             elif outcome.status != STATUS_NO_COLLISION:

@@ -89,6 +89,28 @@ def drawn_slides(rng, count, slider, distance, kinds):
     return start, end
 
 
+def slides_just_beyond(seed, count, slider, norm, share):
+    """Pipeline, start and end of slides, whose nearest pair starts by a share of its distance beyond it."""
+    rng = np.random.default_rng(seed)
+    starts, ends = drawn_slides(rng, count, slider, 0.02, [FLAT, FALLING] if slider == "particle" else range(4))
+    turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    for start, end in zip(starts @ turn, ends @ turn, strict=True):
+        bodies = [(start[:GROUND], FACES), (start[GROUND:], *_slider(slider))]
+        form = {"static": [0], "self_collision": False, "codimensional_points": slider == "particle"}
+        mesh = ccd.CollisionMesh.from_arrays(bodies, **form)
+        distance = ccd.find_proximity(mesh, start, 0.5).distance.min() * (1 - share)
+        options = {norm: distance}
+        if norm == "radius":
+            mesh, options = ccd.CollisionMesh.from_arrays(bodies, **form, radius=distance / 2), {}
+        yield ccd.CollisionPipeline(mesh, device="cpu", **options), start, end
+
+
+def _slider(slider):
+    """The primitives of what slides, of which there are one each."""
+    none = np.zeros((0, 3), dtype=int)
+    return {"particle": (none,), "segment": (none, [[0, 1]]), "triangle": ([[0, 1, 2]],)}[slider]
+
+
 def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=False, offset=0.0, **options):
     """Pipeline, start and end of slides; ``norm`` is the option that says the distance, ``drifts`` moves the ground."""
     rng = np.random.default_rng(seed)
@@ -99,9 +121,7 @@ def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=Fal
         end += rng.normal(size=(count, 1, 3)) * rng.choice([0, 1e-3, 1], (count, 1, 1))
     turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
     start, end = (scale * (x @ turn) + offset for x in (start, end))
-    none = np.zeros((0, 3), dtype=int)
-    body = {"particle": (none,), "segment": (none, [[0, 1]]), "triangle": ([[0, 1, 2]],)}[slider]
-    bodies = [(start[0, :GROUND], FACES), (start[0, GROUND:], *body)]
+    bodies = [(start[0, :GROUND], FACES), (start[0, GROUND:], *_slider(slider))]
     if norm != "radius":
         options[norm] = distance * (scale if norm == "minimum_distance" else 1.0)
     mesh = ccd.CollisionMesh.from_arrays(

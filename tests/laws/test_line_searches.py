@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scenes import sheet as sheet_of
-from slides import SLIDERS, slides_of
+from slides import SLIDERS, slides_just_beyond, slides_of
 
 import ccd_warp as ccd
 from ccd_warp._engine.boxes import some_queries
@@ -200,3 +200,12 @@ def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, co
         pipeline, start, end = slides_of(seed, count, slider, norm, **case)
         reached = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
         assert (reached != end).any(axis=(1, 2)).sum() <= count // 10_000, case
+
+
+@pytest.mark.parametrize("share", [2e-14, 1e-12])
+@pytest.mark.parametrize("norm", ["radius", "minimum_distance"])
+@pytest.mark.parametrize("slider", SLIDERS)
+def test_steps_and_searches_alike_let_go_what_starts_a_rounding_beyond_its_distance(slider, norm, share):
+    for pipeline, start, end in slides_just_beyond(1, 40, slider, norm, share):
+        assert pipeline.collision_free_step(start, end) == 1.0
+        assert pipeline.line_search(start, end).fraction == 1.0

@@ -359,6 +359,10 @@ PLANTED = [
     Fault("start distances where nothing is near", "ccd_warp/_engine/host/start_distances.py",
           "distances[~is_near[self._vertex_world]] = np.inf", "distances[is_near[self._vertex_world]] = np.inf",
           ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",)),
+    Fault("of the earliest pairs none starts near", "ccd_warp/_engine/host/start_distances.py",
+          "return not are_known or", "return not are_known and",
+          ("laws/test_line_searches.py::"
+           "test_steps_and_searches_alike_let_go_what_starts_a_rounding_beyond_its_distance",)),
     Fault("a least toi without start distances", "ccd_warp/_engine/host/least_toi_step.py",
           "self.parting(start_distances)", "self.parting(None)",
           ("kernels/pair/test_start_distance.py::test_triangle_at_its_distance_parts_and_slides_and_does_not_approach",)),

@@ -204,6 +204,16 @@ class ContactStore:
             count = self._read[-1:].view(np.int32)
         self.total += int(count[0]) - min(self.total, self._capacity)
 
+    def with_toi(self, toi: float) -> Contacts | None:
+        """The contacts of one batch that have this toi, in any order; None if not all of the batch were kept."""
+        self.end_batch()
+        if not self.is_complete:
+            return None
+        columns = self._columns()
+        chosen = columns["toi"] == toi
+        contacts: Contacts = of_values(Contacts, {name: values[chosen] for name, values in columns.items()})
+        return contacts
+
     def keep_earliest(self) -> None:
         """Keep of each pair its earliest contact, where a step was searched slice by slice."""
         if self.total == 0:

@@ -1,22 +1,41 @@
 """The earliest toi of a step alone."""
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.motion import Slice
+from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.status import PairKind
+from ccd_warp.kernels.step.step import ContactList
 
 # Remaining share of the step below which recomputing the boxes for it pays.
 _WORTH_SHORTENING = 0.5
 # Where pairs that keep their start distances press (`kernels.pair.start_distance`), a step below the first
 # fraction is none if its motion is below the second fraction of the size of the scene.
 _LOST_TOI, _LOST = 2.0**-20, 2.0**-30
+# Pairs that a search may list as the earliest so far: each that lowers the least toi is one, and all that have it.
+_MOST_LISTED = 1 << 14
 # Marked keys of open pairs and their toi so far, of each kind in batches.
 _OpenPairs = dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]
+
+
+class Earliest(NamedTuple):
+    """The earliest toi of a step, and the pairs that have it, without those with half-spaces.
+
+    Attributes:
+        toi: The toi, inf if nothing touches.
+        pairs: A pair that has it, and others that have the same, as contacts of which kind, primitives, toi and
+            parameters are known; None if none is, as at a toi of 0.
+    """
+
+    toi: float
+    pairs: Contacts | None
 
 
 class LeastToiStep(ImpactStep):
@@ -24,7 +43,14 @@ class LeastToiStep(ImpactStep):
 
     goal = "bound"
     bytes_beside = 8  # of a toi
-    _any_suffices = False
+    _any_suffices = _lists_pairs = _is_cut_short = False
+
+    def earliest(self) -> Earliest:
+        """The earliest toi of all pairs, where what starts within its distance may part, and what pairs have it."""
+        self._lists_pairs = True
+        toi = self.least_toi()
+        is_known = 0.0 < toi < np.inf and not self._is_cut_short
+        return Earliest(toi, self.workspace.contacts.with_toi(toi) if is_known else None)
 
     def least_toi(self, start_distances: NDArray[np.float64] | None = None, *, any_suffices: bool = False) -> float:
         """Earliest toi of all pairs, inf if none touches; what starts within its distance may part (`parting`).
@@ -67,6 +93,8 @@ class LeastToiStep(ImpactStep):
     def _least_of(self, part: Slice, best: float) -> float:
         """The least of a toi and those in a slice, or in the whole step."""
         plan = self.begin_slice(part)
+        if part is self.motion.slices[0]:
+            self._begin_list(plan)
         if self.is_idle():
             return best
         self.bind_options(part)
@@ -120,6 +148,18 @@ class LeastToiStep(ImpactStep):
     def reset(self, plan: HostPlan) -> None:
         """Begin without a toi."""
         plan.counters.set_least(np.inf)
+        self._begin_list(plan)
+
+    def _begin_list(self, plan: HostPlan) -> None:
+        """Begin a list of the earliest pairs, or none."""
+        if self._lists_pairs:
+            store, limit = self.workspace.contacts, self.options.memory_limit
+            most = _MOST_LISTED if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_PER_CONTACT
+            store.begin(self.execution, max(1, min(most, _MOST_LISTED)))
+            plan.bind(contacts=store.begin_batch(_MOST_LISTED))
+        elif plan.lists_pairs:
+            plan.bind(contacts=ContactList())
+        plan.lists_pairs = self._lists_pairs
 
     def _searched(self, plan: HostPlan, best: float, *, of_sample: bool) -> Iterator[Batch]:
         """The batches of a search; none where few of its queries show that what touches does so at once."""
@@ -146,7 +186,7 @@ class LeastToiStep(ImpactStep):
             if len(keys) == 0:
                 continue
             if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
-                bound = min(bound, float(toi.min()))
+                bound, self._is_cut_short = min(bound, float(toi.min())), True
                 continue
             plan.set_open_pairs(kind, keys, num_open[kind])
             plan.counters.set_least(bound)

@@ -66,6 +66,7 @@ class HostPlan(Plan):
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
+        lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
 
     @staticmethod
@@ -96,7 +97,7 @@ class HostPlan(Plan):
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._needed: Mapping[PairKind, int] = {}  # pairs of the last search
         self._search_values: tuple[float, ...] | None = None
-        self.is_idle = False
+        self.is_idle = self.lists_pairs = False
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
         self.begin_counts()

@@ -1,7 +1,7 @@
 """How near vertices are to anything at the start of a step, found where something starts within its distance."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,20 +48,31 @@ class StartDistances:
         Such a contact is one whichever way its vertices move. ``start`` are the positions in the world. Other worlds
         have inf, as worlds do not depend on each other; None where all are such.
         """
-        if self._everywhere.all(not len(contacts)):
-            return None
-        is_straight, distance = ends.paths is None, self._distance
-        near = self._on_step(
-            lambda step: step.worlds_near(contacts, distance, is_straight=is_straight),
-            start,
-            ends.end if is_straight else start,
-        )
-        is_near = self._everywhere.least(np.where(near, 0.0, 1.0)) == 0.0
-        if not is_near.any():
+        is_near = self._worlds_near(start, ends, contacts)
+        if is_near is None:
             return None
         distances = self._search(start)
         distances[~is_near[self._vertex_world]] = np.inf
         return distances
+
+    def are_near(self, start: _Positions, ends: Ends, pairs: Contacts | None) -> bool:
+        """Whether one of some pairs starts within its distance, or passes by at it; pairs that are not known may."""
+        are_known = self._everywhere.all(pairs is not None)
+        return not are_known or self._worlds_near(start, ends, cast(Contacts, pairs)) is not None
+
+    def _worlds_near(self, start: _Positions, ends: Ends, contacts: Contacts) -> NDArray[np.bool_] | None:
+        """In which worlds one of these contacts starts within its distance, or passes by at it; None for none.
+
+        Whether a pair passes by on arcs is not known: any may.
+        """
+        if self._everywhere.all(not len(contacts)):
+            return None
+        if ends.paths is not None:
+            return np.ones(self._vertex_world.max(initial=-1) + 1, dtype=bool)
+        distance = self._distance
+        near = self._on_step(lambda step: step.worlds_near(contacts, distance), start, ends.end)
+        is_near: NDArray[np.bool_] = self._everywhere.least(np.where(near, 0.0, 1.0)) == 0.0
+        return is_near if is_near.any() else None
 
     def _search(self, start: _Positions) -> _Positions:
         distance = self._distance
