@@ -182,3 +182,22 @@ def test_ten_faces_against_half_a_million():
     # the tip stands over a crest at height 1/2
     assert 0.5 - 1e-9 <= result.toi <= 0.5 and 0.5 - 1e-9 < ccd.collision_free_step(*frames) <= 0.5
     assert np.isfinite(result.body_toi).all() and 0 < len(result.contacts) < 500
+
+
+@pytest.mark.parametrize("call", [ccd.mesh_ccd, ccd.collision_free_step])
+def test_positions_whose_differences_overflow_are_answered_as_smaller_ones(call):
+    """Of two spheres whose vertices move at random all pairs are open: none reaches a limit of work."""
+    ball, apart = trimesh.creation.icosphere(2), np.array([0.55, 0, 0])
+    end = np.random.default_rng(1).uniform(-1, 1, (2 * len(ball.vertices), 3))
+    found = []
+    for scale in (1e300, 1.7e308):
+        spheres = [(scale * (0.4 * ball.vertices + side * apart), ball.faces) for side in (-1, 1)]
+        mesh = ccd.CollisionMesh.from_arrays(spheres)
+        found.append(call(mesh, mesh.vertices, scale * end))
+    if call is ccd.collision_free_step:
+        assert found[1] == pytest.approx(found[0], rel=1e-9) and found[0] > 0
+    else:
+        small, large = (result.contacts for result in found)
+        assert len(small) > 10_000 and large.status.max() < ccd.CCDStatus.ITERATION_LIMIT
+        assert np.array_equal(small.primitives, large.primitives)
+        assert np.abs(small.toi - large.toi).max() < 1e-5
