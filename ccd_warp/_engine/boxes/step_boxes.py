@@ -33,6 +33,9 @@ from ccd_warp.kernels.boxes import box_tree as kernels
 _LARGEST_BLOCK = 12.0
 _CHECKED_BLOCKS = 64
 _FEW_OF_A_WORLD = 3 * WIDTH  # primitives
+# Vertices up to which it is asked whether positions are near those of an earlier step, and the binary logarithm of the
+# most steps in which that is not asked.
+_FEW_VERTICES, _MOST_UNASKED = 1 << 12, 4
 _NO_END = 1.0
 
 
@@ -107,6 +110,7 @@ class StepBoxes:
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
         self._around: _Around | None = None
+        self._num_far = self._num_unasked = 0
         self._static_extent = np.float32(0.0)
         self._static_rows = blocks_of(topology.mesh.static_vertex_ranges)
 
@@ -119,6 +123,7 @@ class StepBoxes:
         execution: Execution,
         *,
         goes_on: bool = False,
+        keeps_order: bool = False,
     ) -> None:
         """Start a step: choose its quantization, and build what static bodies need where it is not up to date.
 
@@ -128,13 +133,15 @@ class StepBoxes:
             num_aabbs: AABBs of a box: 1, the swept AABB; 2, the endpoint AABBs.
             sets: The trees or spatial hashes that the step needs.
             execution: Where to build them.
-            goes_on: Whether this is a further slice of a step, which keeps the order of the trees.
+            goes_on: Whether this is a further slice of a step.
+            keeps_order: Whether trees of moving bodies begin in the order of the last step, and not in that of the rest
+                configuration.
         """
         start = positions[0]
         mesh = self.topology.mesh
         if not goes_on:
             self.num_boxes = self.num_sorted = 0
-        self.quantization, self._around = choose_quantization(self.topology, positions, num_aabbs), None
+        self._quantize(positions, num_aabbs)
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
             self._rest.clear()
@@ -148,7 +155,7 @@ class StepBoxes:
             self.topology.vertex_group,
         )
         for box_set in sets:
-            self._lay_out(box_set, layout, goes_on)
+            self._lay_out(box_set, layout, keeps_order=keeps_order)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
             for box_set in sets:
@@ -159,18 +166,30 @@ class StepBoxes:
                     self._filled.add(box_set.name)
 
     def begin_again(self, positions: Positions) -> None:
-        """Start a step with the sets of the last one, none of which is static or may be sorted.
+        """Start a step with the sets of the last one, none of which is static or may be sorted."""
+        self._quantize(positions, self._num_aabbs)
 
-        Where all positions are near those of an earlier step, the map is theirs, and what it was chosen from is not.
+    def _quantize(self, positions: Positions, num_aabbs: int) -> None:
+        """Choose the quantization: that of an earlier step, where all positions are near those of that one.
+
+        This is asked in meshes of so few vertices that asking takes less than choosing, and after a step that was not
+        near less and less often.
         """
-        if self._around is not None and self._around.has_near(positions):
+        around, num_vertices = self._around, self.topology.mesh.num_vertices
+        if around is not None and self._num_aabbs == num_aabbs and around.has_near(positions):
+            self._num_far = 0
             return
-        self.quantization = choose_quantization(self.topology, positions, self._num_aabbs)
-        around = _Around.of(positions, self.quantization)
-        self._around = around if around.slack >= 0.0 and self.topology.mesh.num_worlds == 1 else None
+        self.quantization, self._around = choose_quantization(self.topology, positions, num_aabbs), None
+        if around is not None:  # the next steps will hardly be near
+            self._num_far += 1
+            self._num_unasked = 1 << min(self._num_far, _MOST_UNASKED)
+        if self._num_unasked > 0:
+            self._num_unasked -= 1
+        elif num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
+            self._around = _Around.of(positions, self.quantization)
 
-    def _lay_out(self, box_set: BoxSet, layout: Layout, goes_on: bool) -> None:
-        """Give a set its arrays; a tree of moving bodies begins every step in the order of the rest configuration."""
+    def _lay_out(self, box_set: BoxSet, layout: Layout, *, keeps_order: bool) -> None:
+        """Give a set its arrays, and a tree of moving bodies its order."""
         is_new = box_set.name not in self._rest
         if is_new:
             box_set.lay_out(layout)
@@ -180,7 +199,7 @@ class StepBoxes:
             self._rest[box_set.name] = box_set.structs
             self._filled.discard(box_set.name)
         if not box_set.primitives.is_static:
-            if is_changed or not goes_on:
+            if is_changed or not keeps_order:
                 box_set.structs = self._rest[box_set.name]
             self.num_boxes += box_set.primitives.count
 

@@ -33,8 +33,8 @@ _WORTH_THREADS = 1 << 15
 _SAMPLES = 1 << 10
 # Every array of an allocation that CUDA reads at once begins at a multiple of so many bytes.
 _ALIGNMENT = 256
-# Contacts that are few: their launches are recorded for so many, whatever their number.
-_FEW = 1 << 10
+# Up to the last of these, contacts are few: their launches are recorded for the least of these that holds them.
+_FEW = 1 << 10, 1 << 13
 # Who has a toi and a first contact, in the order of the arrays.
 _OWNERS = "vertex", "body", "world"
 
@@ -141,7 +141,7 @@ class ContactStore:
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
         mesh = topology.mesh
-        self.total, self.num_with_planes = 0, _FEW
+        self.total, self.num_with_planes = 0, _FEW[0]
         self._topology, self._buffers = topology, buffers
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
@@ -156,7 +156,7 @@ class ContactStore:
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
         self._list: Any = None
         self._capacity = 0
-        self._recording: Any = None
+        self._few: dict[int, _FewOrdered] = {}
 
     def begin(self, execution: Execution, largest: int) -> None:
         """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
@@ -250,10 +250,14 @@ class ContactStore:
         if not is_ordered and count:
             contacts = {name: values.copy() for name, values in self._columns().items()}
             return self._gathered(contacts, [np.full(j - i, _NO_CONTACT) for i, j in self._ranges[:-1]])
-        if count <= _FEW and not is_cuda:
+        if count <= _FEW[-1] and not is_cuda:
+            capacity = next(most for most in _FEW if count <= most)
+            if capacity not in self._few:
+                ordered = _Ordered(self._topology, self.count, self.minima, capacity, is_cuda=False)
+                self._few[capacity] = _FewOrdered(ordered)
             if count > 0:
-                self._order_few()
-            contacts, first = self._few.read(count)
+                self._few[capacity].order(self._list, count, self._execution)
+            contacts, first = self._few[capacity].ordered.read(count)
             # the arrays stay
             return self._gathered({name: values[:count].copy() for name, values in contacts.items()}, first)
         ordered = _Ordered(self._topology, self.count, self.minima, count, is_cuda)
@@ -273,28 +277,38 @@ class ContactStore:
             results[f"{name}_toi"], results[f"{name}_contact"] = toi[begin:end], of_owners
         return results
 
-    @lazy_property
-    def _few(self) -> "_Ordered":
-        """Arrays that stay: few contacts are copied from them, as recorded launches cost a third of others."""
-        return _Ordered(self._topology, self.count, self.minima, _FEW, is_cuda=False)
 
-    def _order_few(self) -> None:
-        """Order few contacts by a recording, made at its first use."""
-        if self._recording is None or self._recording.execution.num_threads != self._execution.num_threads:
-            few, of_step, recording = self._few, Slot("found"), Recording(self._execution, {"found": None})
-            keys, order = few.keys.numpy(), few.order.numpy()
+class _FewOrdered:
+    """Arrays for few contacts that stay, and a recording that orders these, as its launches cost a third of others.
 
-            def sort() -> None:
-                order[: self.total] = keys[: self.total].argsort()
+    Attributes:
+        ordered: The arrays.
+    """
 
-            recording.bind("found", self._list)
-            with recording.section("ordered"):
-                few.fill_keys(recording, of_step)
-                recording.call(sort)
-                few.fill(recording, of_step)
-            self._recording = recording
-        self._recording.bind("found", self._list)
-        self._recording.play("ordered")
+    def __init__(self, ordered: _Ordered) -> None:
+        self.ordered, self._count = ordered, 0
+        self._recording: Recording | None = None
+
+    def order(self, contacts: Any, count: int, execution: Execution) -> None:
+        """Order the contacts of a list, of which there are so many; recorded at its first use."""
+        self._count, recording = count, self._recording
+        if recording is None or recording.num_threads != execution.num_threads:
+            self._recording = recording = self._recorded(contacts, execution)
+        recording.bind("found", contacts)
+        recording.play("ordered")
+
+    def _recorded(self, contacts: Any, execution: Execution) -> Recording:
+        recording, ordered, of_step = Recording(execution, {"found": contacts}), self.ordered, Slot("found")
+        keys, order = ordered.keys.numpy(), ordered.order.numpy()
+
+        def sort() -> None:
+            order[: self._count] = keys[: self._count].argsort()
+
+        with recording.section("ordered"):
+            ordered.fill_keys(recording, of_step)
+            recording.call(sort)
+            ordered.fill(recording, of_step)
+        return recording
 
 
 def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution) -> None:

@@ -184,7 +184,10 @@ class HostPlan(Plan):
         Those of bodies that are not active are empty.
         """
         boxes, self.is_idle = self._boxes, False
-        boxes.begin(positions, inflation, self._num_aabbs, self.trees, self.execution, goes_on=goes_on)
+        # candidates are listed in the order of the rest configuration, whatever was searched before
+        keeps_order = goes_on or self._goal != "candidates"
+        of_step = positions, inflation, self._num_aabbs, self.trees, self.execution
+        boxes.begin(*of_step, goes_on=goes_on, keeps_order=keeps_order)
         self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
         self._active = active
         self._bind_trees()
