@@ -1,6 +1,6 @@
 """What is searched in a step and what for: of the driver on the host, and of that on the device."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
 import warp as wp
@@ -10,12 +10,13 @@ from ccd_warp._engine.boxes.grids import Grid
 from ccd_warp._engine.boxes.trees import Tree, sampled_pairs_of, tree_pairs_of, trees_of
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._engine.mesh.topology import Topology
+from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.lanes import narrow_phase_on
-from ccd_warp._runtime.launch import Execution
+from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
-from ccd_warp.kernels.step.minima import NUM_COUNTS
+from ccd_warp.kernels.step.minima import ANY_OPEN, NUM_COUNTS
 
 # What a call looks for: all contacts, the least toi alone, candidate pairs; or at one time what intersects, what
 # is near, how far vertices may move, or how near they are to anything.
@@ -28,10 +29,11 @@ NUM_ALL_COUNTS = len(PairKind) * int(NUM_COUNTS)
 
 
 class Plan:
-    """A step of one goal, by what is searched and counted; its driver gives the stages their arrays.
+    """A step of one goal: what is searched and counted, and the order of its stages, as they are recorded.
 
-    The driver on the device records all stages at once. The one on the host plays them one by one: it chooses the
-    quantization and the order of the trees for each step, and sees after the search how many pairs there are.
+    Its driver gives the stages their arrays. That on the device plays all stages of a step as one section, without a
+    look at what they find. The one on the host chooses the quantization and the order of the trees for each step, and
+    sees afterwards whether all that was found did fit: until it has, it plays a section for each stage.
 
     Attributes:
         topology: The mesh on its device.
@@ -84,11 +86,51 @@ class Plan:
         # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once
         self._counters: wp.array = wp.zeros(NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
         self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
+        self._is_open = low_half(self._counts, int(ANY_OPEN))
 
     @property
     def has_planes(self) -> bool:
         """Whether vertices meet half-spaces."""
         return PairKind.VERTEX_PLANE in self.kinds
+
+    def record_boxes(
+        self,
+        recording: Recording,
+        stages: Stages,
+        active: Any,
+        *,
+        with_trees: bool = True,
+        sort: Callable[[], None] | None = None,
+    ) -> None:
+        """Record the boxes of the bodies that are active; a call may ``sort`` trees before, or in place of, the last.
+
+        Without trees only the AABBs of vertices are computed, from which the call makes them.
+        """
+        if self.moving_trees:
+            stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, active)
+        if with_trees:
+            stages.fill_boxes(recording, self.moving_trees)
+        if sort is not None:
+            recording.call(sort)
+        stages.fill_slender(recording, self.slender_trees, active)
+
+    def record_narrow_phase(
+        self, recording: Recording, stages: Stages, active: Any, *, only_moving: bool = False, gaps_moved: float = 0.0
+    ) -> None:
+        """Record what vertices and half-spaces do, and both rounds of the narrow phase."""
+        if self.has_planes:
+            stages.meet_planes(recording, self.sink, active, only_moving=only_moving, gaps_moved=gaps_moved)
+        self.record_rounds(recording, stages, only_moving=only_moving, gaps_moved=gaps_moved)
+
+    def record_rounds(self, recording: Recording, stages: Stages, **solved: Any) -> None:
+        """Record both rounds of the narrow phase.
+
+        The second round of the goal of a bound is of the pairs that are earlier than all others, which the host finds.
+        """
+        stages.solve(recording, self.sink, is_second=False, **solved)
+        if self.sink == CONTACTS:
+            with recording.only_if(self._is_open):
+                stages.solve(recording, self.sink, is_second=True, **solved)
 
     @property
     def _narrow_phase(self) -> Any:
@@ -96,3 +138,9 @@ class Plan:
         if not self._has_narrow_phase:
             return None
         return narrow_phase_on(self.topology.device, self._real, self.norm)
+
+
+def low_half(counts: wp.array, column: int) -> wp.array:
+    """The low half of a count in the first row, int32, shape [1]: a flag, as there are fewer than 2³² pairs."""
+    place = counts.ptr + column * counts.strides[1]  # the bytes of a number are in ascending order on all devices
+    return wp.array(ptr=place, dtype=wp.int32, shape=1, device=counts.device)

@@ -128,7 +128,7 @@ class DeviceArcStep(DeviceLineSearch):
                     self._arcs.place(of_slice, recording, *slots)
                 self._record_search(recording, stages, of_bodies)
                 gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
-                self._record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
+                self.record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
         return first
 
     def _record_near(self, recording: Recording, near: Any, rows: Any, active: Any) -> None:

@@ -111,6 +111,8 @@ def part_mesh(
 class PartTopology(Topology):
     """The data of a part on a device, and which of the pairs found there belong to this rank."""
 
+    is_whole = False
+
     def __init__(
         self,
         part: Part,

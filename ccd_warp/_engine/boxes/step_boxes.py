@@ -165,10 +165,6 @@ class StepBoxes:
                     self.keep_in_order(box_set, execution)
                     self._filled.add(box_set.name)
 
-    def begin_again(self, positions: Positions) -> None:
-        """Start a step with the sets of the last one, none of which is static or may be sorted."""
-        self._quantize(positions, self._num_aabbs)
-
     def _quantize(self, positions: Positions, num_aabbs: int) -> None:
         """Choose the quantization: that of an earlier step, where all positions are near those of that one.
 
@@ -185,7 +181,7 @@ class StepBoxes:
             self._num_unasked = 1 << min(self._num_far, _MOST_UNASKED)
         if self._num_unasked > 0:
             self._num_unasked -= 1
-        elif num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
+        elif self.topology.is_whole and num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
             self._around = _Around.of(positions, self.quantization)
 
     def _lay_out(self, box_set: BoxSet, layout: Layout, *, keeps_order: bool) -> None:

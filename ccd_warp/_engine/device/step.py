@@ -20,7 +20,7 @@ from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.planes import plane_query, planes_of
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.topology import VERTEX_AABB_FLOATS, PrimitiveSet, Topology, choose_quantization
-from ccd_warp._engine.plan import Goal, Plan
+from ccd_warp._engine.plan import Goal, Plan, low_half
 from ccd_warp._engine.stages import KINDS_AT_ONCE, Stages, StepFields
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
@@ -35,7 +35,7 @@ from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step import device_step as kernels
-from ccd_warp.kernels.step.minima import ANY_OPEN, ANY_UNLISTED, MOST_LISTED
+from ccd_warp.kernels.step.minima import ANY_UNLISTED, MOST_LISTED
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -101,8 +101,7 @@ class DeviceStep(Plan):
         self._options, self._vertices, self._radius = options, vertices, radius
         self._input = DeviceInput(topology, execution, static_positions, radius)
         self._active = self._full(mesh.num_bodies, 1, wp.int32)
-        self._is_open = _low_half(self._counts, int(ANY_OPEN))
-        self._is_any_unlisted = _low_half(self._counts, int(ANY_UNLISTED))
+        self._is_any_unlisted = low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
         self.beside: dict[type, Any] = {}
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
@@ -337,7 +336,7 @@ class DeviceStep(Plan):
         The narrow phase is launched with what ``adapt`` makes of the stages.
         """
         stages = self._record_pairs(recording, form, active, is_first)
-        self._record_narrow_phase(recording, adapt(stages), active, **solved)
+        self.record_narrow_phase(recording, adapt(stages), active, **solved)
         return stages
 
     def _record_reset(self, recording: Recording, kept_flags: int = 0, *, keeps_toi: bool = False) -> None:
@@ -375,24 +374,5 @@ class DeviceStep(Plan):
 
     def _record_search(self, recording: Recording, stages: Stages, active: Any) -> None:
         """Record the boxes of the bodies that are active, and the search."""
-        if self.moving_trees:
-            stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, active)
-        stages.fill_boxes(recording, self.moving_trees)
-        stages.fill_slender(recording, self.slender_trees, active)
+        self.record_boxes(recording, stages, active)
         stages.find_pairs(recording, self.tree_pairs, is_any_unlisted=self._is_any_unlisted)
-
-    def _record_narrow_phase(
-        self, recording: Recording, stages: Stages, active: Any, *, only_moving: bool = False, gaps_moved: float = 0.0
-    ) -> None:
-        """Record both rounds of the narrow phase, and what vertices and half-spaces do."""
-        if stages.plane_query is not None:
-            stages.meet_planes(recording, self.sink, active, only_moving=only_moving, gaps_moved=gaps_moved)
-        stages.solve(recording, self.sink, is_second=False, only_moving=only_moving, gaps_moved=gaps_moved)
-        with recording.only_if(self._is_open):
-            stages.solve(recording, self.sink, is_second=True, only_moving=only_moving, gaps_moved=gaps_moved)
-
-
-def _low_half(counts: wp.array, column: int) -> wp.array:
-    """The low half of a count in the first row, int32, shape [1]: a flag, as there are fewer than 2³² pairs."""
-    place = counts.ptr + column * counts.strides[1]  # the bytes of a number are in ascending order on all devices
-    return wp.array(ptr=place, dtype=wp.int32, shape=1, device=counts.device)

@@ -10,7 +10,7 @@ from ccd_warp._engine.host.contacts import BYTES_KEPT, BYTES_PER_CONTACT, Contac
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.oddities import hidden_sentence
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
-from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contact_place import located
 from ccd_warp._results.contacts import Contacts
@@ -20,7 +20,6 @@ from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp.kernels.pair.norm import is_ball
-from ccd_warp.kernels.step.minima import OPEN
 
 
 class ContactStep(ImpactStep):
@@ -62,13 +61,9 @@ class ContactStep(ImpactStep):
         are.
         """
         store = self.workspace.contacts
-        batch = self.found_at_once()
-        if batch is None:
+        if self.played_whole() is None:
             for part in self.motion.slices:
                 self._find(part, store)
-        elif batch.num_pairs:
-            with self.timed("narrow phase"):
-                self._solve_all(batch, store)
         if not store.is_complete:
             least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
             raise ValueError(
@@ -102,7 +97,11 @@ class ContactStep(ImpactStep):
         plan = self.begin_slice(part)
         with self.timed("pairs"):
             if part is self.motion.slices[0]:
-                self.reset(plan)
+                limit = self.options.memory_limit
+                store.begin(
+                    self.execution, MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
+                )
+                plan.reset_minima()
             if self.is_idle():
                 return
             self.bind_options(part)
@@ -118,13 +117,8 @@ class ContactStep(ImpactStep):
                 store.num_with_planes = max(expected, num_contacts)
                 self.survivors[PairKind.VERTEX_PLANE] += num_contacts
         open_keys: dict[PairKind, list[NDArray[np.int64]]] = {}
-        has_shared = False
         for batch in self.batches(batches):
             with self.timed("narrow phase"):
-                if batch.is_only:
-                    has_shared = True
-                    self._solve_all(batch, store)
-                    continue
                 self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
                 plan.bind(contacts=store.begin_batch(sum(batch.num_pairs.values())))
                 plan.solve(is_second=False)
@@ -134,30 +128,22 @@ class ContactStep(ImpactStep):
                 store.end_batch()
         with self.timed("narrow phase"):
             keys_left = {kind: np.concatenate(keys) for kind, keys in open_keys.items()}
-            num_open = {} if has_shared else self.ranks.all_open({kind: len(keys) for kind, keys in keys_left.items()})
+            num_open = self.ranks.all_open({kind: len(keys) for kind, keys in keys_left.items()})
             for kind, keys in keys_left.items():
                 plan.set_open_pairs(kind, keys, num_open[kind])
                 plan.bind(contacts=store.begin_batch(len(keys)))
                 plan.solve(is_second=True)
                 store.end_batch()
 
-    def _solve_all(self, batch: Batch, store: ContactStore) -> None:
-        """Both rounds of the narrow phase on pairs that are all there are."""
-        plan = self.plan
-        self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
-        plan.bind(contacts=store.begin_batch(sum(batch.num_pairs.values())))
-        plan.solve(is_second=False)
-        if not self.ranks.is_alone:
-            plan.counters.set_column(OPEN, self.ranks.all_open(plan.num_open()))
-        plan.solve(is_second=True)
-        store.end_batch()
+    def begin_found(self, plan: HostPlan) -> None:
+        """Begin a list of contacts, with places for those of the last step."""
+        store = self.workspace.contacts
+        store.begin(self.execution, MOST_PAIRS)
+        plan.bind(contacts=store.begin_batch(0))
 
-    def reset(self, plan: HostPlan) -> None:
-        """Begin a list of contacts, and set every toi to infinity."""
-        limit = self.options.memory_limit
-        largest = MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
-        self.workspace.contacts.begin(self.execution, largest)
-        plan.reset_minima(self.workspace.contacts.count)
+    def fits(self) -> bool:
+        """Whether the list holds all contacts; a longer one is made if not."""
+        return self.workspace.contacts.ends_complete()
 
     def _place(self) -> tuple[Any, ...]:
         """Where contacts are, what counts as touching, if it is one thing for all pairs, and what is how thick."""

@@ -36,6 +36,7 @@ _ALIGNMENT = 256
 # Up to the last of these, contacts are few: their launches are recorded for the least of these that holds them.
 _FEW = 1 << 10, 1 << 13
 # Who has a toi and a first contact, in the order of the arrays.
+_GROWTH = 1.25  # how many more places than contacts there are after a batch that had too few
 _OWNERS = "vertex", "body", "world"
 
 
@@ -203,6 +204,15 @@ class ContactStore:
             self._read = self._toi.numpy()
             count = self._read[-1:].view(np.int32)
         self.total += int(count[0]) - min(self.total, self._capacity)
+
+    def ends_complete(self) -> bool:
+        """Count what the only batch has appended; whether there was a place for each, as the next one has if not."""
+        self.end_batch()
+        is_complete = self.total <= self._capacity
+        if not is_complete:
+            total, self.total = self.total, 0
+            self.begin_batch(int(_GROWTH * total))
+        return is_complete
 
     def with_toi(self, toi: float) -> Contacts | None:
         """The contacts of one batch that have this toi, in any order; None if not all of the batch were kept."""

@@ -1,7 +1,7 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
-import time
-from dataclasses import dataclass, replace
+import itertools
+from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
@@ -14,19 +14,7 @@ from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
-
-
-@dataclass(frozen=True)
-class _AtOnce:
-    """What the steps with the same options share that :meth:`ImpactStep.found_at_once` makes."""
-
-    plan: HostPlan
-    t_end: float
-    length_scale: float
-    separation: float
-    inflation: float
-    most_pairs: int
-    packed: Any  # the options
+from ccd_warp._runtime.status import PairKind
 
 
 class ImpactStep(Step):
@@ -59,71 +47,52 @@ class ImpactStep(Step):
             self.start_distances.assign(start_distances.ravel())
         return self
 
-    def found_at_once(self) -> Batch | None:
-        """All pairs of a step of one slice, in one process, without half-spaces and a limit of memory, on the CPU.
+    def played_whole(self) -> Batch | None:
+        """All pairs of a step, solved but for the second round of a bound, of which all stages are played as one.
 
-        This plays what :meth:`begin_slice`, :meth:`bind_options` and :meth:`HostPlan.batches` do, with what stays the
-        same from step to step: in a small scene that would take longer than the kernels.
+        The sections of a recording are played whole where all that the last step of the same plan found did fit; on the
+        CPU, in one process, of one slice and one search, without a limit of memory.
 
         Returns:
-            The pairs; None if the step is another one, or if they do not fit the memory, and nothing has been done.
+            The pairs; None if nothing has been done, and the step is to be played section by section.
         """
-        if self.start_distances is not None or not self.ranks.is_alone:
+        if not self.ranks.is_alone or self.options.memory_limit is not None or len(self.motion.slices) > 1:
             return None
-        turns = self.paths is not None
-        if turns and len(self.motion.slices) > 1:
+        plan, part = (
+            HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion),
+            self.motion.slices[0],
+        )
+        if not plan.has_fitted or plan.sampled_pairs or plan.execution.is_cuda:
             return None
-        shared = self.workspace.packed_once((self.goal, self.options, self.options.threads, turns), self._at_once)
-        if shared is None or shared.plan.is_divided:
+        if self.among is not None and plan.may_leave_out_queries:
             return None
-        begin = time.perf_counter()
-        self.plan = plan = shared.plan
-        self.execution, self.planes = plan.execution, None
-        if turns:
-            self._active = self.motion.slices[0].active
-            self.positions = self.motion.placed(self.motion.slices[0], self.execution)
-        self.length_scale, self.separation, self.inflation = shared.length_scale, shared.separation, shared.inflation
-        plan.begin_counts()
-        if self.separation > 0.0 or self.mesh.is_thick:
-            self._note_distance()
-            if self.far_distance is not None:
-                return None
-        near = self._bodies_near()
-        if self._step_before is shared and plan.is_repeatable:
-            plan.fill_boxes_again(self.positions, self.workspace.active(near))
-        else:
-            plan.set_positions(self.positions)
-            if near is not None and not near.any():
-                plan.skip_boxes()
-            else:
-                plan.fill_boxes(self.positions, shared.t_end, self.inflation, self.workspace.active(near))
-            plan.bind(options=shared.packed)
-            plan.set_search(shared.t_end, self.inflation, self.separation)
-        boxes_end = time.perf_counter()
-        self.reset(plan)
-        batch = plan.search(shared.most_pairs, among=self.among)
+        self.begin_plan(self._inflation, part)
+        if self.far_distance is not None:
+            return None
+        with self.timed("boxes"):
+            if not self.begin_boxes(self.motion.t_end) and self.is_idle():
+                return Batch({}, is_only=True)
+            self.bind_options(part)
+            plan.set_search(self.motion.t_end, self.inflation, self.separation)
+        batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
+            stages = (
+                ("boxes", "pairs", "planes", "narrow phase") if plan.has_planes else ("boxes", "pairs", "narrow phase")
+            )
+            for stage, (begin, end) in zip(stages, itertools.pairwise(plan.marks), strict=True):
+                self.timings[stage] = self.timings.get(stage, 0.0) + end - begin
             self.survivors |= batch.num_pairs
-            self.workspace.last_step = None if plan.is_idle else shared
-            self.timings |= {"boxes": boxes_end - begin, "pairs": time.perf_counter() - boxes_end, "narrow phase": 0.0}
+            if self.planes is not None:
+                self.survivors[PairKind.VERTEX_PLANE] = self.planes.count()
+            self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
         return batch
 
-    def _at_once(self) -> _AtOnce | None:
-        """What is the same in all steps with these options; None if the pairs of none are found at once."""
-        plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
-        is_sampled = self.goal == "bound" and self.topology.samples_queries
-        if plan.execution.is_cuda or plan.has_planes or is_sampled or self.options.memory_limit is not None:
-            return None
-        length_scale = length_scale_of(self.mesh, self.options)
-        separation = self.options.separation(length_scale)
-        self.plan, self.length_scale = plan, length_scale
-        turns = self.motion.turns(self.motion.slices[0])
-        plan.bind(turns=turns)
-        inflation, packed = half_rounded_up(separation), self._packed(turns)
-        return _AtOnce(plan, self.motion.t_end, length_scale, separation, inflation, self.capacity(), packed)
+    def begin_found(self, plan: HostPlan) -> None:
+        """Begin what the narrow phase writes, before a whole step is played."""
 
-    def reset(self, plan: HostPlan) -> None:
-        """Forget what earlier steps have found, before a search."""
+    def fits(self) -> bool:
+        """Whether that was large enough."""
+        return True
 
     def begin_slice(self, part: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""

@@ -1,7 +1,7 @@
 """The earliest toi of a step alone."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,14 @@ _LOST_TOI, _LOST = 2.0**-20, 2.0**-30
 _MOST_LISTED = 1 << 14
 # Marked keys of open pairs and their toi so far, of each kind in batches.
 _OpenPairs = dict[PairKind, list[tuple[NDArray[np.int64], NDArray[np.float64]]]]
+
+
+def _add_open(plan: HostPlan, batch: Batch, open_pairs: _OpenPairs) -> None:
+    """Add the pairs of a batch that the first round has left open."""
+    for kind in plan.num_open():
+        of_kind = plan.memory.keys, plan.memory.open_toi
+        keys, toi = (of_batch(kind, batch.num_pairs[kind]).numpy() for of_batch in of_kind)
+        open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
 
 
 class Earliest(NamedTuple):
@@ -68,13 +76,13 @@ class LeastToiStep(ImpactStep):
         self._any_suffices = any_suffices
         if not any_suffices:
             self.parting(start_distances)
-        batch, best = self.found_at_once(), np.inf
+        batch, best = self.played_whole(), np.inf
+        if batch is not None:
+            best = self._least_of_whole(batch)
         for part in self.motion.slices if batch is None else ():
             if best <= np.min(part.t_begin):
                 break
             best = self._least_of(part, best)
-        if batch is not None and batch.num_pairs:
-            best = self._least_of_all(batch)
         self.oddities.is_stuck = self.oddities.touches_at_start = best <= 0.0
         self.finish()
         return 0.0 if start_distances is not None and self._is_lost(best) else best
@@ -133,20 +141,20 @@ class LeastToiStep(ImpactStep):
         """The first round of the narrow phase on a batch, whose open pairs are added to the others."""
         with self.timed("narrow phase"):
             plan.solve(is_second=False)
-            for kind in plan.num_open():
-                of_kind = plan.memory.keys, plan.memory.open_toi
-                keys, toi = (of_batch(kind, batch.num_pairs[kind]).numpy() for of_batch in of_kind)
-                open_pairs.setdefault(kind, []).append((keys[keys < 0], toi[keys < 0]))
+            _add_open(plan, batch, open_pairs)
 
-    def _least_of_all(self, batch: Batch) -> float:
-        """The least toi of pairs that are all there are."""
-        open_pairs: _OpenPairs = {}
-        self._solve(self.plan, batch, open_pairs)
-        best = self.plan.counters.least()
-        return best if self._suffices(best) or not open_pairs else self._least_open_toi(self.plan, best, open_pairs)
+    def _least_of_whole(self, batch: Batch) -> float:
+        """The least toi of a step that was played whole."""
+        plan, open_pairs = self.plan, dict[PairKind, Any]()
+        if plan.is_idle and self.planes is None:
+            return np.inf
+        _add_open(plan, batch, open_pairs)
+        best = plan.counters.least()
+        return best if self._suffices(best) or not open_pairs else self._least_open_toi(plan, best, open_pairs)
 
-    def reset(self, plan: HostPlan) -> None:
+    def begin_found(self, plan: HostPlan) -> None:
         """Begin without a toi."""
+        plan.counters.clear()
         plan.counters.set_least(np.inf)
         self._begin_list(plan)
 

@@ -1,9 +1,11 @@
 """The driver of calls on the host, whose sizes and positions change from step to step: sections that it plays."""
 
 import itertools
+import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +13,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BoxSet
-from ccd_warp._engine.boxes.some_queries import with_some_queries
+from ccd_warp._engine.boxes.some_queries import LEAST_BLOCKS, with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
@@ -22,6 +24,7 @@ from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
+from ccd_warp.kernels.narrow_phase.sinks import CONTACTS
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -66,6 +69,8 @@ class HostPlan(Plan):
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
+        has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
+        marks: When the stages of the last step that was played as a whole began, and when the last ended.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
 
@@ -97,7 +102,8 @@ class HostPlan(Plan):
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._needed: Mapping[PairKind, int] = {}  # pairs of the last search
         self._search_values: tuple[float, ...] | None = None
-        self.is_idle = self.lists_pairs = False
+        self.is_idle = self.lists_pairs = self.has_fitted = False
+        self.marks: list[float] = []
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
         self.begin_counts()
@@ -176,10 +182,10 @@ class HostPlan(Plan):
         for name, value in values.items():
             self._recording.bind(name, value)
 
-    def fill_boxes(
+    def begin_boxes(
         self, positions: Positions, t_end: float, inflation: float, active: wp.array, *, goes_on: bool = False
     ) -> None:
-        """Compute the boxes of a step over [0, t_end], or of a slice with which it ``goes_on``.
+        """Choose how the boxes of a step over [0, t_end], or of a slice with which it ``goes_on``, are computed.
 
         Those of bodies that are not active are empty.
         """
@@ -188,36 +194,28 @@ class HostPlan(Plan):
         keeps_order = goes_on or self._goal != "candidates"
         of_step = positions, inflation, self._num_aabbs, self.trees, self.execution
         boxes.begin(*of_step, goes_on=goes_on, keeps_order=keeps_order)
+        self._active = active
         self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
-        self._active = active
+        self.bind(t_end=t_end)
         self._bind_trees()
-        if not self.trees:
-            return  # no pairs but those with half-spaces, which have no boxes
-        is_sorted = self.trees[0].is_sorted_when_filled
-        # on CUDA each tree is sorted anew by the AABBs of its vertices, and then filled
-        self._fill(t_end, with_trees=is_sorted or not self.execution.is_cuda)
-        if not is_sorted and any([boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
-            self._bind_trees()
-        self._fill_slender()
 
-    @lazy_property
-    def is_repeatable(self) -> bool:
-        """Whether nothing but the quantization follows from the positions, in a step on the CPU without spatial hashes.
+    def fill_boxes(self) -> None:
+        """Compute the boxes of a step that has begun."""
+        self.play("boxes", self._record_boxes)
 
-        No body is static then, none is looked at before the boxes, and no tree is sorted.
+    def _record_boxes(self, stages: Stages, recording: Recording) -> None:
+        """Record the boxes, and that trees are sorted where their blocks no longer consist of neighbours.
+
+        On CUDA each tree is sorted anew by the AABBs of its vertices, and then filled.
         """
-        is_fixed = not (self.static_trees or self.slender_trees or self._kept_in_order)
-        is_whole = not self.topology.may_have_inactive_bodies and self._are_copied and len(self.trees) > 0
-        return is_fixed and is_whole and not self.trees[0].is_sorted_when_filled
+        is_sorted = bool(self.trees) and self.trees[0].is_sorted_when_filled
+        sort = None if is_sorted or not self._kept_in_order else self._keep_in_order
+        with_trees = is_sorted or not self.execution.is_cuda
+        self.record_boxes(recording, stages, self._active, with_trees=with_trees, sort=sort)
 
-    def fill_boxes_again(self, positions: Positions, active: wp.array) -> None:
-        """Compute the boxes where the last step of the workspace was one of this plan, with the same options."""
-        self._active = active
-        for name, values in zip(_POSITIONS, positions, strict=True):
-            self._workspace.positions(name, values)
-        self._boxes.begin_again(positions)
-        self.bind(quantization=self._boxes.quantization.packed)
-        self._recording.play("boxes")
+    def _keep_in_order(self) -> None:
+        if any([self._boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
+            self._bind_trees()
 
     @lazy_property
     def _kept_in_order(self) -> list[BoxSet]:
@@ -232,25 +230,9 @@ class HostPlan(Plan):
 
     def shorten_boxes(self, t_end: float) -> None:
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
-        if self.trees and not self.is_idle:
-            self._fill(t_end, with_trees=True)
-            self._fill_slender()
-
-    def _fill_slender(self) -> None:
-        """Compute the boxes for pairs within slender bodies, which stay in the order of the rest configuration."""
-        if self.slender_trees:
-            active, trees = self._active, self.slender_trees
-            self.play("slender boxes", lambda stages, recording: stages.fill_slender(recording, trees, active))
-
-    def _fill(self, t_end: float, *, with_trees: bool) -> None:
-        self.bind(t_end=t_end)
-
-        def record(stages: Stages, recording: Recording) -> None:
-            stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, self._active)
-            if with_trees:
-                stages.fill_boxes(recording, self.moving_trees)
-
-        self.play("boxes" if with_trees else "vertex AABBs", record)
+        if not self.is_idle:
+            self.bind(t_end=t_end)
+            self.play("shorter boxes", lambda stages, recording: self.record_boxes(recording, stages, self._active))
 
     def _bind_trees(self) -> None:
         for tree in self.trees:
@@ -310,32 +292,101 @@ class HostPlan(Plan):
         if section in self._excess:
             self._needed = self._excess[section]
             return None
+        self._reserve(tree_pairs, largest)
+        self._look_at_static(tree_pairs)
+        some = None if among is None or self.execution.is_cuda else self._with_some_queries(tree_pairs, among)
+
+        def search() -> None:
+            self.counters.clear()
+            if some is None:
+                self.play(section, partial(self._record_search, tree_pairs))
+            else:
+                self._search_some(some)
+
+        return self._fitting(tree_pairs, largest, search)
+
+    def _reserve(self, tree_pairs: list[TreePair], largest: int) -> None:
+        """Have memory for the pairs of the last step, or for some."""
         self.memory.reserve(lambda kind: sum(p.query.primitives.count for p in tree_pairs if p.kind == kind), largest)
+
+    def _look_at_static(self, tree_pairs: list[TreePair]) -> None:
+        """Note which tree pairs may meet; only a static tree may be far from the others for long."""
         has_static = len(self.static_trees) > 0
         self._meets = [not has_static or self.may_meet(tree_pair) for tree_pair in tree_pairs]
 
-        def record(stages: Stages, recording: Recording) -> None:
-            stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
+    def _record_search(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
+        stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
 
-        some = None if among is None or self.execution.is_cuda else self._with_some_queries(tree_pairs, among)
+    def _fitting(
+        self,
+        tree_pairs: list[TreePair],
+        largest: int,
+        search: Callable[[], None],
+        fits: Callable[[], bool] = lambda: True,
+    ) -> Batch | None:
+        """The batch of a search of tree pairs, which is repeated until all pairs fit, and what else there is.
+
+        None if the pairs are more than ``largest``.
+        """
         while True:
+            search()
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
-            self.counters.clear()
-            if some is None:
-                self.play(section, record)
-            else:
-                self._search_some(some)
             self._needed = needed = self._num_needed()
-            if all(needed[kind] <= capacity for kind, capacity in self.memory.capacities.items()):
+            if any(needed[kind] > capacity for kind, capacity in self.memory.capacities.items()):
+                self.has_fitted = self.memory.grow(needed, largest)
+                if not self.has_fitted:
+                    return None
+            elif fits():
+                self.has_fitted = True
                 return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
-            if not self.memory.grow(needed, largest):
-                return None
 
-    @property
-    def is_divided(self) -> bool:
-        """Whether the last search of all pairs found more than fit, so that the next one is in parts."""
-        return "pairs" in self._excess
+    def play_step(self, largest: int, begin: Callable[[], None], fits: Callable[[], bool]) -> Batch | None:
+        """Play all stages of a step whose boxes have begun as one section, and again until all that is found fits.
+
+        Args:
+            largest: The largest capacity.
+            begin: Called before each time: begins what the narrow phase writes.
+            fits: Whether that was large enough.
+
+        Returns:
+            The pairs, which are solved but for the second round of a bound; None if they are more than the capacity.
+        """
+        tree_pairs = [] if self.is_idle else self.tree_pairs
+        self._meets = []
+        self._reserve(self.tree_pairs, largest)
+
+        def search() -> None:
+            begin()
+            self.marks.clear()
+            self.play("step of planes alone" if self.is_idle else "step", partial(self._record_step, tree_pairs))
+
+        return self._fitting(tree_pairs, largest, search, fits)
+
+    def _record_step(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
+        """Record all stages."""
+        if self.sink == CONTACTS:
+            self._record_reset(stages, recording)
+        recording.call(self._mark)
+        if tree_pairs:
+            self._record_boxes(stages, recording)
+            recording.call(partial(self._look_at_static, tree_pairs))
+        recording.call(self._mark)
+        self._record_search(tree_pairs, stages, recording)
+        recording.call(self._mark)
+        if self.has_planes:
+            stages.meet_planes(recording, self.sink, Slot("searched"))
+            recording.call(self._mark)
+        self.record_rounds(recording, stages)
+        recording.call(self._mark)
+
+    def _mark(self) -> None:
+        self.marks.append(time.perf_counter())
+
+    @lazy_property
+    def may_leave_out_queries(self) -> bool:
+        """Whether a search of some vertices is another than that of all."""
+        return any(tree_pair.query.levels[0] >= LEAST_BLOCKS for tree_pair in self.tree_pairs)
 
     def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
         """Those of the tree pairs that may meet, with the queries that some vertices need; None if each needs all."""
@@ -445,14 +496,13 @@ class HostPlan(Plan):
         self.counters.set_column(FOUND, {kind: len(keys)})
         self.counters.set_column(OPEN, {kind: num_open})
 
-    def reset_minima(self, num_contacts: wp.array) -> None:
+    def reset_minima(self) -> None:
         """Set every toi to infinity."""
+        self.play("reset", self._record_reset)
 
-        def record(stages: Stages, recording: Recording) -> None:
-            stages.reset(recording, num_contacts, self._workspace.flag.array)
-            stages.reset_vertices(recording)
-
-        self.play("reset", record)
+    def _record_reset(self, stages: Stages, recording: Recording) -> None:
+        stages.reset(recording, self._workspace.contacts.count, self._workspace.flag.array)
+        stages.reset_vertices(recording)
 
 
 def _pieces(count: int, largest: int) -> int:

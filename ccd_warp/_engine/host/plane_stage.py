@@ -18,6 +18,7 @@ from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import FOUND
 
+_FOUND = int(FOUND)
 _Record = Callable[[Stages, Recording], None]
 
 
@@ -43,16 +44,20 @@ class PlaneStage:
 
     def meet(self, record: _Record | None = None) -> int:
         """Let vertices meet planes, by default in the narrow phase; returns the number of pairs."""
-        kind, num_pairs = PairKind.VERTEX_PLANE, self._met(record)
-        self._plan.num_searches[kind] += 1
-        self._plan.num_candidates[kind] += num_pairs
-        return num_pairs
+        self._play(record)
+        return self.count()
 
-    def _met(self, record: _Record | None) -> int:
-        plan = self._plan
-        plan.counters.clear()
-        plan.play("planes", record or self._in_narrow_phase)
-        return int(plan.counters.counts()[PairKind.VERTEX_PLANE, FOUND])
+    def _play(self, record: _Record | None) -> None:
+        self._plan.counters.clear()
+        self._plan.play("planes", record or self._in_narrow_phase)
+
+    def count(self) -> int:
+        """Count the pairs that have met; returns their number."""
+        plan, kind = self._plan, PairKind.VERTEX_PLANE
+        num_pairs = plan.counters.rows()[kind][_FOUND]
+        plan.num_searches[kind] += 1
+        plan.num_candidates[kind] += num_pairs
+        return num_pairs
 
     def _in_narrow_phase(self, stages: Stages, recording: Recording) -> None:
         """Record that vertices meet planes beside the narrow phase."""
@@ -67,7 +72,7 @@ class PlaneStage:
         num_pairs = self.meet(record)
         if num_pairs > expected:
             begin(num_pairs)
-            self._met(record)
+            self._play(record)
         return num_pairs
 
     def candidates(self, positions: Positions, inflation: float, box_radius: wp.array) -> NDArray[np.int32]:

@@ -79,7 +79,6 @@ class Step:
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
-        self._step_before, workspace.last_step = workspace.last_step, None
 
     @lazy_property
     def motion(self) -> Motion:
@@ -106,6 +105,14 @@ class Step:
 
         What returns the inflation of the boxes is called when the positions are known.
         """
+        plan = self.begin_plan(inflation, part)
+        with self.timed("boxes"):
+            if self.begin_boxes(t_end):
+                plan.fill_boxes()
+        return plan
+
+    def begin_plan(self, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
+        """Choose the plan, and let it have the positions."""
         with self.timed("input"):
             self.plan = plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
             self.execution = plan.execution
@@ -119,16 +126,19 @@ class Step:
         with self.timed("input"):
             self.vertices_t0 = plan.set_positions(self.positions)[0]
             self.inflation = inflation() if callable(inflation) else inflation
-        with self.timed("boxes"):
-            near = self._bodies_near()
-            # bodies that are far here need not be so elsewhere, and all go the same way
-            if self.ranks.is_alone and near is not None and not near.any():
-                plan.skip_boxes(goes_on=self._has_boxes)
-            else:
-                active = self.workspace.active(near)
-                plan.fill_boxes(self.positions, t_end, self.inflation, active, goes_on=self._has_boxes)
-                self._has_boxes = True
         return plan
+
+    def begin_boxes(self, t_end: float) -> bool:
+        """Begin the boxes over [0, t_end], unless no body is near another; returns whether there are any."""
+        near, plan = self._bodies_near(), self.plan
+        # bodies that are far here need not be so elsewhere, and all go the same way
+        if self.ranks.is_alone and near is not None and not near.any():
+            plan.skip_boxes(goes_on=self._has_boxes)
+            return False
+        active = self.workspace.active(near)
+        plan.begin_boxes(self.positions, t_end, self.inflation, active, goes_on=self._has_boxes)
+        self._has_boxes = True
+        return True
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may collide, or None for all."""

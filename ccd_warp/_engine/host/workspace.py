@@ -46,7 +46,6 @@ class Workspace:
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self.motions: dict[type, Any] = {}  # of which steps keep the arrays, by their class
-        self.last_step: object = None  # what the last step shares with others like it, where it may be repeated
         self._packed: dict[Any, Any] = {}
         self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
         self._active: wp.array | None = None

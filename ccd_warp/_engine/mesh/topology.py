@@ -119,6 +119,7 @@ class PrimitiveSet:
 class Topology:
     """The data of a mesh that no step changes; made once for each mesh and device."""
 
+    is_whole = True  # whether the positions that it is given are those of the whole mesh
     fewer_query = False  # whether the queries of two moving sets are those of the smaller one, not of the first
 
     def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
