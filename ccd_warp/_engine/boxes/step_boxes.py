@@ -109,6 +109,8 @@ class StepBoxes:
         # sets of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
+        # lists of trees that have their arrays, by their identities, with the number of boxes of those that move
+        self._laid_out: dict[int, tuple[Sequence[BoxSet], int]] = {}
         self._around: _Around | None = None
         self._num_far = self._num_unasked = 0
         self._static_extent = np.float32(0.0)
@@ -145,8 +147,26 @@ class StepBoxes:
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
             self._rest.clear()
+            self._laid_out.clear()
             size = mesh.num_vertices * num_aabbs * VERTEX_AABB_FLOATS
             self.vertex_aabbs = self.buffers.get("vertex_aabbs", size, wp.float32)
+        if keeps_order and id(sets) in self._laid_out:
+            self.num_boxes += self._laid_out[id(sets)][1]
+        else:
+            self._lay_out_all(sets, num_aabbs, positions, execution, keeps_order=keeps_order)
+        if mesh.static_vertex_ranges:
+            self._begin_static(start, inflation, execution)
+            for box_set in sets:
+                if box_set.primitives.is_static and box_set.name not in self._filled:
+                    box_set.structs = self._rest[box_set.name]
+                    box_set.fill([box_set], self.vertex_aabbs, execution)
+                    self.keep_in_order(box_set, execution)
+                    self._filled.add(box_set.name)
+
+    def _lay_out_all(
+        self, sets: Sequence[BoxSet], num_aabbs: int, positions: Positions, execution: Execution, *, keeps_order: bool
+    ) -> None:
+        """Give all sets their arrays; of trees these stay, so that it is not asked again."""
         layout = Layout(
             num_aabbs,
             self.buffers.get,
@@ -156,14 +176,9 @@ class StepBoxes:
         )
         for box_set in sets:
             self._lay_out(box_set, layout, keeps_order=keeps_order)
-        if mesh.static_vertex_ranges:
-            self._begin_static(start, inflation, execution)
-            for box_set in sets:
-                if box_set.primitives.is_static and box_set.name not in self._filled:
-                    box_set.structs = self._rest[box_set.name]
-                    box_set.fill([box_set], self.vertex_aabbs, execution)
-                    self.keep_in_order(box_set, execution)
-                    self._filled.add(box_set.name)
+        if not any(box_set.is_sorted_when_filled for box_set in sets):
+            moving = [box_set.primitives for box_set in sets if not box_set.primitives.is_static]
+            self._laid_out[id(sets)] = sets, sum(primitives.count for primitives in moving)
 
     def _quantize(self, positions: Positions, num_aabbs: int) -> None:
         """Choose the quantization: that of an earlier step, where all positions are near those of that one.

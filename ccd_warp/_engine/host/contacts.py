@@ -97,8 +97,7 @@ class _Ordered:
             views = self._views_of(self._all.numpy() if count else np.empty(len(self._all), np.uint8))
         columns, first = views
         if count:
-            first = first.copy()
-            first[first == _LAST] = _NO_CONTACT
+            first = np.where(first == _LAST, _NO_CONTACT, first)
         else:
             first = np.full(len(first), _NO_CONTACT)
         return columns, [first[rows] for rows in self._owners]

@@ -1,6 +1,6 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
-import itertools
+import time
 from dataclasses import replace
 from typing import Any, Self
 
@@ -15,6 +15,9 @@ from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
+
+_STAGES = "input", "boxes", "pairs", "narrow phase"
+_STAGES_WITH_PLANES = *_STAGES[:3], "planes", _STAGES[3]
 
 
 class ImpactStep(Step):
@@ -58,28 +61,27 @@ class ImpactStep(Step):
         """
         if not self.ranks.is_alone or self.options.memory_limit is not None or len(self.motion.slices) > 1:
             return None
-        plan, part = (
-            HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion),
-            self.motion.slices[0],
-        )
+        plan, part = self.plan_of_step(), self.motion.slices[0]
         if not plan.has_fitted or plan.sampled_pairs or plan.execution.is_cuda:
             return None
         if self.among is not None and plan.may_leave_out_queries:
             return None
-        self.begin_plan(self._inflation, part)
+        begin = time.perf_counter()
+        self.begin_plan(plan, part)
+        plan.set_positions(self.positions)
+        self.inflation = self._inflation()
         if self.far_distance is not None:
             return None
-        with self.timed("boxes"):
-            if not self.begin_boxes(self.motion.t_end) and self.is_idle():
-                return Batch({}, is_only=True)
-            self.bind_options(part)
-            plan.set_search(self.motion.t_end, self.inflation, self.separation)
+        marks = [begin, time.perf_counter()]
+        if not self.begin_boxes(self.motion.t_end) and self.is_idle():
+            return Batch({}, is_only=True)
+        self.bind_options(part)
+        plan.set_search(self.motion.t_end, self.inflation, self.separation)
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
-            stages = (
-                ("boxes", "pairs", "planes", "narrow phase") if plan.has_planes else ("boxes", "pairs", "narrow phase")
-            )
-            for stage, (begin, end) in zip(stages, itertools.pairwise(plan.marks), strict=True):
+            marks += plan.marks
+            stages = _STAGES_WITH_PLANES if plan.has_planes else _STAGES
+            for stage, begin, end in zip(stages, marks, marks[1:], strict=False):
                 self.timings[stage] = self.timings.get(stage, 0.0) + end - begin
             self.survivors |= batch.num_pairs
             if self.planes is not None:
@@ -101,7 +103,8 @@ class ImpactStep(Step):
     def _inflation(self) -> float:
         self.length_scale = length_scale_of(self.mesh, self.options)
         self.separation = self.options.separation(self.length_scale)
-        self._note_distance()
+        if self.separation > 0.0 or self.mesh.is_thick:
+            self._note_distance()
         return half_rounded_up(self.separation)
 
     def _note_distance(self) -> None:
@@ -122,10 +125,11 @@ class ImpactStep(Step):
     def bind_options(self, part: Slice) -> None:
         """Let the kernels have the options, how bodies turn in a slice, and what half-spaces are asked for."""
         turns = self.motion.turns(part)
-        key = self.options, self.length_scale, self.start_distances is not None, turns is not None
         # the arrays of how bodies turn are the same for all slices and steps
-        packed = self.workspace.packed_once(key, lambda: self._packed(turns))
-        self.plan.bind(options=packed, turns=turns)
+        key = self.options, self.length_scale, self.start_distances is not None, turns is not None
+        if key != self.plan.of_options:
+            self.plan.bind(options=self.workspace.packed_once(key, lambda: self._packed(turns)), turns=turns)
+            self.plan.of_options = key
         if self.planes is not None:
             self.planes.bind(self.options, self.length_scale, part.active, lets_part=self.lets_part)
 

@@ -157,10 +157,11 @@ class Oddities:
 
         Nothing has to be said of the many pairs that follow from a distance of many edges.
         """
+        if num_pairs < _MANY_PAIRS or self.distance is not None or self.overlaps:
+            return
         mesh = plan.topology.mesh
         num_primitives = mesh.num_vertices + mesh.num_edges + mesh.num_faces
-        is_said = self.distance is not None or bool(self.overlaps)
-        if is_said or num_pairs < max(_MANY_PAIRS, _MANY_PAIRS_EACH * num_primitives):
+        if num_pairs < _MANY_PAIRS_EACH * num_primitives:
             return
         keys = {kind: plan.memory.keys(kind, count) for kind, count in batch.items() if count}
         of_bodies = _most_common_bodies(mesh, keys) if mesh.num_bodies > 1 and keys else ""

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _CANDIDATES, _FOUND, _OPEN = int(CANDIDATES), int(FOUND), int(OPEN)
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
+# Blocks of queries from which it pays to look first whether a static tree is near at all.
+_WORTH_A_LOOK = 64
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
 NO_PAIRS = dict.fromkeys(PairKind, 0)
@@ -70,7 +72,8 @@ class HostPlan(Plan):
         num_batches: Number of batches of this step.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
         has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
-        marks: When the stages of the last step that was played as a whole began, and when the last ended.
+        of_options: What the options that the recording has were made of.
+        marks: When the stages of the last step that was played as a whole ended.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
 
@@ -104,6 +107,10 @@ class HostPlan(Plan):
         self._search_values: tuple[float, ...] | None = None
         self.is_idle = self.lists_pairs = self.has_fitted = False
         self.marks: list[float] = []
+        self._of_boxes: tuple[Any, ...] = ()  # what boxes depend on beside the positions and the trees
+        self.of_options: tuple[Any, ...] = ()
+        self._positions: tuple[wp.array, ...] = ()
+        self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
         self.begin_counts()
@@ -162,20 +169,24 @@ class HostPlan(Plan):
 
     def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
         """Use the positions of a step, and return them on the device."""
-        arrays = []
-        for name, values in zip(_POSITIONS, positions, strict=True):
-            if self._are_copied:
-                arrays.append(self._workspace.positions(name, values))
-            else:
-                arrays.append(wp.array(values, dtype=wp.vec3d, device=self.topology.device, copy=False))
-            self._recording.bind(name, arrays[-1])
-        return arrays[0], arrays[1]
+        names, (start, end) = _POSITIONS, positions
+        if self._are_copied:
+            arrays = self._workspace.positions(names[0], start), self._workspace.positions(names[1], end)
+        else:
+            device = self.topology.device
+            of_ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
+            arrays = of_ends[0], of_ends[1]
+        if arrays != self._positions:  # which are the same or not
+            self.bind(**dict(zip(names, arrays, strict=True)))
+            self._positions = arrays
+        return arrays
 
     def release_positions(self) -> None:
         """Do not keep the caller's arrays alive."""
         if not self._are_copied:
             none = self.topology.array(np.empty((0, 3)), wp.vec3d)
             self.bind(vertices_t0=none, vertices_t1=none)
+            self._positions = ()
 
     def bind(self, **values: Any) -> None:
         """Use these values of the stages, by the names of their fields."""
@@ -195,8 +206,11 @@ class HostPlan(Plan):
         of_step = positions, inflation, self._num_aabbs, self.trees, self.execution
         boxes.begin(*of_step, goes_on=goes_on, keeps_order=keeps_order)
         self._active = active
-        self.bind(quantization=boxes.quantization.packed, vertex_aabbs=boxes.vertex_aabbs, inflation=inflation)
-        self.bind(t_end=t_end)
+        packed, vertex_aabbs = boxes.quantization.packed, boxes.vertex_aabbs
+        of_boxes = id(packed), id(vertex_aabbs), inflation, t_end
+        if of_boxes != self._of_boxes:
+            self.bind(quantization=packed, vertex_aabbs=vertex_aabbs, inflation=inflation, t_end=t_end)
+            self._of_boxes = of_boxes
         self._bind_trees()
 
     def fill_boxes(self) -> None:
@@ -232,12 +246,16 @@ class HostPlan(Plan):
         """Compute the boxes over [0, t_end] alone; the order of the trees stays."""
         if not self.is_idle:
             self.bind(t_end=t_end)
+            self._of_boxes = ()
             self.play("shorter boxes", lambda stages, recording: self.record_boxes(recording, stages, self._active))
 
     def _bind_trees(self) -> None:
-        for tree in self.trees:
-            for slot, struct in zip(tree.slots, tree.structs, strict=True):
-                self._recording.bind(slot, struct)
+        structs = [tree.structs for tree in self.trees]
+        if structs != self._bound:  # tuples of one object each, which are the same or not
+            for tree in self.trees:
+                for slot, struct in zip(tree.slots, tree.structs, strict=True):
+                    self._recording.bind(slot, struct)
+            self._bound = structs
 
     def may_meet(self, tree_pair: TreePair) -> bool:
         """Whether the boxes around two trees overlap; only a static tree may be far from the others for long."""
@@ -310,12 +328,24 @@ class HostPlan(Plan):
         self.memory.reserve(lambda kind: sum(p.query.primitives.count for p in tree_pairs if p.kind == kind), largest)
 
     def _look_at_static(self, tree_pairs: list[TreePair]) -> None:
-        """Note which tree pairs may meet; only a static tree may be far from the others for long."""
-        has_static = len(self.static_trees) > 0
-        self._meets = [not has_static or self.may_meet(tree_pair) for tree_pair in tree_pairs]
+        """Note which tree pairs may meet; only a static tree may be far from the others for long.
+
+        Where a tree has few queries a search takes less than a look.
+        """
+        self._meets = [True] * len(tree_pairs)
+        for number, tree_pair in enumerate(tree_pairs if self._may_be_far else ()):
+            if tree_pair.query.levels[0] >= _WORTH_A_LOOK:
+                self._meets[number] = self.may_meet(tree_pair)
 
     def _record_search(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
-        stages.find_pairs(recording, tree_pairs, is_needed=lambda number: self._meets[number])
+        is_needed = (lambda number: self._meets[number]) if self._may_be_far else None
+        stages.find_pairs(recording, tree_pairs, is_needed=is_needed)
+
+    @lazy_property
+    def _may_be_far(self) -> bool:
+        """Whether trees are looked at before they are searched."""
+        static = (tree_pair for tree_pair in self.tree_pairs if tree_pair.target.primitives.is_static)
+        return any(tree_pair.query.levels[0] >= _WORTH_A_LOOK for tree_pair in static)
 
     def _fitting(
         self,
@@ -353,12 +383,12 @@ class HostPlan(Plan):
             The pairs, which are solved but for the second round of a bound; None if they are more than the capacity.
         """
         tree_pairs = [] if self.is_idle else self.tree_pairs
-        self._meets = []
+        self._meets = [True] * len(tree_pairs)
         self._reserve(self.tree_pairs, largest)
 
         def search() -> None:
             begin()
-            self.marks.clear()
+            self.marks = []
             self.play("step of planes alone" if self.is_idle else "step", partial(self._record_step, tree_pairs))
 
         return self._fitting(tree_pairs, largest, search, fits)
@@ -367,10 +397,10 @@ class HostPlan(Plan):
         """Record all stages."""
         if self.sink == CONTACTS:
             self._record_reset(stages, recording)
-        recording.call(self._mark)
         if tree_pairs:
             self._record_boxes(stages, recording)
-            recording.call(partial(self._look_at_static, tree_pairs))
+            if self._may_be_far:
+                recording.call(partial(self._look_at_static, tree_pairs))
         recording.call(self._mark)
         self._record_search(tree_pairs, stages, recording)
         recording.call(self._mark)

@@ -105,28 +105,31 @@ class Step:
 
         What returns the inflation of the boxes is called when the positions are known.
         """
-        plan = self.begin_plan(inflation, part)
+        with self.timed("input"):
+            plan = self.plan_of_step()
+            self.begin_plan(plan, part)
+        self.ranks.share_positions(self.positions)
+        with self.timed("input"):
+            self.vertices_t0 = plan.set_positions(self.positions)[0]
+            self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
             if self.begin_boxes(t_end):
                 plan.fill_boxes()
         return plan
 
-    def begin_plan(self, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
-        """Choose the plan, and let it have the positions."""
-        with self.timed("input"):
-            self.plan = plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
-            self.execution = plan.execution
-            self.planes = PlaneStage(plan, self.workspace) if plan.has_planes else None
-            if part is None or part is self.motion.slices[0]:
-                plan.begin_counts()
-            if part is not None:
-                self.positions = self.motion.placed(part, self.execution)
-        self._active = None if part is None else part.active
-        self.ranks.share_positions(self.positions)
-        with self.timed("input"):
-            self.vertices_t0 = plan.set_positions(self.positions)[0]
-            self.inflation = inflation() if callable(inflation) else inflation
-        return plan
+    def plan_of_step(self) -> HostPlan:
+        """The plan."""
+        return HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
+
+    def begin_plan(self, plan: HostPlan, part: Slice | None) -> None:
+        """Begin a step, or a slice of it, with a plan."""
+        self.plan, self.execution = plan, plan.execution
+        self.planes = PlaneStage(plan, self.workspace) if plan.has_planes else None
+        if part is None or part is self.motion.slices[0]:
+            plan.begin_counts()
+        self._active = None
+        if part is not None:
+            self.positions, self._active = self.motion.placed(part, self.execution), part.active
 
     def begin_boxes(self, t_end: float) -> bool:
         """Begin the boxes over [0, t_end], unless no body is near another; returns whether there are any."""
