@@ -73,8 +73,7 @@ class ImpactStep(Step):
         if self.far_distance is not None:
             return None
         marks = [begin, time.perf_counter()]
-        if not self.begin_boxes(self.motion.t_end) and self.is_idle():
-            return Batch({}, is_only=True)
+        self.begin_boxes(self.motion.t_end)
         self.bind_options(part)
         plan.set_search(self.motion.t_end, self.inflation, self.separation)
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)

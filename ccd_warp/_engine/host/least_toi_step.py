@@ -146,8 +146,6 @@ class LeastToiStep(ImpactStep):
     def _least_of_whole(self, batch: Batch) -> float:
         """The least toi of a step that was played whole."""
         plan, open_pairs = self.plan, dict[PairKind, Any]()
-        if plan.is_idle and self.planes is None:
-            return np.inf
         _add_open(plan, batch, open_pairs)
         best = plan.counters.least()
         return best if self._suffices(best) or not open_pairs else self._least_open_toi(plan, best, open_pairs)

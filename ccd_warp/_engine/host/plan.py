@@ -389,7 +389,7 @@ class HostPlan(Plan):
         def search() -> None:
             begin()
             self.marks = []
-            self.play("step of planes alone" if self.is_idle else "step", partial(self._record_step, tree_pairs))
+            self.play("step without pairs" if self.is_idle else "step", partial(self._record_step, tree_pairs))
 
         return self._fitting(tree_pairs, largest, search, fits)
 
