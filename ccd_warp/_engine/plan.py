@@ -142,5 +142,13 @@ class Plan:
 
 def low_half(counts: wp.array, column: int) -> wp.array:
     """The low half of a count in the first row, int32, shape [1]: a flag, as there are fewer than 2³² pairs."""
-    place = counts.ptr + column * counts.strides[1]  # the bytes of a number are in ascending order on all devices
-    return wp.array(ptr=place, dtype=wp.int32, shape=1, device=counts.device)
+    return _int32_at(counts, column * counts.strides[1])  # the bytes of a number are in ascending order on all devices
+
+
+def high_half(least_bits: wp.array) -> wp.array:
+    """The high half of the bits of a toi, int32, shape [1]: a flag, as it is 0 for 0 and numbers as good as that."""
+    return _int32_at(least_bits, 4)
+
+
+def _int32_at(array: wp.array, place: int) -> wp.array:
+    return wp.array(ptr=array.ptr + place, dtype=wp.int32, shape=1, device=array.device)

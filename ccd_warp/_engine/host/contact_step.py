@@ -135,6 +135,10 @@ class ContactStep(ImpactStep):
                 plan.solve(is_second=True)
                 store.end_batch()
 
+    def plays_whole(self, plan: HostPlan) -> bool:
+        """Whether a step is played as a whole: not where few of the queries of a large mesh are needed."""
+        return super().plays_whole(plan) and not (self.among is not None and plan.may_leave_out_queries)
+
     def begin_found(self, plan: HostPlan) -> None:
         """Begin a list of contacts, with places for those of the last step."""
         store = self.workspace.contacts

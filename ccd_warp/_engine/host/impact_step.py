@@ -1,6 +1,7 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -17,7 +18,6 @@ from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
 _STAGES = "input", "boxes", "pairs", "narrow phase"
-_STAGES_WITH_PLANES = *_STAGES[:3], "planes", _STAGES[3]
 
 
 class ImpactStep(Step):
@@ -62,9 +62,7 @@ class ImpactStep(Step):
         if not self.ranks.is_alone or self.options.memory_limit is not None or len(self.motion.slices) > 1:
             return None
         plan, part = self.plan_of_step(), self.motion.slices[0]
-        if not plan.has_fitted or plan.sampled_pairs or plan.execution.is_cuda:
-            return None
-        if self.among is not None and plan.may_leave_out_queries:
+        if not self.plays_whole(plan):
             return None
         begin = time.perf_counter()
         self.begin_plan(plan, part)
@@ -79,14 +77,21 @@ class ImpactStep(Step):
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
             marks += plan.marks
-            stages = _STAGES_WITH_PLANES if plan.has_planes else _STAGES
-            for stage, begin, end in zip(stages, marks, marks[1:], strict=False):
+            for stage, begin, end in zip(self.stages(plan), marks, marks[1:], strict=False):
                 self.timings[stage] = self.timings.get(stage, 0.0) + end - begin
             self.survivors |= batch.num_pairs
             if self.planes is not None:
                 self.survivors[PairKind.VERTEX_PLANE] = self.planes.count()
             self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
         return batch
+
+    def plays_whole(self, plan: HostPlan) -> bool:
+        """Whether a step of one slice is played as a whole."""
+        return plan.has_fitted and not plan.sampled_pairs and not plan.execution.is_cuda
+
+    def stages(self, plan: HostPlan) -> Sequence[str]:
+        """The names of the stages of a whole step, in their order."""
+        return ("input", "boxes", "pairs", "planes", "narrow phase") if plan.has_planes else _STAGES
 
     def begin_found(self, plan: HostPlan) -> None:
         """Begin what the narrow phase writes, before a whole step is played."""

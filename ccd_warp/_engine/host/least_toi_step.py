@@ -1,6 +1,6 @@
 """The earliest toi of a step alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -149,6 +149,14 @@ class LeastToiStep(ImpactStep):
         _add_open(plan, batch, open_pairs)
         best = plan.counters.least()
         return best if self._suffices(best) or not open_pairs else self._least_open_toi(plan, best, open_pairs)
+
+    def plays_whole(self, plan: HostPlan) -> bool:
+        """Whether a step is played as a whole: not where a toi of half-spaces suffices, which are looked at first."""
+        return super().plays_whole(plan) and not (self._any_suffices and plan.has_planes)
+
+    def stages(self, plan: HostPlan) -> Sequence[str]:
+        """The names of the stages of a whole step, in their order."""
+        return ("input", "planes", "boxes", "pairs", "narrow phase") if plan.has_planes else super().stages(plan)
 
     def begin_found(self, plan: HostPlan) -> None:
         """Begin without a toi."""

@@ -4,6 +4,7 @@ import itertools
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,12 +20,12 @@ from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
-from ccd_warp._engine.plan import AT_ONE_TIME, Goal, Plan
+from ccd_warp._engine.plan import AT_ONE_TIME, Goal, Plan, high_half
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
-from ccd_warp.kernels.narrow_phase.sinks import CONTACTS
+from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -383,31 +384,36 @@ class HostPlan(Plan):
             The pairs, which are solved but for the second round of a bound; None if they are more than the capacity.
         """
         tree_pairs = [] if self.is_idle else self.tree_pairs
-        self._meets = [True] * len(tree_pairs)
         self._reserve(self.tree_pairs, largest)
 
         def search() -> None:
             begin()
-            self.marks = []
+            self.marks, self._meets = [], [False] * len(tree_pairs)
             self.play("step without pairs" if self.is_idle else "step", partial(self._record_step, tree_pairs))
 
         return self._fitting(tree_pairs, largest, search, fits)
 
     def _record_step(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
-        """Record all stages."""
+        """Record all stages; of a bound, half-spaces come first, and nothing else where a toi is 0 there."""
         if self.sink == CONTACTS:
             self._record_reset(stages, recording)
-        if tree_pairs:
-            self._record_boxes(stages, recording)
-            if self._may_be_far:
-                recording.call(partial(self._look_at_static, tree_pairs))
-        recording.call(self._mark)
-        self._record_search(tree_pairs, stages, recording)
-        recording.call(self._mark)
-        if self.has_planes:
-            stages.meet_planes(recording, self.sink, Slot("searched"))
+        elif self.has_planes:
+            self._record_planes(stages, recording)
+        planes_first = self.sink == BOUND and self.has_planes
+        with recording.only_if(high_half(self.counters.least_bits)) if planes_first else nullcontext():
+            if tree_pairs:
+                self._record_boxes(stages, recording)
+            recording.call(partial(self._look_at_static, tree_pairs))
             recording.call(self._mark)
-        self.record_rounds(recording, stages)
+            self._record_search(tree_pairs, stages, recording)
+            recording.call(self._mark)
+            if self.sink == CONTACTS and self.has_planes:
+                self._record_planes(stages, recording)
+            self.record_rounds(recording, stages)
+            recording.call(self._mark)
+
+    def _record_planes(self, stages: Stages, recording: Recording) -> None:
+        stages.meet_planes(recording, self.sink, Slot("searched"))
         recording.call(self._mark)
 
     def _mark(self) -> None:
