@@ -22,6 +22,7 @@ from hard_cases import FAMILIES
 from scenes import crowd_of_three, pairs_in_worlds, sheet, with_static_at_rest
 
 import ccd_warp as ccd
+from ccd_warp._engine.device import near_bodies
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
@@ -246,8 +247,9 @@ _LAUNCHED = [*range(24), *(scene for scene in ON_DEVICE if scene != "slender"), 
 
 
 @pytest.mark.parametrize("scene", _LAUNCHED)
-def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene):
-    """Of positions of both types, and as displacements, which are added in float64."""
+def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene, monkeypatch):
+    """Of positions of both types, and as displacements, which are added in float64; of few bodies as of many."""
+    monkeypatch.setattr(near_bodies, "_FEWEST_BODIES", 2)
     case = case_of(scene)
     mesh, start, end = case.make()
     pipeline = case.pipeline(mesh, precision_of(scene), max_pairs=90_000, max_contacts=90_000)

@@ -14,6 +14,7 @@ from ccd_warp._engine.boxes.rest_order import order_at, rest_order
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
+from ccd_warp._engine.device.near_bodies import NearBodies
 from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, KEY_BYTES
 from ccd_warp._engine.mesh.lengths import half_rounded_up
@@ -101,6 +102,7 @@ class DeviceStep(Plan):
         self._options, self._vertices, self._radius = options, vertices, radius
         self._input = DeviceInput(topology, execution, static_positions, radius)
         self._active = self._full(mesh.num_bodies, 1, wp.int32)
+        self._near_bodies = NearBodies.of(topology)
         self._is_any_unlisted = low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
         self.beside: dict[type, Any] = {}
@@ -335,7 +337,7 @@ class DeviceStep(Plan):
 
         The narrow phase is launched with what ``adapt`` makes of the stages.
         """
-        stages = self._record_pairs(recording, form, active, is_first)
+        stages = self._record_pairs(recording, form, active, is_first, self._near_bodies)
         self.record_narrow_phase(recording, adapt(stages), active, **solved)
         return stages
 
@@ -353,15 +355,29 @@ class DeviceStep(Plan):
         """The most contacts of a pass or slice of the last launch but its last; this waits for the device."""
         return int(self._counts.numpy()[1, MOST_LISTED])
 
-    def _record_pairs(self, recording: Recording, form: Form, active: Any, is_first: bool = True) -> Stages:
+    def _record_pairs(
+        self,
+        recording: Recording,
+        form: Form,
+        active: Any,
+        is_first: bool = True,
+        near: NearBodies | None = None,
+    ) -> Stages:
         """Record the launches from the input to the pairs that the cull leaves; returns their stages.
+
+        Of active bodies only those are searched that others come near, where these are to be found.
 
         Only the first pass of a line search reads the positions of static bodies, and may meet coordinates that are not
         finite; no later one changes either.
         """
         stages = self._stages.between(*self._input.slots(form))
         self._record_input(recording, form, stages, is_first)
-        self._record_search(recording, stages, active)
+        if near is None:
+            self._record_search(recording, stages, active)
+        else:
+            active = near.record(recording, stages, active)
+            with recording.only_if(near.is_any):
+                self._record_search(recording, stages, active)
         return stages
 
     def _record_input(self, recording: Recording, form: Form, stages: Stages, is_first: bool) -> None:
