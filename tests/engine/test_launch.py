@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from laws.calls import on_device
@@ -258,3 +259,17 @@ def test_a_graph_leaves_out_launches_where_warp_captures_it_and_the_driver_can(
             pass
         recording.play("step")
         assert branches == [flag]
+
+
+@pytest.mark.parametrize("form", [{"radius": 0.1}, {"minimum_distance": 0.2}])
+def test_of_many_bodies_those_touch_that_do_so_by_their_thickness_alone(form):
+    """The boxes of the bodies without it are apart, and one body is apart with it."""
+    ball, places = trimesh.creation.icosphere(1, radius=0.5), np.arange(20)[:, None, None] * [1.1, 0, 0]
+    places[19] += [1.0, 0, 0]
+    of_mesh, options = ({}, form) if "minimum_distance" in form else (form, {})
+    bodies = [(ball.vertices + place, ball.faces) for place in places]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, self_collision=False, **of_mesh)
+    launched = ccd.CollisionPipeline(mesh, device="cpu", **options).launch(mesh.vertices, mesh.vertices)
+    expected = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, **options)
+    assert expected.body_toi.tolist() == [0.0] * 19 + [np.inf]
+    check_same(launched, expected)
