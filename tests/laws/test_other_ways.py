@@ -22,7 +22,7 @@ from hard_cases import FAMILIES
 from scenes import crowd_of_three, pairs_in_worlds, sheet, with_static_at_rest
 
 import ccd_warp as ccd
-from ccd_warp._engine.device import near_bodies
+from ccd_warp._engine.boxes import near_bodies
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.boxes.grids import choose_cell
-from ccd_warp._engine.boxes.rest_order import apply_order, rest_order
+from ccd_warp._engine.boxes.rest_order import apply_order, order_at, rest_order
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import (
@@ -113,6 +113,7 @@ class StepBoxes:
         self._laid_out: dict[int, tuple[Sequence[BoxSet], int]] = {}
         self._around: _Around | None = None
         self._num_far = self._num_unasked = 0
+        self._start: NDArray[np.float64] | None = None  # positions by which orders that stay are made, during a step
         self._static_extent = np.float32(0.0)
         self._static_rows = blocks_of(topology.mesh.static_vertex_ranges)
 
@@ -143,6 +144,7 @@ class StepBoxes:
         mesh = self.topology.mesh
         if not goes_on:
             self.num_boxes = self.num_sorted = 0
+        self._start = start if keeps_order else None
         self._quantize(positions, num_aabbs)
         if num_aabbs != self._num_aabbs:
             self._num_aabbs = num_aabbs
@@ -245,6 +247,10 @@ class StepBoxes:
         )
         self._static_key = replace(key, positions=[positions.copy() for positions in static_positions])
 
+    def release(self) -> None:
+        """Do not keep the positions of a step alive."""
+        self._start = None
+
     def may_meet(self, a: BoxSet, b: BoxSet) -> bool:
         """Whether the boxes around two sets overlap; on CUDA, and of spatial hashes, the search has to find out."""
         if a is b or self.topology.device.is_cuda:
@@ -268,8 +274,12 @@ class StepBoxes:
         return True
 
     def _sort(self, tree: Any, execution: Execution) -> None:
-        """Order the primitives by their current positions."""
+        """Order the primitives by their current positions, by halving where the order stays for further steps."""
         self.num_sorted += 1
+        if self._start is not None and not tree.primitives.is_static and not execution.is_cuda:
+            order = order_at(self.topology, self._start, tree.primitives, execution)
+            tree.set_order(self._num_aabbs, order, tree.arrays.nodes)
+            return
         primitives, num_aabbs = tree.primitives, self._num_aabbs
         extent = self._typical_extent_of(primitives)
         keys = sorted_keys(self.topology, primitives, self.vertex_aabbs, num_aabbs, extent, self.buffers, execution)

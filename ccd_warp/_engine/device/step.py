@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import Layout, Order
 from ccd_warp._engine.boxes.grids import choose_cell
+from ccd_warp._engine.boxes.near_bodies import NearBodies
 from ccd_warp._engine.boxes.rest_order import order_at, rest_order
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import SAFETY, DeviceInput, Form, PreparedLaunch, check_same_dtype
-from ccd_warp._engine.device.near_bodies import NearBodies
 from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT, CONTACT_DTYPES, new_contact_list, new_minima
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, KEY_BYTES
 from ccd_warp._engine.mesh.lengths import half_rounded_up

@@ -71,15 +71,18 @@ class ImpactStep(Step):
         if self.far_distance is not None:
             return None
         marks = [begin, time.perf_counter()]
-        self.begin_boxes(self.motion.t_end)
+        self.begin_boxes(self.motion.t_end, None if plan.near_bodies else self._bodies_near())
         self.bind_options(part)
         plan.set_search(self.motion.t_end, self.inflation, self.separation)
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
             marks += plan.marks
-            for stage, begin, end in zip(self.stages(plan), marks, marks[1:], strict=False):
-                self.timings[stage] = self.timings.get(stage, 0.0) + end - begin
+            self.timings |= dict.fromkeys(self.stages(plan)[1:], 0.0)
+            for stage, begin, end in zip(self.stages(plan), marks, marks[1:], strict=False):  # some may be left out
+                self.timings[stage] += end - begin
             self.survivors |= batch.num_pairs
+            if plan.near_bodies:
+                self._num_active_bodies = plan.note_bodies_near()
             if self.planes is not None:
                 self.survivors[PairKind.VERTEX_PLANE] = self.planes.count()
             self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)

@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BoxSet
+from ccd_warp._engine.boxes.near_bodies import NearBodies
 from ccd_warp._engine.boxes.some_queries import LEAST_BLOCKS, with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
@@ -73,6 +74,7 @@ class HostPlan(Plan):
         num_batches: Number of batches of this step.
         is_idle: Whether no body is near another in this step, or slice, so that nothing is searched.
         has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
+        near_bodies: What finds in a whole step which bodies others come near; None where the host does before it.
         of_options: What the options that the recording has were made of.
         marks: When the stages of the last step that was played as a whole ended.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
@@ -108,6 +110,8 @@ class HostPlan(Plan):
         self._search_values: tuple[float, ...] | None = None
         self.is_idle = self.lists_pairs = self.has_fitted = False
         self.marks: list[float] = []
+        is_straight = self._has_narrow_phase and not motion.on_arcs
+        self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight and not execution.is_cuda else None
         self._of_boxes: tuple[Any, ...] = ()  # what boxes depend on beside the positions and the trees
         self.of_options: tuple[Any, ...] = ()
         self._positions: tuple[wp.array, ...] = ()
@@ -184,6 +188,7 @@ class HostPlan(Plan):
 
     def release_positions(self) -> None:
         """Do not keep the caller's arrays alive."""
+        self._boxes.release()
         if not self._are_copied:
             none = self.topology.array(np.empty((0, 3)), wp.vec3d)
             self.bind(vertices_t0=none, vertices_t1=none)
@@ -218,15 +223,18 @@ class HostPlan(Plan):
         """Compute the boxes of a step that has begun."""
         self.play("boxes", self._record_boxes)
 
-    def _record_boxes(self, stages: Stages, recording: Recording) -> None:
-        """Record the boxes, and that trees are sorted where their blocks no longer consist of neighbours.
+    def _record_boxes(self, stages: Stages, recording: Recording, active: wp.array | None = None) -> None:
+        """Record the boxes of active bodies, by default those that were near others before the first.
+
+        Trees are sorted where their blocks no longer consist of neighbours.
 
         On CUDA each tree is sorted anew by the AABBs of its vertices, and then filled.
         """
         is_sorted = bool(self.trees) and self.trees[0].is_sorted_when_filled
         sort = None if is_sorted or not self._kept_in_order else self._keep_in_order
         with_trees = is_sorted or not self.execution.is_cuda
-        self.record_boxes(recording, stages, self._active, with_trees=with_trees, sort=sort)
+        active = self._active if active is None else active
+        self.record_boxes(recording, stages, active, with_trees=with_trees, sort=sort)
 
     def _keep_in_order(self) -> None:
         if any([self._boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
@@ -395,22 +403,37 @@ class HostPlan(Plan):
 
     def _record_step(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
         """Record all stages; of a bound, half-spaces come first, and nothing else where a toi is 0 there."""
+        near, active = self.near_bodies, self._active
+        planes_first = self.sink == BOUND and self.has_planes
         if self.sink == CONTACTS:
             self._record_reset(stages, recording)
-        elif self.has_planes:
+        if near is not None:
+            active = near.record(recording, stages, active)
+        if planes_first:
             self._record_planes(stages, recording)
-        planes_first = self.sink == BOUND and self.has_planes
         with recording.only_if(high_half(self.counters.least_bits)) if planes_first else nullcontext():
-            if tree_pairs:
-                self._record_boxes(stages, recording)
-            recording.call(partial(self._look_at_static, tree_pairs))
-            recording.call(self._mark)
-            self._record_search(tree_pairs, stages, recording)
-            recording.call(self._mark)
+            with nullcontext() if near is None else recording.only_if(near.is_any):
+                self._record_pairs(tree_pairs, stages, recording, active)
             if self.sink == CONTACTS and self.has_planes:
                 self._record_planes(stages, recording)
             self.record_rounds(recording, stages)
             recording.call(self._mark)
+
+    def _record_pairs(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording, active: wp.array) -> None:
+        """Record the boxes of active bodies, and the search, where there is anything to search."""
+        if tree_pairs:
+            self._record_boxes(stages, recording, active)
+        recording.call(partial(self._look_at_static, tree_pairs))
+        recording.call(self._mark)
+        self._record_search(tree_pairs, stages, recording)
+        recording.call(self._mark)
+
+    def note_bodies_near(self) -> int:
+        """Note whether the last whole step had boxes; returns how many bodies are static, or near others."""
+        assert self.near_bodies
+        if not self.near_bodies.is_any.numpy()[0]:
+            self._boxes.num_boxes = self._boxes.num_sorted = 0
+        return int(self.near_bodies.near.numpy().sum())
 
     def _record_planes(self, stages: Stages, recording: Recording) -> None:
         stages.meet_planes(recording, self.sink, Slot("searched"))

@@ -113,7 +113,7 @@ class Step:
             self.vertices_t0 = plan.set_positions(self.positions)[0]
             self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
-            if self.begin_boxes(t_end):
+            if self.begin_boxes(t_end, self._bodies_near()):
                 plan.fill_boxes()
         return plan
 
@@ -131,9 +131,9 @@ class Step:
         if part is not None:
             self.positions, self._active = self.motion.placed(part, self.execution), part.active
 
-    def begin_boxes(self, t_end: float) -> bool:
-        """Begin the boxes over [0, t_end], unless no body is near another; returns whether there are any."""
-        near, plan = self._bodies_near(), self.plan
+    def begin_boxes(self, t_end: float, near: NDArray[np.bool_] | None) -> bool:
+        """Begin the boxes over [0, t_end] of the bodies that are near others; returns whether there are any."""
+        plan = self.plan
         # bodies that are far here need not be so elsewhere, and all go the same way
         if self.ranks.is_alone and near is not None and not near.any():
             plan.skip_boxes(goes_on=self._has_boxes)

@@ -1,4 +1,4 @@
-"""Which bodies another comes near in a launch: those that none comes near have no boxes to search."""
+"""Which bodies another comes near, found among the launches of a step: those that none comes near have no boxes."""
 
 import numpy as np
 import warp as wp
@@ -17,6 +17,7 @@ class NearBodies:
     """The boxes of bodies, and which of them meet others.
 
     Attributes:
+        near: Which bodies are active and near others, or static, int32, shape [B].
         is_any: Whether any does that is not static, a flag on the device.
     """
 
@@ -27,13 +28,13 @@ class NearBodies:
         self._begin, self._always = array(mesh.body_vertex_range, wp.int32), array(always, wp.int32)
         empty = [np.empty((mesh.num_bodies, 3)) for _ in range(2)]
         self._boxes = [array(values, wp.vec3d) for values in empty]
-        self._near, self.is_any = (array(np.ones(count), wp.int32) for count in (mesh.num_bodies, 1))
+        self.near, self.is_any = (array(np.ones(count), wp.int32) for count in (mesh.num_bodies, 1))
 
     @staticmethod
-    def of(topology: Topology) -> "NearBodies | None":
-        """Those of a mesh; None where it does not pay to look which bodies are near."""
+    def of(topology: Topology, fewest: int | None = None) -> "NearBodies | None":
+        """Those of a mesh; None where it does not pay to look which bodies are near, as for fewer than ``fewest``."""
         mesh = topology.mesh
-        is_worth = _FEWEST_BODIES <= mesh.num_bodies <= _MOST_BODIES and topology.may_have_inactive_bodies
+        is_worth = (fewest or _FEWEST_BODIES) <= mesh.num_bodies <= _MOST_BODIES and topology.may_have_inactive_bodies
         largest = np.diff(mesh.body_vertex_range).max(initial=0)
         return NearBodies(topology) if is_worth and largest <= _MOST_VERTICES else None
 
@@ -43,6 +44,6 @@ class NearBodies:
         inputs = [self._begin, step.vertices_t0, step.vertices_t1, stages.box_radius, stages.inflation]
         outputs = [*self._boxes, self.is_any]
         recording.launch(kernels.fill_body_boxes, self._count, inputs=inputs, outputs=outputs, grain=64)
-        inputs, outputs = [*self._boxes, active, self._always, self._filter], [self._near, self.is_any]
+        inputs, outputs = [*self._boxes, active, self._always, self._filter], [self.near, self.is_any]
         recording.launch(kernels.mark_active_near, self._count, inputs=inputs, outputs=outputs, grain=64)
-        return self._near
+        return self.near
