@@ -81,7 +81,7 @@ class _Around(NamedTuple):
         changes = self.changes
         for values, at_end, change in zip(positions, self.positions, changes, strict=True):
             np.subtract(values, at_end, out=change)
-        return float(np.maximum.reduce(np.abs(changes, out=changes), axis=None)) <= self.slack
+        return float(np.maximum.reduce(np.abs(changes, out=changes), axis=None, initial=0.0)) <= self.slack
 
 
 class StepBoxes:

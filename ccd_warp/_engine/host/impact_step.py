@@ -1,6 +1,5 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
-import time
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, Self
@@ -53,8 +52,8 @@ class ImpactStep(Step):
     def played_whole(self) -> Batch | None:
         """All pairs of a step, solved but for the second round of a bound, of which all stages are played as one.
 
-        The sections of a recording are played whole where all that the last step of the same plan found did fit; on the
-        CPU, in one process, of one slice and one search, without a limit of memory.
+        The sections of a recording are played whole where all that the last step of the same plan found did fit, in one
+        process, of one slice and one search, without a limit of memory.
 
         Returns:
             The pairs; None if nothing has been done, and the step is to be played section by section.
@@ -64,13 +63,13 @@ class ImpactStep(Step):
         plan, part = self.plan_of_step(), self.motion.slices[0]
         if not self.plays_whole(plan):
             return None
-        begin = time.perf_counter()
+        begin, plan.now = self.timer.now(), self.timer.now
         self.begin_plan(plan, part)
         plan.set_positions(self.positions)
         self.inflation = self._inflation()
         if self.far_distance is not None:
             return None
-        marks = [begin, time.perf_counter()]
+        marks = [begin, self.timer.now()]
         self.begin_boxes(self.motion.t_end, None if plan.near_bodies else self._bodies_near())
         self.bind_options(part)
         plan.set_search(self.motion.t_end, self.inflation, self.separation)
@@ -79,7 +78,7 @@ class ImpactStep(Step):
             marks += plan.marks
             self.timings |= dict.fromkeys(self.stages(plan)[1:], 0.0)
             for stage, begin, end in zip(self.stages(plan), marks, marks[1:], strict=False):  # some may be left out
-                self.timings[stage] += end - begin
+                self.timer.add(stage, begin, end)
             self.survivors |= batch.num_pairs
             if plan.near_bodies:
                 self._num_active_bodies = plan.note_bodies_near()
@@ -90,7 +89,7 @@ class ImpactStep(Step):
 
     def plays_whole(self, plan: HostPlan) -> bool:
         """Whether a step of one slice is played as a whole."""
-        return plan.has_fitted and not plan.sampled_pairs and not plan.execution.is_cuda
+        return plan.has_fitted and not plan.sampled_pairs
 
     def stages(self, plan: HostPlan) -> Sequence[str]:
         """The names of the stages of a whole step, in their order."""

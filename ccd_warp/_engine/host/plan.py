@@ -76,7 +76,7 @@ class HostPlan(Plan):
         has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
         near_bodies: What finds in a whole step which bodies others come near; None where the host does before it.
         of_options: What the options that the recording has were made of.
-        marks: When the stages of the last step that was played as a whole ended.
+        marks: When the stages of the last step that was played as a whole ended, as ``now`` tells.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
 
@@ -109,9 +109,10 @@ class HostPlan(Plan):
         self._needed: Mapping[PairKind, int] = {}  # pairs of the last search
         self._search_values: tuple[float, ...] | None = None
         self.is_idle = self.lists_pairs = self.has_fitted = False
-        self.marks: list[float] = []
+        self.marks: list[Any] = []
+        self.now: Callable[[], Any] = time.perf_counter
         is_straight = self._has_narrow_phase and not motion.on_arcs
-        self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight and not execution.is_cuda else None
+        self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight else None
         self._of_boxes: tuple[Any, ...] = ()  # what boxes depend on beside the positions and the trees
         self.of_options: tuple[Any, ...] = ()
         self._positions: tuple[wp.array, ...] = ()
@@ -431,16 +432,17 @@ class HostPlan(Plan):
     def note_bodies_near(self) -> int:
         """Note whether the last whole step had boxes; returns how many bodies are static, or near others."""
         assert self.near_bodies
-        if not self.near_bodies.is_any.numpy()[0]:
+        near = self.near_bodies.near.numpy()
+        if not near[~self.topology.mesh.static].any():
             self._boxes.num_boxes = self._boxes.num_sorted = 0
-        return int(self.near_bodies.near.numpy().sum())
+        return int(near.sum())
 
     def _record_planes(self, stages: Stages, recording: Recording) -> None:
         stages.meet_planes(recording, self.sink, Slot("searched"))
         recording.call(self._mark)
 
     def _mark(self) -> None:
-        self.marks.append(time.perf_counter())
+        self.marks.append(self.now())
 
     @lazy_property
     def may_leave_out_queries(self) -> bool:

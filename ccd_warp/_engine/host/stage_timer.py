@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import warp as wp
 
@@ -22,8 +22,20 @@ class StageTimer:
     def __init__(self, device: wp.Device) -> None:
         self.seconds = {"input": 0.0}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
+        self._device = device if device.is_cuda else None
         of_device = partial(_BlockOnDevice, self._events, device) if device.is_cuda else partial(_Block, self.seconds)
         self.timed: Callable[[str], AbstractContextManager[None]] = of_device
+
+    def now(self) -> Any:
+        """This moment: on CUDA that in which the device comes to it."""
+        return time.perf_counter() if self._device is None else _event_on(self._device)
+
+    def add(self, stage: str, begin: Any, end: Any) -> None:
+        """Add the time between two moments to that of a stage."""
+        if self._device is not None:
+            self._events.append((stage, begin, end))
+        else:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + end - begin
 
     def timed_items(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
         """Items, while the time in which each is made is added to that of a stage."""
@@ -58,11 +70,12 @@ class _BlockOnDevice:
     def __init__(self, events: list[tuple[str, wp.Event, wp.Event]], device: wp.Device, stage: str) -> None:
         self._events, self._device, self._stage = events, device, stage
 
-    def _event(self) -> wp.Event:
-        return wp.get_stream(self._device).record_event(wp.Event(self._device, enable_timing=True))
-
     def __enter__(self) -> None:
-        self._begin = self._event()
+        self._begin = _event_on(self._device)
 
     def __exit__(self, *_: object) -> None:
-        self._events.append((self._stage, self._begin, self._event()))
+        self._events.append((self._stage, self._begin, _event_on(self._device)))
+
+
+def _event_on(device: wp.Device) -> wp.Event:
+    return wp.get_stream(device).record_event(wp.Event(device, enable_timing=True))
