@@ -355,7 +355,7 @@ PLANTED = [
           ("laws/test_searches.py::test_what_intersects",)),
     Fault("a hash searched in one direction", "ccd_warp/_engine/boxes/grids.py",
           "            if not pair.within:\n", "            if False:\n",
-          ("laws/test_other_ways.py::test_threads_and_the_broad_phase_change_no_bit",)),
+          ("laws/test_other_ways.py::test_threads_and_the_broad_phase_and_earlier_calls_change_no_bit",)),
     Fault("start distances where nothing is near", "ccd_warp/_engine/host/start_distances.py",
           "distances[~is_near[self._vertex_world]] = np.inf", "distances[is_near[self._vertex_world]] = np.inf",
           ("laws/test_line_searches.py::test_random_slides_and_partings_go_all_the_way_in_any_frame",)),
