@@ -329,23 +329,26 @@ ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes
 
 
 @pytest.fixture(scope="session")
-def launches(tmp_path_factory):
-    """The folder in which the processes of a run note which kernels each has launched up to a case."""
+def noted(tmp_path_factory):
+    """Where the processes of a run note for each other what a case has given, and what was launched up to it."""
     folder = tmp_path_factory.getbasetemp()
-    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "launches"
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cases"
     folder.mkdir(exist_ok=True)
     return lambda case: folder / hashlib.sha256(repr(case).encode()).hexdigest()
 
 
-def difference_here_and(other_device, launches, case, call):
-    """What differs in a bit between this device and the other one."""
+def difference_here_and(other_device, noted, case, call):
+    """What differs in a bit between this device and the other one, and the kernels that were launched."""
     from emulated.device import SHARED
 
-    here = kept_outputs(case, call)
-    with other_device():
-        found = different(call(), here)
-    launches(case).write_bytes(pickle.dumps([*SHARED.launches]))
-    return found
+    if not noted(case).exists():
+        here = kept_outputs(case, call)
+        with other_device():
+            found = different(call(), here)
+        own = noted(case).with_suffix(f".{os.getpid()}")
+        own.write_bytes(pickle.dumps((found, [*SHARED.launches])))
+        own.replace(noted(case))
+    return pickle.loads(noted(case).read_bytes())
 
 
 def difference_of_devices(case, *places):
@@ -353,8 +356,8 @@ def difference_of_devices(case, *places):
 
 
 @pytest.mark.parametrize(("call", "scene"), [*ON_OTHER, pytest.param("launches", "slender", marks=pytest.mark.long)])
-def test_the_device_changes_no_bit(call, scene, other_device, launches):
-    assert difference_of_devices((call, scene), other_device, launches) == []
+def test_the_device_changes_no_bit(call, scene, other_device, noted):
+    assert difference_of_devices((call, scene), other_device, noted)[0] == []
 
 
 # --- pairs ---
@@ -417,8 +420,8 @@ def difference_of_pairs(case, *places):
 
 
 @every_pair
-def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device, launches):
-    assert difference_of_pairs((kind, options, precision), other_device, launches) == []
+def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device, noted):
+    assert difference_of_pairs((kind, options, precision), other_device, noted)[0] == []
 
 
 # Kernels of modules for CUDA that the CPU alone launches, each in place of another.
@@ -437,14 +440,14 @@ _LIKE_OTHERS += ("body_frames",)
 
 
 @pytest.mark.emulated
-def test_every_kernel_for_cuda_is_run(other_device, launches):
+def test_every_kernel_for_cuda_is_run(other_device, noted):
     """Otherwise a kernel would be missed above; cases that no process of the run has had yet are run now."""
-    for difference, cases in ((difference_of_devices, ON_OTHER), (difference_of_pairs, OF_PAIRS)):
-        for case in cases:
-            if not launches(case).exists():
-                difference(case, other_device, launches)
-    keys = (key for case in (*ON_OTHER, *OF_PAIRS) for key in pickle.loads(launches(case).read_bytes()))
-    launched = {(module, key.split("__")[-1]) for module, key in keys}
+    launched = {
+        (module, key.split("__")[-1])
+        for difference, cases in ((difference_of_devices, ON_OTHER), (difference_of_pairs, OF_PAIRS))
+        for case in cases
+        for module, key in difference(case, other_device, noted)[1]
+    }
     missing = [
         f"{name}: {key}"
         for name, module in every_module(None).items()
