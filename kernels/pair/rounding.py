@@ -168,7 +168,7 @@ searched that make the error large (`tests/kernels/pair/test_attacks.py`).
 | 11 | counted | sides 7 of 16; volume 17 of 26 |
 | 12 | counted | lower 4 of 8; upper 4 of 8 |
 | 13 | counted | separation 2 of 3; length 3 of 4; support 6 of 8; cull 4.92 of 16 |
-| 14 | by cases: sums of numbers of eleven bits | |
+| 14 | by drawn sums in rational arithmetic (`tests/calls/test_thickness.py`) | |
 | 15 | counted | projection 4 of 4.25; quotient 6.5 of 8 |
 | 16 | counted | shared 4 of 8; alone 3 of 8 |
 | 17 | by hand and by attack; times in a slice by hand | |

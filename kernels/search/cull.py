@@ -41,7 +41,7 @@ from ..parameters import is_thick, width
 from ..template import specialised
 
 _BOUND = wp.constant(wp.float64((VOLUME + 1.0) * UNIT_ROUNDOFF[wp.float64]))
-_SEPARATION_UP = wp.constant(wp.float64(1.0 + 2.0**-48))
+_SEPARATION_UP = wp.constant(wp.float64(1.0 + 32.0 * UNIT_ROUNDOFF[wp.float64]))
 _NORMAL = wp.constant(wp.float64(NORMAL * UNIT_ROUNDOFF[wp.float64]))
 _GUARD = wp.constant(wp.float64(2.0**-800))
 _LARGEST = wp.constant(wp.float64(2.0**750))

@@ -243,18 +243,6 @@ def test_a_capacity_that_is_refused_leaves_those_of_worlds_as_they_are():
     assert different(*found) == [] and np.isfinite(found[0][".toi"])
 
 
-@pytest.mark.parametrize("place", range(3))
-def test_bodies_that_turn_meet_whichever_place_a_half_space_has_among_them(place):
-    """The copies that are searched for slices have half-spaces last, and the mesh has them anywhere."""
-    bodies = [(BOX.vertices, BOX.faces)] * 2
-    bodies.insert(place, ccd.HalfSpace([0, 0, -9], [0, 0, 1]))
-    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[b for b in range(3) if b != place])
-    motion = ccd.RigidMotion(poses_of([[0, 0, 0.5], [0, 0, 1.6]]), twist=np.tile([0, 0, 0, 1.0, 0, 0], (WORLDS, 2, 1)))
-    toi = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion).world_toi
-    # a corner of each box is where the offset of 1.1 has the component 1 along an axis of both
-    assert (toi <= np.arccos(1 / 1.1)).all() and (toi > np.arccos(1 / 1.1) - 1e-3).all()
-
-
 def test_warnings_of_slices_name_bodies_and_vertices_of_the_mesh_and_are_given_once(monkeypatch):
     """The slices of worlds are searched as copies of the mesh, which no caller has seen."""
     for name in ("_MANY_PAIRS", "_MANY_PAIRS_EACH"):

@@ -368,26 +368,6 @@ def test_plates_that_turn_in_planes_side_by_side_form_no_pair(turn):
         assert not any(found[1].counts.num_candidates.values())
 
 
-@pytest.mark.parametrize("call", ["launch", "mesh_ccd"])
-def test_a_sheet_that_flies_to_a_body_that_turns_is_near_when_it_comes(call):
-    """The body turns far away, but for what the sheet does; a second sheet falls on a third."""
-    sheet = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0.1]])
-    bodies = [
-        (BOX.vertices, BOX.faces),
-        (sheet + [10, 0, 0], FACE),
-        (sheet + [0, 20, 0], FACE),
-        (sheet + [0, 20, 1], FACE),
-    ]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0])
-    end = mesh.vertices.copy()
-    end[8:11] -= [10, 0, 0]
-    end[14:] -= [0, 0, 2]
-    motion = ccd.RigidMotion([AT_REST], twist=[[0, 0, 0, 2.0, 1.0, 1.5]])
-    found = getattr(ccd.CollisionPipeline(mesh), call)(mesh.vertices, end, motion=motion)
-    found = found.to_host() if call == "launch" else found
-    assert 0.9 < found.body_toi[0] < 1.0 and found.body_toi[2] == pytest.approx(0.5, abs=1e-9)
-
-
 # --- bad use ---
 
 

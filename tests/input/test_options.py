@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 from every_call import EVERY_CALL, run
+from scenes import random_pairs
 
 import ccd_warp as ccd
 from ccd_warp._calls import small_batch
@@ -90,10 +91,6 @@ def test_the_words_that_a_type_checker_knows_are_those_that_are_taken():
 # ---- Few pairs, whose launch is kept ---------------------------------------------------------------------------------
 
 
-def random_pairs(count, seed=0):
-    return tuple(np.random.default_rng(seed).uniform(-1, 1, (2, count, 4, 3)))
-
-
 def is_same(result, expected, rows=slice(None)):
     return all(np.array_equal(getattr(result, name), value[rows]) for name, value in vars(expected).items())
 
@@ -108,7 +105,7 @@ def test_few_pairs_have_the_results_that_they_have_among_many(num_threads, has_p
     monkeypatch.setattr(small_batch, "_idle", {})
     if not has_parts:
         monkeypatch.setattr(PackedLaunch, "_pack", refused)
-    points = random_pairs(small_batch.CAPACITY + 1)
+    points = random_pairs("vertex_face", small_batch.CAPACITY + 1)
     whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
     for count in (0, 1, 512, 513, 600, 3001, 5000, 2001, small_batch.CAPACITY):
         assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
@@ -119,7 +116,7 @@ def test_few_pairs_have_the_results_that_they_have_among_many(num_threads, has_p
 
 
 def test_few_arrays_of_warp_have_results_of_their_own():
-    points = random_pairs(5)
+    points = random_pairs("vertex_face", 5)
     results = [ccd.vertex_face_ccd(*(wp.array(x, dtype=wp.vec3d, device="cpu") for x in points)) for _ in range(2)]
     expected = ccd.vertex_face_ccd(*points)
     for name, array in vars(results[0]).items():
@@ -129,7 +126,7 @@ def test_few_arrays_of_warp_have_results_of_their_own():
 
 
 def test_calls_one_after_another_and_of_many_threads_do_not_see_each_other():
-    queries = [random_pairs(20, seed) for seed in range(8)]
+    queries = [random_pairs("vertex_face", 20, seed) for seed in range(8)]
     expected = [ccd.vertex_face_ccd(*query) for query in queries]
     kept = copy.deepcopy(expected[0])
     assert (ccd.vertex_face_ccd(*queries[0], minimum_separation=0.2).toi < kept.toi).any()

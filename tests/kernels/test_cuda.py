@@ -168,6 +168,8 @@ def optimization_level(name):
 
 
 def main():
+    import fcntl
+
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--compile", nargs="+", metavar="NAME", required=True)
     wp.config.log_level = wp.LOG_ERROR
@@ -175,11 +177,12 @@ def main():
     for name in parser.parse_args().compile:
         place = place_of(name)
         place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=place.parent) as made:
-            modules[name].options["optimization_level"] = optimization_level(name)
-            modules[name].mark_modified()
-            wp.compile_aot_module(modules[name], device=None, arch=ARCH, module_dir=f"{made}/ptx", use_ptx=True)
+        with open(f"{place}.lock", "w") as lock, tempfile.TemporaryDirectory(dir=place.parent) as made:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # of the processes of `pytest -n`, which all ask for it, one compiles it
             if not place.exists():
+                modules[name].options["optimization_level"] = optimization_level(name)
+                modules[name].mark_modified()
+                wp.compile_aot_module(modules[name], device=None, arch=ARCH, module_dir=f"{made}/ptx", use_ptx=True)
                 os.rename(f"{made}/ptx", place)
 
 

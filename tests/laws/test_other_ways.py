@@ -161,23 +161,20 @@ def expected(call, scene):
 
 
 @every
-def test_threads_and_the_broad_phase_change_no_bit(call, scene):
-    other = "tree" if case_of(scene).options.get("broad_phase") == "hash" else "hash"
+def test_threads_and_the_broad_phase_and_earlier_calls_change_no_bit(call, scene):
+    """Earlier calls have used the mesh in a step that goes elsewhere and back, and in the same one."""
+    case = case_of(scene)
+    other = "tree" if case.options.get("broad_phase") == "hash" else "hash"
     assert different(asked(call, scene, num_threads=5, broad_phase=other), expected(call, scene)) == []
+    mesh, start, end = made = case.make()
+    away = start + 0.3 * case.size * ~mesh.rigid[mesh.vertex_body][:, None]
+    asked(call, scene, lambda case: replace(case, make=lambda: (mesh, away, with_static_at_rest(mesh, away, end))))
+    assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
 
 
 @pytest.mark.parametrize("scene", LARGE)
 def test_threads_alone_change_no_bit(scene):
     assert different(asked("steps", scene, num_threads=8), expected("steps", scene)) == []
-
-
-@every
-def test_earlier_calls_change_no_bit(call, scene):
-    """The mesh has been used in a step that goes elsewhere and back, and in the same one."""
-    mesh, start, end = made = case_of(scene).make()
-    away = start + 0.3 * case_of(scene).size * ~mesh.rigid[mesh.vertex_body][:, None]
-    asked(call, scene, lambda case: replace(case, make=lambda: (mesh, away, with_static_at_rest(mesh, away, end))))
-    assert different(asked(call, scene, lambda case: replace(case, make=lambda: made)), expected(call, scene)) == []
 
 
 _REPEATED = [*range(40), "sheet", "worlds", "apart", "radii", "parting", "few iterations", "crowd"]
@@ -193,16 +190,21 @@ def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
     ends = [(start, end), (start, end), (end, start), (start + away, end + away), (start, start + 0.5 * (end - start))]
     ends = [(x, with_static_at_rest(mesh, x, y)) for x, y in ends]
     used, found, truth = ccd.CollisionPipeline(mesh, **given), {}, {}
+
+    @cache
+    def alone(name, k, **more):
+        """The result of a step by a pipeline of its own, and what that counts."""
+        pipeline = ccd.CollisionPipeline(mesh, **given | more, memory_limit=1 << 40)
+        return getattr(pipeline, name)(*ends[k]), pipeline.counts
+
     in_turn = ("mesh_ccd",) * 5 + ("collision_free_step",) * 5 + ("mesh_ccd", "find_candidates") * 2
     for k, name in enumerate((*in_turn, "collision_free_step", "is_step_collision_free", "mesh_ccd", "mesh_ccd")):
-        step, shorter = ends[k % len(ends)], given | {"t_max": 0.7}
-        alone, shortened = (ccd.CollisionPipeline(mesh, **each, memory_limit=1 << 40) for each in (given, shorter))
-        found[k] = getattr(used, name)(*step), used.counts
-        truth[k] = getattr(alone, name)(*step), alone.counts
+        n, shorter = k % len(ends), given | {"t_max": 0.7}
+        found[k], truth[k] = (getattr(used, name)(*ends[n]), used.counts), alone(name, n)
         if name != "find_candidates":  # of one mesh, which keeps the same for all of its calls
-            once = [getattr(ccd, name)(mesh, *step, **each) for each in (given, given, shorter, shorter, given)]
-            truth[k] += (truth[k][0], truth[k][0], *[getattr(shortened, name)(*step)] * 2, truth[k][0])
-            found[k] += tuple(once)
+            once = [getattr(ccd, name)(mesh, *ends[n], **each) for each in (given, given, shorter, shorter, given)]
+            whole, part = truth[k][0], alone(name, n, t_max=0.7)[0]
+            found[k], truth[k] = (*found[k], *once), (*truth[k], whole, whole, part, part, whole)
     assert different(outputs_of(found), outputs_of(truth)) == []
 
 
@@ -328,17 +330,36 @@ _MORE = {
 ON_OTHER += [(call, scene) for call, scenes in _MORE.items() for scene in scenes if (call, scene) not in ON_OTHER]
 
 
-@cache
-def difference_of_devices(call, scene, other_device):
-    """What differs in a bit between this device and the other one."""
-    here = kept_outputs((call, scene), lambda: asked(call, scene))
-    with other_device():
-        return different(asked(call, scene), here)
+@pytest.fixture(scope="session")
+def noted(tmp_path_factory):
+    """Where the processes of a run note for each other what a case has given, and what was launched up to it."""
+    folder = tmp_path_factory.getbasetemp()
+    folder = (folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "cases"
+    folder.mkdir(exist_ok=True)
+    return lambda case: folder / hashlib.sha256(repr(case).encode()).hexdigest()
+
+
+def difference_here_and(other_device, noted, case, call):
+    """What differs in a bit between this device and the other one, and the kernels that were launched."""
+    from emulated.device import SHARED
+
+    if not noted(case).exists():
+        here = kept_outputs(case, call)
+        with other_device():
+            found = different(call(), here)
+        own = noted(case).with_suffix(f".{os.getpid()}")
+        own.write_bytes(pickle.dumps((found, [*SHARED.launches])))
+        own.replace(noted(case))
+    return pickle.loads(noted(case).read_bytes())
+
+
+def difference_of_devices(case, *places):
+    return difference_here_and(*places, case, lambda: asked(*case))
 
 
 @pytest.mark.parametrize(("call", "scene"), [*ON_OTHER, pytest.param("launches", "slender", marks=pytest.mark.long)])
-def test_the_device_changes_no_bit(call, scene, other_device):
-    assert difference_of_devices(call, scene, other_device) == []
+def test_the_device_changes_no_bit(call, scene, other_device, noted):
+    assert difference_of_devices((call, scene), other_device, noted)[0] == []
 
 
 # --- pairs ---
@@ -394,18 +415,15 @@ def test_threads_and_graphs_and_arrays_of_warp_change_no_bit_of_pairs(kind, opti
     assert different(outputs_of(call(*arrays, **given)), truth) == []
 
 
-@cache
-def difference_of_pairs(kind, options, precision, other_device):
-    """What differs in a bit between this device and the other one."""
+def difference_of_pairs(case, *places):
+    kind, options, precision = case
     name, *points = points_of(kind, 16)
-    here = kept_outputs((kind, options, precision), lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
-    with other_device():
-        return different(pairs(name, *points, precision, PAIR_OPTIONS[options]), here)
+    return difference_here_and(*places, case, lambda: pairs(name, *points, precision, PAIR_OPTIONS[options]))
 
 
 @every_pair
-def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device):
-    assert difference_of_pairs(kind, options, precision, other_device) == []
+def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_device, noted):
+    assert difference_of_pairs((kind, options, precision), other_device, noted)[0] == []
 
 
 # Kernels of modules for CUDA that the CPU alone launches, each in place of another.
@@ -424,15 +442,14 @@ _LIKE_OTHERS += ("body_frames",)
 
 
 @pytest.mark.emulated
-def test_every_kernel_for_cuda_is_run(other_device):
-    """Otherwise a kernel would be missed above; what is not run yet, when this test runs alone, is run now."""
-    from emulated.device import SHARED
-
-    for call, scene in ON_OTHER:
-        difference_of_devices(call, scene, other_device)
-    for case in OF_PAIRS:
-        difference_of_pairs(*case, other_device)
-    launched = {(module, key.split("__")[-1]) for module, key in SHARED.launches}
+def test_every_kernel_for_cuda_is_run(other_device, noted):
+    """Otherwise a kernel would be missed above; cases that no process of the run has had yet are run now."""
+    launched = {
+        (module, key.split("__")[-1])
+        for difference, cases in ((difference_of_devices, ON_OTHER), (difference_of_pairs, OF_PAIRS))
+        for case in cases
+        for module, key in difference(case, other_device, noted)[1]
+    }
     missing = [
         f"{name}: {key}"
         for name, module in every_module(None).items()

@@ -12,7 +12,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.pair.rounding import ARC_MOTION, ARC_POINTS, FRAME, PLACE, PLACE_POSITION, SAGITTA
 from ccd_warp.kernels.rigid import place_bodies as kernels
-from counted import House, Vector
+from counted import House, Rows
 
 EDGES, UNIT = 1, 2.0**-53
 VECTORS = ("omega", "pivot", "start", "velocity", "turning")
@@ -42,11 +42,11 @@ def truth(body, x, t):
 
 
 def vector(v):
-    return Vector(*np.asarray(v).T)
+    return np.asarray(v).T.view(Rows)
 
 
 def extended(v):
-    return np.stack(v.of, axis=1).astype(np.longdouble)
+    return np.asarray(v).T.astype(np.longdouble)
 
 
 def on_arc(ends, spin, t):
@@ -145,10 +145,7 @@ def ratios(given, norm):
     spin = -(b["omega"].astype(np.longdouble) * length[:, None])
     corner = corner + turned(corner, spin, np.linalg.norm(spin, axis=1) * (end - begin))
     frame = size(extended(window.at_end.p0) - extended(at[0].p3) - corner) / (allowed + turns.slack + window.error)
-    across = [
-        np.linalg.norm(np.stack(x.of, axis=1).astype(np.longdouble), axis=1)
-        for x in (*spins.values(), turns.v0, turns.v2, turns.v3)
-    ]
+    across = [np.linalg.norm(extended(x), axis=1) for x in (*spins.values(), turns.v0, turns.v2, turns.v3)]
     sagitta = (
         (across[0] * across[2] + across[1] * np.maximum(across[3], across[4]))
         * (end - begin).astype(np.longdouble) ** 2
