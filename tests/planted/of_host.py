@@ -107,7 +107,8 @@ PLANTED = [
           ("laws/test_other_ways.py::test_a_launch_of_worlds_on_paths_gives_the_bits_of_the_call_on_the_host",)),
     Fault("options of a strict pass in one that keeps start distances", "ccd_warp/_engine/host/impact_step.py",
           "self.start_distances is not None, turns is not None", "turns is not None",
-          ("laws/test_other_ways.py::test_steps_repeated_and_after_others_change_no_bit_nor_one_another",)),
+          ("laws/test_line_searches.py::"
+           "test_steps_and_searches_alike_let_go_what_starts_a_rounding_beyond_its_distance",)),
     Fault("a body that stands beside its path taken for one that stays", "ccd_warp/_rigid/body_paths.py",
           "if not stands.any():", "if True:",
           ("calls/test_rigid.py::test_bodies_that_stand_on_their_paths_and_may_be_beside_them_are_no_stationary_pair",)),
