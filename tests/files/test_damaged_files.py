@@ -86,6 +86,7 @@ NUMBERS = "cannot be read .string or file could not be read to its end"
 DAMAGED = [  # of a file: what stands in place of what, a regular expression, and what the message says
     ("text.ply", "3 6 7 8", "3 6 7.5 8", r"line 26 holds 7\.5; expected an integer"),
     ("text.ply", "3 6 7 8", "3 6 7 8_0", r"line 26 holds '8_0'; expected a number"),
+    ("text.ply", "3 6 7 8", "3 6 7 12", r"face 3 is \[6, 7, 12\], but the file has 12 vertices"),
     ("text.ply", "property double z", "property double w", "gives its vertices no x, y and z"),
     ("text.ply", "element face", "element fact", "holds 'fact' of vertices, which is not read"),
     ("text.obj", "f 1 2 3", "f 1 2 -14", "line 13 is a face of a vertex that is none of the 12 of the file"),
