@@ -214,6 +214,8 @@ PLANTED = [
           "ccd_warp/_rigid/motion_worlds.py", "turn = np.arange(len(order)) - np.repeat(first, sizes)",
           "turn = np.repeat(first, sizes) - np.arange(len(order))",
           ("calls/test_rigid_tois.py::test_of_each_world_the_first_contact_is_found_and_little_more",)),
+    Fault("rows that differ at both ends of a step in which nothing is near", "ccd_warp/_rigid/motion_worlds.py",
+          "check_own_frames(mesh, start, end)", "pass", ("input/test_bad_arguments.py",)),
     Fault("the first body's vertices in every copy of it", "ccd_warp/_rigid/parts/trees.py",
           "(self._first_vertex[body] - self._origin[tree])[:, None]", "0",
           ("calls/test_motion_worlds.py::test_copies_have_one_tree_and_others_their_own",)),
