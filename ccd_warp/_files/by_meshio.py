@@ -6,6 +6,7 @@ meshio passes over what it does not know, and takes what it finds for what it lo
 import contextlib
 import io
 import re
+import sys
 import tempfile
 import warnings
 from itertools import pairwise
@@ -37,8 +38,7 @@ def read_with_meshio(path: Path) -> Grid:
             case ".mesh":
                 mesh = _read_medit(meshio, path, data)
             case _:
-                mesh = meshio.gmsh.read(path)
-                _check_gmsh(data, mesh)
+                mesh = _read_gmsh(meshio, path, data)
     return grid_of_meshio(mesh)
 
 
@@ -79,28 +79,41 @@ def _cleaned(data: bytes) -> str:
     return "\n".join([*lines, ""])
 
 
-def _check_gmsh(data: bytes, mesh: Any) -> None:
-    """Refuse a file in which a section is not closed, or holds more or less than announced."""
+def _read_gmsh(meshio: Any, path: Path, data: bytes) -> Any:
+    """What meshio reads, refused where a section is not closed, or holds more or less than announced."""
     head = re.search(rb"\$MeshFormat\s+(\d)(\S*)\s+([01])\s+(\d+)", data)
-    found = {b"Nodes": len(mesh.points), b"Elements": sum(len(block.data) for block in mesh.cells)}
-    sections = [re.findall(rb"(?s)\$%s\r?\n(.*)\n\$End%s\s" % (name, name), data) for name in found]
+    names = (b"Nodes", b"Elements")
+    sections = [re.findall(rb"(?s)\$%s\r?\n(.*)\n\$End%s\s" % (name, name), data) for name in names]
     if not head or not all(sections) or b"$End" not in data[-30:]:
         raise InputError(f"expected sections $MeshFormat, $Nodes and $Elements, each closed by its $End; {CUT}")
     is_new, is_text, is_40 = int(head[1]) >= 4, head[3] == b"0", head[2] == b".0"
     num_heads = (2 if is_40 else 4) if is_new else 1
     # How many numbers of text, or bytes, are a number in the head of a section, that of a block, a tag and a position.
     of_head, of_block, of_tag, of_position = (1, 4 * is_new, 1, 3) if is_text else (8, 20, 4 if is_40 else 8, 24)
+    contents = [content for (content,) in sections]
+    numbers = [content.split() if is_text else content.removesuffix(b"\r") for content in contents]
+    if is_text or not is_new:
+        stated = [list(map(int, content.split(None, num_heads)[:num_heads])) for content in contents]
+    else:
+        stated = [np.frombuffer(content, f"u{head[4].decode()}", num_heads).tolist() for content in contents]
+
+    def check(k: int, count: int, rows: int) -> None:
+        expected = num_heads * of_head + stated[k][0] * of_block + count * of_tag + rows
+        if stated[k][int(is_new)] != count or ((is_new or is_text) and len(numbers[k]) != expected):
+            noun = f"{stated[k][int(is_new)]} {names[k].decode().lower()}"
+            raise InputError(f"announces {noun}, and {count} can be read, or its section is of another length; {CUT}")
+
+    if is_new:  # before meshio leaves a node that is announced, and in no block, as memory was
+        count, at = 0, num_heads * of_head
+        for _ in range(min(stated[0][0], len(numbers[0]))):
+            block = numbers[0][at : at + of_block]
+            of_this = int(block[3] if block[3:] else 0) if is_text else int.from_bytes(block[12:], sys.byteorder)
+            count, at = count + of_this, at + of_block + of_this * (of_tag + of_position)
+        check(0, count, count * of_position)
+    mesh = meshio.gmsh.read(path)
     corners = sum(block.data.size for block in mesh.cells) * of_tag
     if is_text and not is_new:  # each element has a type, and a list of tags
-        corners += sum([2 + int(line.split(None, 3)[2]) for line in sections[1][0].strip().split(b"\n")[1:]])
-    further = len(mesh.points) * of_position, corners
-    for (name, count), (content,), rows in zip(found.items(), sections, further, strict=True):
-        if is_text or not is_new:
-            stated = list(map(int, content.split(None, num_heads)[:num_heads]))
-        else:
-            stated = np.frombuffer(content, f"u{head[4].decode()}", num_heads).tolist()
-        expected = num_heads * of_head + stated[0] * of_block + count * of_tag + rows
-        size = len(content.split()) if is_text else len(content.removesuffix(b"\r"))
-        if stated[int(is_new)] != count or ((is_new or is_text) and size != expected):
-            noun = f"{stated[int(is_new)]} {name.decode().lower()}"
-            raise InputError(f"announces {noun}, and {count} can be read, or its section is of another length; {CUT}")
+        corners += sum([2 + int(line.split(None, 3)[2]) for line in contents[1].strip().split(b"\n")[1:]])
+    check(0, len(mesh.points), len(mesh.points) * of_position)
+    check(1, sum(len(block.data) for block in mesh.cells), corners)
+    return mesh

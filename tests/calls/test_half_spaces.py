@@ -122,6 +122,9 @@ def test_a_contact_and_a_start_in_the_solid_say_of_what():
     below = sum(plane_value(mesh, 0, x, start) <= 0 for x in start)
     assert result.toi == 0 and 0 < below < len(start) and result.start.by_bodies() == {("sheet", "ground"): below}
     assert f"{below} pairs are in contact at the start already, with toi 0: {below} of sheet and ground" in repr(result)
+    pipeline = ccd.CollisionPipeline(mesh)
+    num_found, counts = len(pipeline.find_candidates(start, end).vertex_plane), pipeline.counts
+    assert (counts.num_searches[VERTEX_PLANE], counts.num_candidates[VERTEX_PLANE]) == (1, num_found)
 
 
 def test_a_mesh_keeps_its_half_spaces_as_they_were_given_and_without_radius():

@@ -97,6 +97,13 @@ def test_arc_meets_what_no_box_of_its_chord_does(broad_phase):
     assert ccd.find_candidates(mesh, x, x, **options).vertex_face.tolist() == [[0, 0]]
 
 
+def test_bodies_that_turn_beside_one_that_deforms_have_a_result_without_any_pair_of_the_kinds_asked_for():
+    mesh = ccd.CollisionMesh.from_arrays([(BLADE, FACE), (BLADE + 9.0, FACE)], rigid=[0]).replicate(2)
+    end = mesh.vertices + (mesh.vertex_body % 2)[:, None]
+    turns = spins([AT_REST] * 2, 2.0)
+    assert ccd.mesh_ccd(mesh, mesh.vertices, end, motion=turns, pair_kinds=["point_point"]).toi == np.inf
+
+
 @pytest.mark.parametrize(("distance", "motion"), [(4, 10), (5, 16), (4001, 10000)])
 def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance, motion):
     """Between slices positions are rounded to multiples of the smallest number, a large part of these motions."""

@@ -393,6 +393,7 @@ def refused_meshes():
         ("radius is given on some ranks", {"radius": 0.1 if on_first else None}),
         ("rank 0: exclude_pairs is", {"exclude_pairs": {"edge_edge": [[0, 1]]}}),
         ("holds id 7; expected ids of the whole", of_vertices(np.array([[7, 1]], np.uint64))),
+        ("exclude_pairs['vertices'] has dtype float64 and shape (1, 0, 2)", of_vertices(np.zeros((1, 0, 2)))),
         ("exclude_pairs['vertices'] is a masked array", of_vertices(np.ma.array([[0, 1]], mask=True))),
         ("half_spaces differs between ranks", {"half_spaces": {} if on_first else {1: GROUND}}),
         ("half_spaces differs", {"half_spaces": {1: ccd.HalfSpace([0, 0, RANK], [0, 0, 1])}}),

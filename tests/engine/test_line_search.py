@@ -55,9 +55,9 @@ def test_one_body_falls_on_another(per, safety):
 def test_a_body_of_two_worlds_that_one_stops_is_looked_at_in_the_other(per):
     """In one world a body is stopped by a face; in the other it would then stand in the way of what follows it."""
     layers = [TRIANGLE + [0.1 * k, 0.07 * k, z] for k, z in enumerate((1.0, 0.0, 1.0, 1.5))]
-    bodies = [(np.vstack(layers[::2]), [[0, 1, 2], [3, 4, 5]]), (layers[1], FACE), (layers[3], FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 3 + [1] * 3 + [0] * 3 + [1] * 3)
-    wished = mesh.vertices - np.repeat([[0, 0, 2.0], [0, 0, 0], [0, 0, 2.3]], [6, 3, 3], axis=0)
+    bodies = [(layers[1], FACE), (np.vstack(layers[::2]), [[0, 1, 2], [3, 4, 5]]), (layers[3], FACE)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, vertex_world=[0] * 6 + [1] * 6)
+    wished = mesh.vertices - np.repeat([[0, 0, 0], [0, 0, 2.0], [0, 0, 2.3]], [3, 6, 3], axis=0)
     assert np.isinf(ccd.mesh_ccd(mesh, mesh.vertices, wished).world_toi).tolist() == [False, True]
     frames = mesh, mesh.vertices, wished
     for reached in (ccd.line_search(*frames, per=per).vertices, launched(*frames, per=per)[1]):

@@ -273,7 +273,7 @@ THICK = ccd.CollisionMesh.from_arrays([(TRIANGLE, FACE), (TRIANGLE, FACE)], radi
 THICK_FRAMES = {"mesh": THICK, "vertices_t0": THICK.vertices, "vertices_t1": THICK.vertices}
 BOXES, FIXED = (ccd.CollisionMesh.from_trimesh([trimesh.creation.box()] * 2, rigid=[0, 1], static=x) for x in ([], [0]))
 OF_WORLDS = dict.fromkeys(["vertices_t0", "vertices_t1"], BOXES.vertices)
-OF_WORLDS["motion"] = ccd.RigidMotion(np.tile(REST, (7, 2, 1)), twist=np.ones((7, 2, 6)))
+OF_WORLDS["motion"] = ccd.RigidMotion(np.tile([REST, [9, *REST[1:]]], (7, 1, 1)), twist=np.ones((7, 2, 6)))  # apart
 MOVED = {"mesh": of.MESH_AND_STATIC, "vertices_t1": END + 1}
 PAIR, LAUNCHED = wp.zeros((1, 4), dtype=wp.vec3d), PIPELINE.launch(START, END)
 # Arguments that do not fit each other, or a mesh: by the call what is changed, and the message.

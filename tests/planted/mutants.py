@@ -1,9 +1,9 @@
 """Mechanical mutants, for a night: `python tests/planted/mutants.py [COUNT [SEED]]` says which no test finds.
 
-With `--part 2/3` these are every third of them, from the second on. In a copy one operator, constant, bound, condition
-or call of any file of the package is changed. A mutant that survives need not be a fault: a bound may be wider than it
-need be, and a search may take longer. Each has to be read: for a fault a law is widened, a feature is added to the
-drawn scenes, or a row to a table.
+With `--under kernels _rigid` these are those of such folders, with `--part 2/3` every third of them, from the second
+on. In a copy one operator, constant, bound, condition or call of any file of the package is changed. A mutant that
+survives need not be a fault: a bound may be wider than it need be, and a search may take longer. Each has to be read:
+for a fault a law is widened, a feature is added to the drawn scenes, or a row to a table.
 """
 
 import argparse
@@ -122,10 +122,11 @@ def passes_without(copy: Copy, found: str, passing: set[str]) -> bool:
     return True
 
 
-def main(count: int, seed: int, part: str) -> None:
+def main(count: int, seed: int, part: str, under: list[str]) -> None:
     """Plant each mutant of the part, and print its line and the test that finds it; at the end those to be read."""
     first, every = map(int, part.split("/"))
-    chosen, to_read, passing = mutants(count, seed)[first - 1 :: every], [], set()
+    wanted = [mutant for mutant in mutants(count, seed) if folder_of(mutant[0]).startswith(tuple(under))]
+    chosen, to_read, passing = wanted[first - 1 :: every], [], set()
     with tempfile.TemporaryDirectory() as folder:
         # what has been compiled, in a folder of its own: a mutant may damage it, or name what it keeps falsely
         compiled = os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "warp"
@@ -155,5 +156,6 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("count", type=int, nargs="?", default=200)
     parser.add_argument("seed", type=int, nargs="?", default=0)
+    parser.add_argument("--under", nargs="+", default=[""], help="the begins of folders whose mutants are wanted")
     parser.add_argument("--part", default="1/1", help="K/N: every N-th of the mutants, from the K-th on")
     main(**vars(parser.parse_args()))
