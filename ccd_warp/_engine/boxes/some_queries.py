@@ -17,7 +17,7 @@ from ccd_warp._engine.mesh.topology import BLOCK_CORNERS
 
 # Blocks of a tree from which on this is worth its time, and of these, how many may have such a vertex; and of pairs of
 # boxes, how many are tested at a time.
-LEAST_BLOCKS, _MOST_BLOCKS, _MOST_TESTS = 256, 0.25, 1 << 21
+_LEAST_BLOCKS, _MOST_BLOCKS, _MOST_TESTS = 256, 0.25, 1 << 21
 _Blocks = NDArray[np.bool_]
 
 
@@ -31,7 +31,7 @@ def with_some_queries(
     query, target = tree_pair.query, tree_pair.target
     if not isinstance(query, Tree) or not isinstance(target, Tree):
         return None
-    if query.levels[0] < LEAST_BLOCKS:
+    if not has_many_blocks(tree_pair):
         return None
     blocks, of_target = (_blocks_with(tree, is_wanted) for tree in (query, target))
     if blocks.sum() > _MOST_BLOCKS * len(blocks) or of_target.sum() > _MOST_BLOCKS * len(of_target):
@@ -41,6 +41,11 @@ def with_some_queries(
         return None
     name = f"{query.name} for {tree_pair.kind.name} {target.name}"  # a tree has the queries of several pairs
     return replace(tree_pair, query=_with_blocks(query, blocks | near, name, allocate))
+
+
+def has_many_blocks(tree_pair: TreePair) -> bool:
+    """Whether there are so many blocks of queries that leaving some out may pay."""
+    return tree_pair.query.levels[0] >= _LEAST_BLOCKS
 
 
 def _blocks_with(tree: Tree, is_wanted: NDArray[np.bool_]) -> _Blocks:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.near_bodies import NearBodies
-from ccd_warp._engine.boxes.some_queries import LEAST_BLOCKS, with_some_queries
+from ccd_warp._engine.boxes.some_queries import has_many_blocks, with_some_queries
 from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
@@ -447,7 +447,7 @@ class HostPlan(Plan):
     @lazy_property
     def may_leave_out_queries(self) -> bool:
         """Whether a search of some vertices is another than that of all."""
-        return any(tree_pair.query.levels[0] >= LEAST_BLOCKS for tree_pair in self.tree_pairs)
+        return any(map(has_many_blocks, self.tree_pairs))
 
     def _with_some_queries(self, tree_pairs: list[TreePair], among: NDArray[np.bool_]) -> list[TreePair] | None:
         """Those of the tree pairs that may meet, with the queries that some vertices need; None if each needs all."""
