@@ -11,7 +11,7 @@ import warp as wp
 
 from ..atomics import atomic_min_int64, claim_int
 from ..boxes.lanes import lowest_bit, number_of_bits
-from ..boxes.thickness import distance_of
+from ..boxes.thickness import add_rounded_up, distance_of, radius_of
 from ..interrupts import is_stopped
 from ..narrow_phase.lane_rows import points_of_vertices, rows_from, vertices_of_pairs
 from ..narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
@@ -50,10 +50,13 @@ def lower_start_distances(
     if least >= _ZERO:
         share = wp.cast(share_of(least, distance), wp.int64)
         length = wp.cast(wp.abs(least), wp.int64)
+    is_of_edges = kind == EDGE_EDGE or kind == POINT_POINT
     for k in range(3):
+        if k > 0 and not is_of_edges:
+            return  # a vertex, which repeats
         atomic_min_int64(start_distances, 2 * a[k], share)
         atomic_min_int64(start_distances, 2 * a[k] + 1, length)
-        if kind == EDGE_EDGE or kind == POINT_POINT:
+        if is_of_edges:
             atomic_min_int64(start_distances, 2 * b[k], share)
             atomic_min_int64(start_distances, 2 * b[k] + 1, length)
 
@@ -126,8 +129,9 @@ def measure_pairs(
                         least = _ZERO  # a coordinate that is not finite
                     bound_pair(a, b, least, distance_of(reach.kept, reach.radius, a, b), body_static, minima)
                 elif sink == START_DISTANCE:
-                    if not (least > distance_of(reach.distance, reach.radius, a, b)):
-                        kept = distance_of(reach.kept, reach.radius, a, b)
+                    thickness = add_rounded_up(radius_of(reach.radius, a), radius_of(reach.radius, b))
+                    if not (least > add_rounded_up(reach.distance, thickness)):
+                        kept = add_rounded_up(reach.kept, thickness)
                         lower_start_distances(kind, a, b, least, kept, start_distances)
                 else:
                     if reach.radius.shape[0] > 0:

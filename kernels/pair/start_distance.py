@@ -72,14 +72,23 @@ def kept_of(at_start: StartDistance, distance: wp.float64) -> wp.float64:
 
 @wp.func
 def start_distance_of(start_distance: wp.array[wp.float64], first: wp.vec3i, second: wp.vec3i) -> StartDistance:
-    """The least start distance of the vertices of a pair, of which some repeat, from share and length of each."""
+    """The least start distance of the vertices of a pair, of which some repeat, from share and length of each.
+
+    The first primitive has at most two. Where all of a distance is kept the length does not matter, and is infinite.
+    """
     least = StartDistance()
     least.share = _INFINITY
     least.length = _INFINITY
     if start_distance.shape[0] > 0:
-        for k in range(3):
-            a = 2 * first[k]
-            b = 2 * second[k]
-            least.share = wp.min(least.share, wp.min(start_distance[a], start_distance[b]))
-            least.length = wp.min(least.length, wp.min(start_distance[a + 1], start_distance[b + 1]))
+        a = 2 * first[0]
+        b = 2 * first[1]
+        c = 2 * second[0]
+        d = 2 * second[1]
+        e = 2 * second[2]
+        of_first = wp.min(start_distance[a], start_distance[b])
+        least.share = wp.min(of_first, wp.min(start_distance[c], wp.min(start_distance[d], start_distance[e])))
+        if least.share < _ONE:
+            of_first = wp.min(start_distance[a + 1], start_distance[b + 1])
+            of_second = wp.min(start_distance[c + 1], wp.min(start_distance[d + 1], start_distance[e + 1]))
+            least.length = wp.min(of_first, of_second)
     return least
