@@ -19,14 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-Frames = tuple["object", np.ndarray, np.ndarray]
 _SCENES = ("40 faces", "160", "196, one static", "with a ground", "640", "2,560", "16,000, one static", "pile of 125")
 _CALLS = ("mesh_ccd", "collision_free_step", "launch")
 _STEPS, _FASTEST = 200, 10
 _MOTION = 1e-3  # of each coordinate from one step of the loop to the next, beside the motion of the step
 
 
-def scene(name: str) -> Frames:
+def scene(name: str) -> tuple:
     """Mesh, start and end of a scene."""
     import trimesh
 

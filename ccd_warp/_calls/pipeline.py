@@ -637,7 +637,7 @@ class CollisionPipeline:
         # what starts within its distance has toi 0, whichever way it moves; what is a rounding beyond it and slides has
         # any toi
         start = start_of(self.mesh, self._options, vertices_t0, motion)
-        end = self.mesh.frame(vertices_t1, "vertices_t1") if motion is None else start
+        end = start if motion is not None or pairs is None else self.mesh.frame(vertices_t1, "vertices_t1")
         if near.are_near(start, Ends(start, end, motion), pairs):
             distances = near.of(start)
             if distances is not None:

@@ -1,7 +1,7 @@
-"""Which bodies of a launch another comes near: the boxes around whole bodies, all with all.
+"""Which bodies another comes near, found among the launches of a step: the boxes around whole bodies, all with all.
 
-The boxes are in float64, rounded outward, and closed: those that touch in a point meet. A launch has no tree of them,
-as `body_boxes` has on the host: bodies are few enough, or all are searched.
+The boxes are in float64, rounded outward, and closed: those that touch in a point meet. Where bodies are too many or
+too large for that, a launch searches all of them, and the host has a tree of them (`body_boxes`).
 """
 
 import warp as wp

@@ -35,8 +35,9 @@ _SAMPLES = 1 << 10
 _ALIGNMENT = 256
 # Up to the last of these, contacts are few: their launches are recorded for the least of these that holds them.
 _FEW = 1 << 10, 1 << 13
+# How many places there are for each contact after a batch that had too few.
+_GROWTH = 1.25
 # Who has a toi and a first contact, in the order of the arrays.
-_GROWTH = 1.25  # how many more places than contacts there are after a batch that had too few
 _OWNERS = "vertex", "body", "world"
 
 

@@ -113,7 +113,8 @@ class HostPlan(Plan):
         self.now: Callable[[], Any] = time.perf_counter
         is_straight = self._has_narrow_phase and not motion.on_arcs
         self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight else None
-        self._of_boxes: tuple[Any, ...] = ()  # what boxes depend on beside the positions and the trees
+        # what boxes depend on beside the positions and the trees: objects by their identities, as the recording keeps them
+        self._of_boxes: tuple[Any, ...] = ()
         self.of_options: tuple[Any, ...] = ()
         self._positions: tuple[wp.array, ...] = ()
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
@@ -225,10 +226,9 @@ class HostPlan(Plan):
         self.play("boxes", self._record_boxes)
 
     def _record_boxes(self, stages: Stages, recording: Recording, active: wp.array | None = None) -> None:
-        """Record the boxes of active bodies, by default those that were near others before the first.
+        """Record the boxes of active bodies, by default of those that the host has found near others.
 
         Trees are sorted where their blocks no longer consist of neighbours.
-
         On CUDA each tree is sorted anew by the AABBs of its vertices, and then filled.
         """
         is_sorted = bool(self.trees) and self.trees[0].is_sorted_when_filled
