@@ -113,7 +113,7 @@ class HostPlan(Plan):
         self.now: Callable[[], Any] = time.perf_counter
         is_straight = self._has_narrow_phase and not motion.on_arcs
         self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight else None
-        # what boxes depend on beside the positions and the trees: objects by their identities, as the recording keeps them
+        # what boxes depend on beside positions and trees: objects by their identities, as the recording keeps them
         self._of_boxes: tuple[Any, ...] = ()
         self.of_options: tuple[Any, ...] = ()
         self._positions: tuple[wp.array, ...] = ()
