@@ -83,8 +83,9 @@ class Plan:
         self.moving_trees = [tree for tree in self.trees if tree.primitives.role not in ("static", "slender")]
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self.sink = int(BOUND if goal == "bound" else CONTACTS)
-        # the counts of each kind, and then the bits of the least toi: one array, which CUDA reads at once
-        self._counters: wp.array = wp.zeros(NUM_ALL_COUNTS + 1, dtype=wp.int64, device=topology.device)
+        # the counts of each kind, the bits of the least toi, and large blocks of trees: one array, read by CUDA at once
+        num_counters = NUM_ALL_COUNTS + 1 + len(self.moving_trees)
+        self._counters: wp.array = wp.zeros(num_counters, dtype=wp.int64, device=topology.device)
         self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
         self._is_open = low_half(self._counts, int(ANY_OPEN))
 
@@ -99,18 +100,15 @@ class Plan:
         stages: Stages,
         active: Any,
         *,
-        with_trees: bool = True,
         sort: Callable[[], None] | None = None,
     ) -> None:
-        """Record the boxes of the bodies that are active; a call may ``sort`` trees before, or in place of, the last.
-
-        Without trees only the AABBs of vertices are computed, from which the call makes them.
-        """
+        """Record the boxes of the bodies that are active; a call may ``sort`` trees: on CUDA before they are filled."""
         if self.moving_trees:
             stages.fill_vertex_aabbs(recording, self.topology.boxed_vertices, active)
-        if with_trees:
-            stages.fill_boxes(recording, self.moving_trees)
-        if sort is not None:
+        if sort is not None and recording.is_cuda:
+            recording.call(sort)
+        stages.fill_boxes(recording, self.moving_trees)
+        if sort is not None and not recording.is_cuda:
             recording.call(sort)
         stages.fill_slender(recording, self.slender_trees, active)
 

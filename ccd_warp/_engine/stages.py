@@ -16,7 +16,7 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot, StructFields, f
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.pair_queue import launch_queued
 from ccd_warp._runtime.status import PairKind
-from ccd_warp.kernels.boxes import body_frames, box_tree, rest_order
+from ccd_warp.kernels.boxes import body_frames, box_tree, half_warp_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, START_DISTANCE, Table
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.pair.norm import is_ball, shape_of
@@ -121,6 +121,7 @@ class Stages:
     reach: Any = None
     proximities: Any = None
     start_distances: Any = None
+    largest_block: Any = None
 
     @property
     def kinds(self) -> list[PairKind]:
@@ -186,6 +187,12 @@ class Stages:
         """Compute the boxes of sets from the AABBs of the vertices; with a flag on the device only where it is set."""
         if sets:
             sets[0].fill(sets, self.vertex_aabbs, launcher, lambda box_set: self.boxes[box_set.name], only_if)
+
+    def count_large_blocks(self, launcher: Launcher, tree: Any, counters: wp.array, cell: int) -> None:
+        """On CUDA, count in a cell how many blocks of a sample of a tree are too large to consist of neighbours."""
+        places: wp.array = wp.array(tree.places_of_some_blocks(), dtype=wp.int32, device=launcher.device)
+        inputs = [places, self.largest_block, cell, counters]
+        launcher.launch(half_warp_tree.count_large_blocks, places.shape[2], inputs, list(self.boxes[tree.name]))
 
     def fill_slender(self, launcher: Launcher, sets: list[BoxSet], active: wp.array) -> None:
         """Compute the boxes for pairs within slender bodies, after all others, whose AABBs of vertices they replace."""

@@ -64,7 +64,8 @@ class DevicePairs(OnDevice, Placed):
         """The columns of the twin on the host, in the order that it has there; this waits for the device."""
         count = min(int(self.count.numpy()[0]), len(self.kind))
         names = table.__dataclass_fields__.keys() & vars(self).keys()
-        host = {name: getattr(self, name).numpy()[:count] for name in names}
+        some = slice(count or 1)  # an array of Warp has at least one
+        host = {name: getattr(self, name)[some].numpy()[:count] for name in names}
         order = np.lexsort((host["primitives"][:, 1], host["primitives"][:, 0], host["kind"]))
         return {name: values[order] for name, values in host.items()}
 

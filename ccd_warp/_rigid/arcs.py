@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.structs import dtypes_of, struct_of
+from ccd_warp._runtime.written import Written
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.rigid import place_bodies as kernels
 
@@ -42,21 +42,6 @@ class PathTable:
         for name, view in self._views.items():
             if name != "is_rigid" or hasattr(paths, name):
                 view.write(getattr(paths, "pivot_t0" if name == "start" else name))
-
-
-class Written:
-    """An array of a device that is written from the host."""
-
-    def __init__(self, array: wp.array) -> None:
-        self._array = array
-        self._view = array.numpy() if array.device.is_cpu else None  # type: ignore[union-attr]
-
-    def write(self, values: NDArray[Any]) -> None:
-        """Write values of its shape, or one for all."""
-        if self._view is None:
-            self._array.assign(np.broadcast_to(values, self._array.shape + np.shape(values)[1:]))
-        else:
-            self._view[...] = values
 
 
 class Arcs(Motion):

@@ -464,12 +464,16 @@ class Recording:
 
     def play(self, section: str) -> None:
         """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
+        self.update_structs()
+        self._play_groups(section, self._sections[section])
+
+    def update_structs(self) -> None:
+        """Let launches have what was bound to fields of their structs, within a section that is played."""
         for struct in self._structs:
             if struct.is_changed:
                 for launch, index in struct.uses:
                     launch.bind(index, struct.packed)
                 struct.is_changed = False
-        self._play_groups(section, self._sections[section])
 
     def _play_groups(self, section: str, groups: list[_Group]) -> None:
         is_serial = self.execution.is_serial

@@ -188,6 +188,30 @@ def fill_trees(
 
 
 @wp.kernel
+def count_large_blocks(
+    begin: int,
+    # in
+    places: wp.array3d[wp.int32],
+    largest: wp.float32,
+    cell: int,
+    # in/out
+    counters: wp.array[wp.int64],
+    tree: BoxTree,
+):
+    """Count the blocks of a sample that have a side above ``largest``.
+
+    ``places`` are those of the boxes around them among the nodes: of both corners, on each axis of each AABB.
+    """
+    block = begin + wp.tid()
+    is_small = bool(True)
+    for axis in range(places.shape[1]):
+        side = tree.nodes[places[1, axis, block]] - tree.nodes[places[0, axis, block]]
+        is_small = is_small and side <= largest
+    if not is_small:
+        wp.atomic_add(counters, cell, wp.int64(1))
+
+
+@wp.kernel
 def order_places(
     begin: int,
     # in

@@ -17,7 +17,7 @@ from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
 from laws.calls import on_device
 from laws.outputs import different, kept_outputs, outputs_of
-from scenes import crowd, pairs_in_worlds
+from scenes import crowd, pairs_in_worlds, soup
 
 import ccd_warp as ccd
 from ccd_warp._engine import stages
@@ -121,6 +121,29 @@ def test_replays_with_lists_too_short_for_the_candidates(monkeypatch):
 @wp.kernel(enable_backward=False, module="unique")
 def count_from(begin: int, count: wp.int64, counts: wp.array2d[wp.int64]):
     counts[begin + wp.tid(), CANDIDATES] = count
+
+
+def test_triangles_that_change_places_are_sorted_in_the_call_after_that_in_which_they_have():
+    """Contacts are those of the CPU in each step: before it is known that an order is bad, with a new one, later."""
+    rng, count = np.random.default_rng(50), 1500
+    mesh = ccd.CollisionMesh.from_arrays([soup(rng, count, 0.02)])
+    motion, places = 0.01 * rng.standard_normal(mesh.vertices.shape), np.arange(3 * count).reshape(-1, 3)
+    shuffled = mesh.vertices[rng.permutation(places).ravel()]
+
+    def steps(pipeline):
+        for start in (shuffled, shuffled, mesh.vertices, mesh.vertices, shuffled):
+            least = pipeline.collision_free_step(start, start + motion)
+            num_sorted = pipeline.counts.num_sorted_sets
+            result = pipeline.mesh_ccd(start, start + motion)
+            yield {**outputs_of(result.contacts), "least": np.array(least)}, (num_sorted, result.counts.num_sorted_sets)
+
+    expected, _ = zip(*steps(ccd.CollisionPipeline(mesh)), strict=True)
+    with emulation():
+        found, num_sorted = zip(*steps(ccd.CollisionPipeline(mesh)), strict=True)
+    assert num_sorted == ((3, 0), (0, 0), (0, 3), (0, 0), (0, 3))
+    for outputs, of_cpu in zip(found, expected, strict=True):
+        assert different(outputs, of_cpu) == []
+        assert len(outputs[".toi"]) > 100
 
 
 @pytest.mark.parametrize("first", [1 << 31, 1 << 32])

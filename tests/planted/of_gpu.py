@@ -22,6 +22,9 @@ FINDERS = {
     "overflow": ["emulated/test_emulated.py::test_contacts_beyond_the_capacity_are_missing_from_the_list_alone"],
     "beyond": ["emulated/test_emulated.py::test_more_candidates_than_32_bits_count"],
     "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
+    "order": [
+        "emulated/test_emulated.py::test_triangles_that_change_places_are_sorted_in_the_call_after_that_in_which_they_have"
+    ],
     "trees": ["kernels/boxes/test_half_warp_tree.py::test_half_warps_fill_the_same_boxes"],
     "pairs": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[vertex-face 3-default-float64]"],
     "bisection": ["laws/test_other_ways.py::test_the_device_changes_no_bit_of_pairs[edge-edge 3-bisection-float64]"],
@@ -184,6 +187,7 @@ PLANTED = [
     Fault("trees counted as one", "ccd_warp/_engine/boxes/trees.py",
           "            end += tree.levels[0]", "            end = tree.levels[0]", ("trees",)),
     Fault("upper corners united as lower ones", _TREE, "= -p[48 + 16 * k];", "= p[48 + 16 * k];", ("trees",)),
+    Fault("large blocks counted as small", _TREE, "if not is_small:", "if is_small:", ("order",)),
     Fault("boxes of a half warp not united", _TREE, "union = least_together(box)", "union = box", ("launch",)),
     Fault("the end of the last bucket not found", "ccd_warp/_engine/boxes/grids.py",
           "num_buckets = len(grid.cells.bucket_begin)", "num_buckets = len(grid.cells.bucket_begin) - 1", ("hash",)),

@@ -1,5 +1,6 @@
 """The boxes of one step, in trees or spatial hashes that are kept in persistent arrays."""
 
+import itertools
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -12,8 +13,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.boxes.grids import choose_cell
 from ccd_warp._engine.boxes.rest_order import apply_order, order_at, rest_order
+from ccd_warp._engine.boxes.trees import CHECKED_BLOCKS
 from ccd_warp._engine.host.buffers import Buffers
-from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import (
     VERTEX_AABB_FLOATS,
     WIDTH,
@@ -31,7 +32,6 @@ from ccd_warp.kernels.boxes import box_tree as kernels
 
 # A block whose longest side exceeds this multiple of a typical primitive's no longer consists of neighbours.
 _LARGEST_BLOCK = 12.0
-_CHECKED_BLOCKS = 64
 _FEW_OF_A_WORLD = 3 * WIDTH  # primitives
 # Vertices up to which it is asked whether positions are near those of an earlier step, and the binary logarithm of the
 # most steps in which that is not asked.
@@ -106,6 +106,8 @@ class StepBoxes:
         self._rest: dict[str, tuple[Any, ...]] = {}
         # the numbers of the boxes of trees, and the places of those of some blocks among them
         self._checked: dict[str, tuple[NDArray[np.float32], NDArray[np.intp]]] = {}
+        # on CUDA, whether most blocks of a tree consisted of neighbours when it was last filled; not of new orders
+        self._are_neighbours: dict[str, bool] = {}
         # sets of static bodies whose boxes are those of `_static_key`
         self._filled: set[str] = set()
         self._static_key: _StaticKey | None = None
@@ -214,6 +216,7 @@ class StepBoxes:
         if not box_set.primitives.is_static:
             if is_changed or not keeps_order:
                 box_set.structs = self._rest[box_set.name]
+                self._are_neighbours.pop(box_set.name, None)
             self.num_boxes += box_set.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
@@ -263,20 +266,42 @@ class StepBoxes:
     def keep_in_order(self, box_set: BoxSet, execution: Execution) -> bool:
         """Sort the primitives of a tree by their current positions unless most blocks consist of neighbours.
 
-        On CUDA sorting is cheap, and whether it is needed would have to be read back. Returns whether it was sorted.
+        On CUDA by what was noted of its last boxes, before it is filled; elsewhere it is filled anew.
+        Returns whether it was sorted.
         """
         if box_set.primitives.is_static:
             self.num_boxes += box_set.primitives.count
+        elif execution.is_cuda:
+            if self._are_neighbours.get(box_set.name, False):
+                return False
+            self._sort(box_set, execution)
+            return True
         if box_set.is_sorted_when_filled or (not execution.is_cuda and self._is_in_order(box_set)):
             return False
         self._sort(box_set, execution)
         box_set.fill([box_set], self.vertex_aabbs, execution)
         return True
 
+    def trust_order(self, trees: Sequence[Any]) -> bool:
+        """On CUDA, let trees be filled in their orders before anything is known of these; returns whether some are."""
+        is_new = [tree.name not in self._are_neighbours for tree in trees]
+        self._are_neighbours |= dict.fromkeys((tree.name for tree in itertools.compress(trees, is_new)), True)
+        return any(is_new)
+
+    def note_large_blocks(self, tree: Any, count: int) -> bool:
+        """Note how many of the blocks that are looked at are large; returns whether most consist of neighbours."""
+        self._are_neighbours[tree.name] = count < CHECKED_BLOCKS // 2
+        return self._are_neighbours[tree.name]
+
+    @property
+    def largest_block(self) -> np.float32:
+        """The longest side of a block of neighbours in a tree of bodies that move, in quantized coordinates."""
+        return np.float32(_LARGEST_BLOCK) * self.quantization.typical_extent
+
     def _sort(self, tree: Any, execution: Execution) -> None:
         """Order the primitives by their current positions, by halving where the order stays for further steps."""
         self.num_sorted += 1
-        if self._start is not None and not tree.primitives.is_static and not execution.is_cuda:
+        if self._start is not None and not tree.primitives.is_static:
             order = order_at(self.topology, self._start, tree.primitives, execution)
             tree.set_order(self._num_aabbs, order, tree.arrays.nodes)
             return
@@ -307,11 +332,10 @@ class StepBoxes:
         if not self.may_be_sorted(tree):
             return True
         if tree.name not in self._checked:
-            places = tree.places_of_blocks(uneven_samples(tree.levels[0], _CHECKED_BLOCKS))
-            self._checked[tree.name] = tree.arrays.nodes.numpy(), places
+            self._checked[tree.name] = tree.arrays.nodes.numpy(), tree.places_of_some_blocks()
         nodes, places = self._checked[tree.name]
         with np.errstate(invalid="ignore", over="ignore"):
             lower, upper = nodes.take(places)
             longest = np.maximum.reduce(np.subtract(upper, lower, out=upper), axis=0)
         longest.sort()
-        return bool(longest[_CHECKED_BLOCKS // 2] <= _LARGEST_BLOCK * self._typical_extent_of(tree.primitives))
+        return bool(longest[len(longest) // 2] <= _LARGEST_BLOCK * self._typical_extent_of(tree.primitives))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order, level_sizes
 from ccd_warp._engine.mesh.lengths import next_above
+from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
 from ccd_warp._runtime.launch import Execution, Recording, fields_of
 from ccd_warp._runtime.lazy import lazy_property
@@ -37,6 +38,8 @@ _PAIRED: tuple[tuple[Role, Role], ...] = (
     ("static", "moving"),
     ("slender", "slender"),
 )
+# Blocks of a tree that are looked at to see whether most consist of neighbours.
+CHECKED_BLOCKS = 64
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
 # On CUDA a warp takes up to `WIDTH` queries, and fewer where there are not enough for so many warps: about twice as
@@ -85,9 +88,9 @@ class Tree(BoxSet):
         floats = self._nodes[1][first * size : (first + self.levels[level]) * size]
         return floats.reshape(-1, self.arrays.num_aabbs, 2, 3, WIDTH)
 
-    def places_of_blocks(self, blocks: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Where the boxes around blocks have their lower and upper corners among the nodes, shape [2, 3 AABBs, n]."""
-        num_aabbs = self.arrays.num_aabbs
+    def places_of_some_blocks(self) -> NDArray[np.intp]:
+        """Where boxes around blocks of a sample have their corners among the nodes, shape [2, 3 AABBs, blocks]."""
+        blocks, num_aabbs = uneven_samples(self.levels[0], CHECKED_BLOCKS), self.arrays.num_aabbs
         size, of_box = num_aabbs * BLOCK_FLOATS, WIDTH * np.arange(6 * num_aabbs).reshape(num_aabbs, 2, 3)
         first: NDArray[np.intp] = (self.levels[0] + blocks // WIDTH) * size + blocks % WIDTH
         return of_box.swapaxes(0, 1).reshape(2, -1, 1) + first

@@ -1,6 +1,7 @@
 """Contacts and minima of a step, collected batch by batch in one list that is sorted at the end."""
 
 import itertools
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -34,7 +35,7 @@ _SAMPLES = 1 << 10
 # Every array of an allocation that CUDA reads at once begins at a multiple of so many bytes.
 _ALIGNMENT = 256
 # Up to the last of these, contacts are few: their launches are recorded for the least of these that holds them.
-_FEW = 1 << 10, 1 << 13
+_FEW = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 # How many places there are for each contact after a batch that had too few.
 _GROWTH = 1.25
 # Who has a toi and a first contact, in the order of the arrays.
@@ -57,7 +58,7 @@ class _Ordered:
     They are parts of one allocation, which CUDA reads at once.
 
     Attributes:
-        keys: Keys by which the contacts are sorted; on CUDA the array has capacity for twice as many.
+        keys: Keys by which the contacts are sorted; on CUDA this array and the next have capacity for twice as many.
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
@@ -78,7 +79,7 @@ class _Ordered:
         self._all_first: wp.array = wp.array(ptr=at_first, dtype=wp.int32, shape=self._bounds[-1], device=device)
         self._contacts = new_contact_list({"count": count, **arrays})
         self.keys: wp.array = wp.empty(2 * capacity if is_cuda else capacity, dtype=wp.int64, device=device)
-        self.order: wp.array = wp.empty(capacity, dtype=wp.int32, device=device)
+        self.order: wp.array = wp.empty(len(self.keys), dtype=wp.int32, device=device)
         self._first = [self._all_first[i:j] for i, j in itertools.pairwise(self._bounds)]
         self._views = None if is_cuda else self._views_of(self._all.numpy())
         self._owners = [slice(i, j) for i, j in itertools.pairwise(self._bounds)]
@@ -260,10 +261,10 @@ class ContactStore:
         if not is_ordered and count:
             contacts = {name: values.copy() for name, values in self._columns().items()}
             return self._gathered(contacts, [np.full(j - i, _NO_CONTACT) for i, j in self._ranges[:-1]])
-        if count <= _FEW[-1] and not is_cuda:
+        if count <= _FEW[-1]:
             capacity = next(most for most in _FEW if count <= most)
             if capacity not in self._few:
-                ordered = _Ordered(self._topology, self.count, self.minima, capacity, is_cuda=False)
+                ordered = _Ordered(self._topology, self.count, self.minima, capacity, is_cuda)
                 self._few[capacity] = _FewOrdered(ordered)
             if count > 0:
                 self._few[capacity].order(self._list, count, self._execution)
@@ -309,16 +310,29 @@ class _FewOrdered:
 
     def _recorded(self, contacts: Any, execution: Execution) -> Recording:
         recording, ordered, of_step = Recording(execution, {"found": contacts}), self.ordered, Slot("found")
-        keys, order = ordered.keys.numpy(), ordered.order.numpy()
+        with recording.section("ordered"):
+            ordered.fill_keys(recording, of_step)
+            recording.call(self._sort_on_cuda() if execution.is_cuda else self._sort_on_host())
+            ordered.fill(recording, of_step)
+        return recording
+
+    def _sort_on_host(self) -> Callable[[], None]:
+        keys, order = self.ordered.keys.numpy(), self.ordered.order.numpy()
 
         def sort() -> None:
             order[: self._count] = keys[: self._count].argsort()
 
-        with recording.section("ordered"):
-            ordered.fill_keys(recording, of_step)
-            recording.call(sort)
-            ordered.fill(recording, of_step)
-        return recording
+        return sort
+
+    def _sort_on_cuda(self) -> Callable[[], None]:
+        keys, order = self.ordered.keys, self.ordered.order
+        numbers: wp.array = wp.array(np.arange(len(order)), dtype=wp.int32, device=order.device)
+
+        def sort() -> None:
+            wp.copy(order, numbers, count=self._count)
+            wp.utils.radix_sort_pairs(keys, order, self._count)
+
+        return sort
 
 
 def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution) -> None:

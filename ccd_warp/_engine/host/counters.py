@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from ccd_warp._engine.plan import COUNTS_SHAPE, NUM_ALL_COUNTS
 from ccd_warp._runtime.status import PairKind
 
-_OnHost = tuple[NDArray[np.int64], NDArray[np.float64]]
+_OnHost = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.int64]]
 
 
 class Counters:
-    """The counts of the pairs of each kind and the least toi, in one array.
+    """The counts of the pairs of each kind, the least toi, and large blocks of trees, in one array.
 
     On CUDA reading waits for the device, once after what has changed them.
 
@@ -22,7 +22,7 @@ class Counters:
     """
 
     def __init__(self, counters: wp.array, *, is_cuda: bool) -> None:
-        self._counters, self.least_bits = counters, counters[NUM_ALL_COUNTS:]
+        self._counters, self.least_bits = counters, counters[NUM_ALL_COUNTS : NUM_ALL_COUNTS + 1]
         self._view = None if is_cuda else _split(counters.numpy())
         self._read: _OnHost | None = None  # on CUDA, as long as nothing is launched that changes them
         self._rows: list[list[int]] | None = None  # the same of the counts alone, on the CPU as well
@@ -69,6 +69,10 @@ class Counters:
         """The least toi so far."""
         return float(self._on_host()[1][0])
 
+    def large_blocks(self) -> list[int]:
+        """Blocks of each tree that were counted as large so far; they are never set back."""
+        return self._on_host()[2].tolist()
+
     def set_least(self, toi: float) -> None:
         """Set the least toi so far."""
         if self._view is not None:
@@ -79,5 +83,6 @@ class Counters:
 
 
 def _split(counters: NDArray[np.int64]) -> _OnHost:
-    """The counts and the least toi of an array of both."""
-    return counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE), counters[NUM_ALL_COUNTS:].view(np.float64)
+    """The counts, the least toi and the blocks of an array of all."""
+    least = counters[NUM_ALL_COUNTS : NUM_ALL_COUNTS + 1].view(np.float64)
+    return counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE), least, counters[NUM_ALL_COUNTS + 1 :]

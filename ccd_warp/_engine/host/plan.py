@@ -21,7 +21,7 @@ from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
-from ccd_warp._engine.plan import AT_ONE_TIME, Goal, Plan, high_half
+from ccd_warp._engine.plan import AT_ONE_TIME, NUM_ALL_COUNTS, Goal, Plan, high_half
 from ccd_warp._engine.stages import Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
@@ -45,7 +45,7 @@ NO_PAIRS = dict.fromkeys(PairKind, 0)
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
 _FIELDS = (
-    *("vertex_aabbs", "quantization", "t_end", "inflation", "search_options"),
+    *("vertex_aabbs", "quantization", "largest_block", "t_end", "inflation", "search_options"),
     *("options", "queue", "plane_query", "reach", "proximities", "start_distances"),
 )
 
@@ -120,6 +120,7 @@ class HostPlan(Plan):
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
+        self._large_blocks = [0] * len(self.moving_trees)  # of each tree so far
         self.begin_counts()
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
@@ -218,33 +219,48 @@ class HostPlan(Plan):
         of_boxes = id(packed), id(vertex_aabbs), inflation, t_end
         if of_boxes != self._of_boxes:
             self.bind(quantization=packed, vertex_aabbs=vertex_aabbs, inflation=inflation, t_end=t_end)
+            if self.execution.is_cuda:
+                self.bind(largest_block=boxes.largest_block)
             self._of_boxes = of_boxes
         self._bind_trees()
 
     def fill_boxes(self) -> None:
-        """Compute the boxes of a step that has begun."""
+        """Compute the boxes of a step that has begun; on CUDA twice where a new order of trees is a bad one."""
+        is_new = self.execution.is_cuda and self._boxes.trust_order(self._kept_in_order)
         self.play("boxes", self._record_boxes)
+        if is_new and not self._note_order():
+            self.play("boxes", self._record_boxes)
 
     def _record_boxes(self, stages: Stages, recording: Recording, active: wp.array | None = None) -> None:
         """Record the boxes of active bodies, by default of those that the host has found near others.
 
-        Trees are sorted where their blocks no longer consist of neighbours.
-        On CUDA each tree is sorted anew by the AABBs of its vertices, and then filled.
+        Trees are sorted where their blocks no longer consist of neighbours, on CUDA those of their last boxes, as the
+        host reads how many are large with the counts of pairs.
         """
-        is_sorted = bool(self.trees) and self.trees[0].is_sorted_when_filled
-        sort = None if is_sorted or not self._kept_in_order else self._keep_in_order
-        with_trees = is_sorted or not self.execution.is_cuda
         active = self._active if active is None else active
-        self.record_boxes(recording, stages, active, with_trees=with_trees, sort=sort)
+        self.record_boxes(recording, stages, active, sort=self._keep_in_order if self._kept_in_order else None)
+        if recording.is_cuda:
+            for cell, tree in enumerate(self._kept_in_order):
+                stages.count_large_blocks(recording, tree, self._counters, NUM_ALL_COUNTS + 1 + cell)
 
     def _keep_in_order(self) -> None:
         if any([self._boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
             self._bind_trees()
+            self._recording.update_structs()
+
+    def _note_order(self) -> bool:
+        """On CUDA, note which trees are in order by the large blocks since the last time; returns whether all are."""
+        counts = self.counters.large_blocks()
+        of_boxes = [count - before for count, before in zip(counts, self._large_blocks, strict=True)]
+        self._large_blocks = counts
+        trees = zip(self._kept_in_order, of_boxes, strict=False)
+        return all([self._boxes.note_large_blocks(tree, count) for tree, count in trees])
 
     @lazy_property
     def _kept_in_order(self) -> list[BoxSet]:
         """The trees of which a step may change the order."""
-        return [tree for tree in self.moving_trees if self.execution.is_cuda or self._boxes.may_be_sorted(tree)]
+        is_sorted = bool(self.trees) and self.trees[0].is_sorted_when_filled
+        return [] if is_sorted else [tree for tree in self.moving_trees if self._boxes.may_be_sorted(tree)]
 
     def skip_boxes(self, *, goes_on: bool = False) -> None:
         """Search nothing in a step, or in a slice with which it ``goes_on``, as no body is near another."""
@@ -379,6 +395,8 @@ class HostPlan(Plan):
                     return None
             elif fits():
                 self.has_fitted = True
+                if self.execution.is_cuda:
+                    self._note_order()
                 return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
 
     def play_step(self, largest: int, begin: Callable[[], None], fits: Callable[[], bool]) -> Batch | None:

@@ -15,6 +15,7 @@ from ccd_warp._results.results import Counts
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.threads import StopFlag
+from ccd_warp._runtime.written import Written
 from ccd_warp._scene.input.messages import warn
 from ccd_warp._scene.mesh import CollisionMesh
 
@@ -47,8 +48,7 @@ class Workspace:
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self.motions: dict[type, Any] = {}  # of which steps keep the arrays, by their class
         self._packed: dict[Any, Any] = {}
-        self._positions: dict[str, tuple[wp.array, NDArray[np.float64]]] = {}
-        self._active: wp.array | None = None
+        self._positions: dict[str, Written] = {}
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
         self._said: set[object] = set()
@@ -103,27 +103,24 @@ class Workspace:
 
     def positions(self, name: str, values: NDArray[np.float64]) -> wp.array:
         """An array that stays, with a copy of the positions."""
-        device = self.topology.device
         if name not in self._positions:
-            array = wp.empty(len(values), dtype=wp.vec3d, device=device)
-            self._positions[name] = (array, np.empty(0) if device.is_cuda else array.numpy())
-        array, view = self._positions[name]
-        if device.is_cuda:
-            array.assign(values)
-        else:
-            view[...] = values
-        return array
+            self._positions[name] = Written(wp.empty(len(values), dtype=wp.vec3d, device=self.topology.device))
+        written = self._positions[name]
+        written.write(values)
+        return written.array
 
     def active(self, bodies: NDArray[np.bool_] | None) -> wp.array:
         """Which bodies are active, int32, shape [B]: all of them by default."""
-        if self._active is None:
-            self._active = wp.empty(self.topology.mesh.num_bodies, dtype=wp.int32, device=self.topology.device)
         if bodies is not None:
-            self._active.assign(bodies.astype(np.int32))
+            self._active.write(bodies.astype(np.int32))
         elif not self._is_all_active:
-            self._active.fill_(1)
+            self._active.write(np.int32(1))
         self._is_all_active = bodies is None
-        return self._active
+        return self._active.array
+
+    @lazy_property
+    def _active(self) -> Written:
+        return Written(wp.empty(self.topology.mesh.num_bodies, dtype=wp.int32, device=self.topology.device))
 
     @lazy_property
     def start_distances(self) -> wp.array:
