@@ -193,7 +193,11 @@ def make_solve_pairs(name: str, sink: int, stage: str):
             if wp.static(is_listed):
                 if k >= of_first:
                     k -= of_first
-                    of_kind = others
+                    # what both lists share stays that of one: CUDA would not know in what memory a chosen array is
+                    of_kind.kind = others.kind
+                    of_kind.keys = others.keys
+                    of_kind.first_corners = others.first_corners
+                    of_kind.second_corners = others.second_corners
             if wp.static(not is_table):
                 cap = cap_of_round(options, round, of_kind)
             if wp.static(is_initial):
@@ -314,7 +318,10 @@ def place_contacts(
             of_kind = pairs
             if k >= of_first:
                 k -= of_first
-                of_kind = others
+                of_kind.kind = others.kind  # as above
+                of_kind.keys = others.keys
+                of_kind.first_corners = others.first_corners
+                of_kind.second_corners = others.second_corners
             placed.record_contact(of_kind, k, outcome, options, round, minima, contacts)
         n += num_threads
 

@@ -80,7 +80,8 @@ def module_of(walk: str):
 @wp.func_native(
     f"""
     wp::vec_t<12, wp::float32> box;
-    const float* b = nodes.data + (long long)(place / 16) * {16 * num_floats} + place % 16;
+    const unsigned p = (unsigned)place;
+    const float* b = nodes.data + (size_t)(p >> 4) * {16 * num_floats} + (p & 15u);
     for (int k = 0; k < 12; ++k)
         box[k] = k < {num_floats} ? b[16 * k] : 0.0f;
     return box;
