@@ -134,7 +134,7 @@ PLANTED = [
     Fault("the candidates of the second kind by the threads of both", _CULL,
           "step, thread - a.num_threads)", "step, thread)", ("launch",)),
     Fault("contacts of the second kind taken for those of the first", _QUEUE,
-          "of_kind = others\n            placed.", "of_kind = pairs\n            placed.", ("launch",)),
+          "of_kind.kind = others.kind  # as above", "of_kind.kind = pairs.kind", ("launch",)),
     Fault("a contact of the first rounds in the place of another", _QUEUE,
           "n = enqueue(queue, pairs.counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
     Fault("contacts of pairs that the queue has settled", _QUEUE,
