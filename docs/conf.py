@@ -87,7 +87,6 @@ _WORDS = [
     (r"~?ccd_warp\._scene\.input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~?ccd_warp\._results\.contact_place\.BodyMotion", "~ccd_warp.RigidMotion"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
-    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.AffineMotion", "Motion"),
     (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
 ]
 # What stands for long types of attributes.
@@ -99,7 +98,7 @@ _TYPES = {
 }
 # Classes that a user calls; all others are made by calls, and their signatures say nothing.
 _CALLED = {
-    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion"),
+    *("CollisionPipeline", "HalfSpace", "RigidMotion"),
     *("DistributedMesh", "DistributedPipeline", "Queries", "SimulationStep"),
 }
 # Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that

@@ -14,7 +14,7 @@ from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.motion import Motion, RigidMotion
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.poses import shown_bodies
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.texts import text_completed_by
@@ -37,7 +37,7 @@ def find_candidates(
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
@@ -245,7 +245,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -257,8 +257,8 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
-        motion: How rigid bodies turn, or bodies stretch, whose rows are in their own frames: a pose for each body in
-            ``rigid`` of the mesh, and for no others.
+        motion: How rigid bodies turn, whose rows are in their own frames: a pose for each body in ``rigid`` of the
+            mesh, and for no others.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -348,7 +348,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -380,7 +380,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
@@ -413,7 +413,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:

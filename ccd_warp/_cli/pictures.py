@@ -53,7 +53,7 @@ def draw_step(path: Path, step: SolvedStep) -> None:
 
     ends, result = (step.frames.vertices_t0, step.frames.vertices_t1), replace(step.result, start=step.start)
     with closed_stderr():
-        viz.render_step(step.mesh, *ends, result, path, t_max=step.options.t_max, motion=step.motion)
+        viz.render_step(step.mesh, *ends, result, path, t_max=step.options.t_max)
 
 
 def draw_animation(

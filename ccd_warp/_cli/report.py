@@ -118,10 +118,8 @@ def left_out(mesh: CollisionMesh, options: Options, ignored: StartContacts | Non
     kinds = possible_kinds(mesh, options)
     parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in possible_kinds(mesh, Options()) if kind not in kinds]
     is_left_out = mesh._is_free & ~mesh.self_collision
-    if (is_left_out & ~mesh.rigid).any():
+    if is_left_out.any():
         parts.append("pairs within a body (--no-self-collision)")
-    if (is_left_out & mesh.rigid).any():
-        parts.append("pairs within a rigid body")
     if fixed := [word for word in ("static", "kinematic") if getattr(mesh, word).any()]:
         parts.append(f"pairs of {' and '.join(fixed)} bodies")
     if ignored is not None:

@@ -115,7 +115,7 @@ def _report(steps: Steps, rows: Sequence[StepRow]) -> str:
     """The report of the steps that were solved, without a final newline."""
     sequence, options, mesh = steps.sequence, steps.options, steps.sequence.mesh
     title = f"{len(sequence)} frames of {sequence._name}"
-    lines = [format_title(title, options), "", *body_lines(sequence._step(0)[0]), ""]
+    lines = [format_title(title, options), "", *body_lines(sequence.step(0)), ""]
     hits, crossing = [row for row in rows if row.hit], [row for row in rows if row.crossing]
     if not hits:
         lines.append(f"steps with contacts  none of {len(rows)}   {looked_at(mesh, options)}")

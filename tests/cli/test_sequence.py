@@ -150,20 +150,6 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     assert "none of 2   (certain for the pairs looked at: edge-edge, in [0, 1])" in shown.err
 
 
-def test_a_sequence_of_poses_has_the_motions_of_the_library(folder):
-    poses = [f"{t},ball_0.ply,0,{t},{-t},{np.sin(0.5 * t)},0,0,{np.cos(0.5 * t)}\n" for t in range(3)]
-    (folder / "all.csv").write_text("".join(poses))
-    found = []
-    for path in ("linear", "screw"):
-        run("ball_0.ply", "--poses", "all.csv", *ON, "--output", "out", "--path", path, "--length-scale", "1")
-        found.append([float(row["toi"]) for row in rows("out")])
-        sequence = ccd.read_poses("ball_0.ply", "all.csv", path=path, static=["floor.ply"])
-        x = sequence.mesh.vertices
-        motions = sequence.steps()
-        assert found[-1] == [ccd.mesh_ccd(sequence.mesh, x, x, motion=each, length_scale=1.0).toi for each in motions]
-    assert found[0][0] == found[1][0] == np.inf > found[0][1] > found[1][1], found
-
-
 def test_an_animation_shows_each_start_each_toi_and_the_end_of_the_last_step(monkeypatch):
     pytest.importorskip("pyvista")
     mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])
