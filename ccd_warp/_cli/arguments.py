@@ -110,10 +110,9 @@ def _add_sequence(add: _Add) -> None:
     text = "mesh files, in the order of the numbers in their names, where files of another name are another body"
     others = "or folders of them, or files of many frames, a body each: .pvd, .xdmf"
     add("frames", f"{text}; {others}", **_file("FRAME", nargs="+"))
-    text = "folder of steps.csv and steps.png (ccd_warp_sequence); - writes the CSV alone, to standard output"
+    text = "folder of steps.csv (ccd_warp_sequence); - writes the CSV alone, to standard output"
     add("--output", f"{text}, and the report to stderr", **_file("DIR", default=Path("ccd_warp_sequence")))
-    text = "an animation as .gif or .mp4 (which needs ffmpeg), or the first step with a contact as .png (extra 'viz')"
-    add("--picture", text, **_file())
+    add("--picture", "draw the first step with a contact as .png (extra 'viz')", **_file())
     _add_scene(add)
 
 
@@ -125,8 +124,7 @@ def _add_demo(add: _Add) -> None:
 def _add_bench(add: _Add) -> None:
     add("--quick", "fewer queries and rounds: half a minute on two cores", **_FLAG)
     add("--devices", "Warp devices (the CPU and every GPU)", metavar="NAME", nargs="+")
-    text = "folder of bench.csv and bench.png (ccd_warp_bench); the picture needs the extra 'bench'"
-    add("--output", text, **_file("DIR", default=Path("ccd_warp_bench")))
+    add("--output", "folder of bench.csv (ccd_warp_bench)", **_file("DIR", default=Path("ccd_warp_bench")))
 
 
 def _add_scene(add: _Add) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ccd_warp import CollisionPipeline
 from ccd_warp._cli.arguments import command_line_options
@@ -16,7 +17,6 @@ from ccd_warp._cli.progress_line import ProgressLine
 from ccd_warp._cli.scene import StartContacts
 from ccd_warp._engine.mesh.scene import possible_kinds
 from ccd_warp._files.sequence import Frames, FrameSequence
-from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.results import MeshResult
 from ccd_warp._runtime.display import kind_name
@@ -59,21 +59,16 @@ class SolvedStep:
         return self.start[self.start.is_crossing]
 
     @lazy_property
-    def moving(self) -> MovingVertices:
-        """How the vertices move."""
-        return moving_vertices(self.frames)
+    def ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at both ends; vertices that take no part are where others of their bodies are."""
+        return self.mesh._both_placed(self.frames.vertices_t0, self.frames.vertices_t1)
 
     @lazy_property
     def displacement(self) -> float:
         """The largest distance of a vertex from its place at the start."""
+        start, end = self.ends
         with np.errstate(over="ignore"):
-            ways = np.linalg.norm(self.moving.all_at(1.0) - self.moving.all_at(0.0), axis=1)
-        return float(ways.max(initial=0.0))
-
-
-def moving_vertices(frames: Frames) -> MovingVertices:
-    """How all vertices move; those that take no part as others of their bodies do."""
-    return MovingVertices(frames.mesh, *frames.mesh._both_placed(frames.vertices_t0, frames.vertices_t1))
+            return float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
 
 
 def make_options(values: dict[str, Any], mesh: CollisionMesh) -> Options:
@@ -133,7 +128,8 @@ class Steps:
 
     def __init__(self, arguments: argparse.Namespace, sequence: FrameSequence) -> None:
         self.sequence, self.is_quiet, self.ignored = sequence, arguments.quiet, None
-        self.at_start = self.moving(0).all_at(0.0)
+        first = sequence.step(0)
+        self.at_start, _ = sequence.mesh._both_placed(first.vertices_t0, first.vertices_t1)
         self.options = make_options(command_line_options(arguments), sequence.mesh)
         if arguments.ignore_start_contacts:
             with warnings_on_stderr(is_quiet=self.is_quiet):
@@ -153,10 +149,6 @@ class Steps:
         """One more is done."""
         self._progress.done += 1
         self.line.show(self._progress)
-
-    def moving(self, k: int) -> MovingVertices:
-        """How all vertices move in a step."""
-        return moving_vertices(self.sequence.step(k))
 
     def solved(self, k: int) -> SolvedStep:
         """A step and its result."""

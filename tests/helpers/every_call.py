@@ -143,7 +143,7 @@ def _every_call(folder):
     add(PIPELINE.find_proximity, PIPELINE.displacement_bounds)
     add(launched.to_host, launched.contacts.to_host, launched.contacts.points_at)
     add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
-    add(viz.draw_step, viz.show_step, viz.to_pyvista, viz.contact_points)
+    add(viz.draw_step, viz.to_pyvista, viz.contact_points)
     add(ccd.read_frames, ccd.read_sequence, **of_files)
     return calls
 

@@ -114,12 +114,12 @@ ARGUMENTS = {
 
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
-    """Nothing is drawn, no window opened, and what is written to a name alone goes where the calls' files are."""
+    """Nothing is drawn, and what is written to a name alone goes where the calls' files are."""
 
     def draw(*_):
         raise of.Drawn
 
-    for module, name in ((viz, "drawn"), (viz, "import_pyvista"), (viz._export, "import_pyvista")):
+    for module, name in ((viz, "drawn"), (viz._export, "import_pyvista")):
         monkeypatch.setattr(module, name, draw)
     monkeypatch.chdir(of.FOLDER.name)
 
@@ -205,7 +205,7 @@ ARRAYS = [
     for call, (_, arguments) in EVERY_CALL.items()
     for name, value in arguments.items()
     if type(value) is np.ndarray and (value.ndim > 1 or value.dtype.kind == "i")
-    if call not in ("render_step", "draw_step", "show_step")  # which read what `to_pyvista` does
+    if call not in ("render_step", "draw_step")  # which read what `to_pyvista` does
 ]
 ON_DEVICE = ("launch", "points_at")  # which read arrays where they are
 ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "faces"}
