@@ -71,7 +71,6 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
 autosummary_generate = False  # a table of names that stand on the same page
-autodoc_default_options = {"exclude-members": "borrowed"}
 autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
 autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # written out, it is a union of forty words

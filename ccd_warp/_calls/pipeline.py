@@ -141,7 +141,7 @@ class CollisionPipeline:
 
     @classmethod
     @contextmanager
-    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
+    def _borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
         """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
@@ -464,11 +464,6 @@ class CollisionPipeline:
         with self._lock:
             launch = self._launches.launch_at_one_time
             return launch(DeviceDisplacementStep, positions, search_radius, self._warn_once)
-
-    @property
-    def num_allocations(self) -> int:
-        """Number of device arrays allocated so far."""
-        return self._workspace.buffers.num_allocations if self._workspace else 0
 
     def find_candidates(
         self,

@@ -109,7 +109,7 @@ class StartContacts:
     def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options) -> "StartContacts":
         """Of positions: what touches where nothing moves, what is nearer than the tolerance, and what crosses."""
         rounding = options.tolerance * (mesh.length_scale if options.length_scale is None else options.length_scale)
-        with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        with CollisionPipeline._borrowed(mesh, options) as pipeline:
             contacts = pipeline.mesh_ccd(vertices, vertices).contacts
             near = pipeline.find_proximity(vertices, options.minimum_distance + rounding)
             start = pipeline.find_intersections(vertices)

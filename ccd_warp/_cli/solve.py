@@ -103,7 +103,7 @@ def solve(
     with (
         nullcontext() if is_quiet else announced_compilation(),
         warnings_on_stderr(line.clear, is_quiet=is_quiet),
-        CollisionPipeline.borrowed(frames.mesh, options) as pipeline,
+        CollisionPipeline._borrowed(frames.mesh, options) as pipeline,
     ):
         pipeline._show_progress = line.show if show is None else show
         result = pipeline.mesh_ccd(frames.vertices_t0, frames.vertices_t1)

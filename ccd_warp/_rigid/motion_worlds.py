@@ -77,7 +77,7 @@ class Pipeline(Protocol):
     _show_progress: Callable[[Progress], None] | None
 
     @classmethod
-    def borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
+    def _borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
         """A pipeline for one call."""
 
     @property
@@ -157,7 +157,7 @@ class MotionWorlds:
             begin, t_end = (np.append(np.repeat(t, len(copied)), np.zeros(len(shared))) for t in times)
             part = Slice(begin, t_end, np.append(active, np.ones(len(shared), dtype=bool)))
             paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=[part])
-            with type(self._pipeline).borrowed(copies, self._pipeline._options) as pipeline:
+            with type(self._pipeline)._borrowed(copies, self._pipeline._options) as pipeline:
                 pipeline._show_progress = self._pipeline._show_progress
                 assert pipeline._workspace is not None
                 pipeline._workspace.warn_beside(self._pipeline._workspace)

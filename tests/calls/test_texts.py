@@ -17,7 +17,7 @@ from ccd_warp import distributed
 from ccd_warp._runtime.display import point_text
 
 PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, distributed) for name in part.__all__]
-INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
+INDEXED = ("step", "id")  # by the number of a step or a query alone
 FUNCTIONS = [each for each in PUBLIC if inspect.isfunction(each)]
 FUNCTIONS += [
     each

@@ -78,20 +78,6 @@ class ContactArrays:
             name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs
         )
 
-    def order_by_toi(self) -> wp.array:
-        """Rows of the contacts by ascending toi, those with one toi by kind and pair; then all rows without a contact.
-
-        Two stable sorts of the whole capacity, as the number of contacts is known on the device alone.
-        """
-        name, capacity = "order_by_toi", self._capacity
-        keys = self._array(name, "keys", wp.int64, 2 * capacity)  # the sort needs twice the size
-        order = self._array(name, "order", wp.int32, 2 * capacity)
-        self._execution.launch(kernels.fill_pair_keys, capacity, inputs=[self._list], outputs=[keys, order])
-        wp.utils.radix_sort_pairs(keys, order, capacity)
-        self._execution.launch(kernels.fill_toi_keys, capacity, inputs=[self._list, order], outputs=[keys])
-        wp.utils.radix_sort_pairs(keys, order, capacity)
-        return order[: self._capacity]
-
     def unique(self, features: wp.array) -> wp.array:
         """Which pairs are the first, by kind and pair, that have their closest features, bool."""
         return self._shared_features("unique", features).is_unique
