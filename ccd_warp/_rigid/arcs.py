@@ -29,7 +29,7 @@ class PathTable:
         columns: Its arrays by name.
     """
 
-    def __init__(self, count: int, device: Any, names: Iterable[str] = _COLUMNS) -> None:
+    def __init__(self, count: int, device: wp.Device, names: Iterable[str] = _COLUMNS) -> None:
         """Allocate these columns, all by default, for so many bodies."""
         self.columns: dict[str, wp.array] = {
             name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names

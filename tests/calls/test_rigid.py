@@ -142,7 +142,8 @@ def test_square_in_the_plane_and_cube_in_space_land_on_a_corner(turn):
 
 def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
     """Of a body, and of its sphere in a tree of parts."""
-    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
+    for name, value in (("_LARGE_ALONE", 0), ("_FEW", 9.0)):
+        monkeypatch.setattr(motion_worlds, name, value)
     ball, tois = trimesh.creation.icosphere(subdivisions=2), []
     strays = [(np.vstack([[[far] * 3], ball.vertices]), ball.faces + 1) for far in (np.nan, 1e9)]
     for body in ((ball.vertices, ball.faces), *strays):

@@ -101,7 +101,7 @@ class WholeBodies:
         return trees
 
     @staticmethod
-    def new_marks(num_bodies: int, num_slices: int, device: Any) -> Any:
+    def new_marks(num_bodies: int, num_slices: int, device: wp.Device) -> Any:
         """Marks of what may touch in each slice, as the struct of the kernels."""
         near = kernels.NearMarks()
         near.bodies = wp.zeros((num_slices, num_bodies), dtype=wp.int32, device=device)
