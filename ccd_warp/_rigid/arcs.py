@@ -109,7 +109,7 @@ class Arcs(Motion):
         times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
         return times[0], times[1]
 
-    def place(self, times: Times, recording: Recording, start: Any, end: Any) -> None:
+    def place(self, times: Times, recording: Recording, start: wp.array | Slot, end: wp.array | Slot) -> None:
         """Record what places bodies and vertices at both ends of a slice, given positions at those of the step."""
         topology = self._topology
         inputs = [*times, self.paths]

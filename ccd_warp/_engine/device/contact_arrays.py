@@ -103,7 +103,7 @@ class ContactArrays:
         shared.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
         return shared
 
-    def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
+    def _filled(self, name: str, dtype: type, kernel: wp.Kernel, *inputs: Any) -> wp.array:
         """The array of this name, filled by a kernel that takes the contacts and these inputs."""
         array = self._array(name, name, dtype, self._capacity)
         corners = [self._topology.corners[kind] for kind in ("edge", "face")]
@@ -123,7 +123,7 @@ class ContactArrays:
 
         return self._kept(name, "moving row", rows)
 
-    def _array(self, name: str, key: str, dtype: Any, size: int) -> wp.array:
+    def _array(self, name: str, key: str, dtype: type, size: int) -> wp.array:
         return self._kept(name, key, lambda: wp.empty(size, dtype=dtype, device=self._topology.device))
 
     def _kept(self, name: str, key: str, make: Callable[[], wp.array]) -> wp.array:

@@ -108,7 +108,7 @@ class WholeBodies:
         near.is_any = wp.zeros(num_slices, dtype=wp.int32, device=device)
         return near
 
-    def record_bounds(self, recording: Recording, start: Any, end: Any) -> None:
+    def record_bounds(self, recording: Recording, start: wp.array | Slot, end: wp.array | Slot) -> None:
         """Record the launches that bound the bodies, given the rows of both ends."""
         inputs = [*self._runs, self._links, start, end, self._radius]
         count = len(self._runs[2])
