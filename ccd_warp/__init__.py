@@ -39,7 +39,6 @@ from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import Contact, Contacts, Counts, HostLaunchResult, MeshResult
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.status import CCDStatus, IntersectionKind, LaunchFlag, PairKind
 from ccd_warp._runtime.version import __version__
@@ -57,7 +56,6 @@ from ccd_warp._scene.input.option_types import (
 from ccd_warp._scene.mesh import CollisionMesh
 
 __all__ = [
-    "AffineMotion",
     "BodyOptions",
     "CCDStatus",
     "CandidateOptions",
@@ -88,7 +86,6 @@ __all__ = [
     "PairOptions",
     "PairResult",
     "Planes",
-    "PoseSequence",
     "Proximities",
     "ProximityOptions",
     "RigidMotion",
@@ -106,7 +103,6 @@ __all__ = [
     "point_point_ccd",
     "point_segment_ccd",
     "read_frames",
-    "read_poses",
     "read_sequence",
     "rigid_ccd",
     "vertex_face_ccd",
@@ -115,13 +111,11 @@ __all__ = [
 
 if TYPE_CHECKING:
     from ccd_warp import viz
-    from ccd_warp._calls.pose_sequence import PoseSequence, read_poses
     from ccd_warp._files.sequence import Frames, FrameSequence, read_frames, read_sequence
 
 # Modules that are loaded when one of their names is first asked for, or they themselves.
 _PARTS = {
     "viz": (),
-    "_calls.pose_sequence": ("PoseSequence", "read_poses"),
     "_files.sequence": ("FrameSequence", "Frames", "read_frames", "read_sequence"),
 }
 

@@ -71,7 +71,6 @@ html_static_path = ["_static"]
 html_css_files = ["site.css"]
 
 autosummary_generate = False  # a table of names that stand on the same page
-autodoc_default_options = {"exclude-members": "borrowed"}
 autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
 autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
 autodoc_type_aliases = {"ArrayLike": "ArrayLike"}  # written out, it is a union of forty words
@@ -87,7 +86,6 @@ _WORDS = [
     (r"~?ccd_warp\._scene\.input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~?ccd_warp\._results\.contact_place\.BodyMotion", "~ccd_warp.RigidMotion"),
     (r"~typing\.Unpack\[([^]]+)\]", r"\1"),
-    (r"~[\w.]+\.RigidMotion \| ~[\w.]+\.AffineMotion", "Motion"),
     (r"~typing\.Literal\['scene', 'world', 'body', 'vertex'\]", "Per"),
 ]
 # What stands for long types of attributes.
@@ -99,7 +97,7 @@ _TYPES = {
 }
 # Classes that a user calls; all others are made by calls, and their signatures say nothing.
 _CALLED = {
-    *("CollisionPipeline", "HalfSpace", "RigidMotion", "AffineMotion"),
+    *("CollisionPipeline", "HalfSpace", "RigidMotion"),
     *("DistributedMesh", "DistributedPipeline", "Queries", "SimulationStep"),
 }
 # Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that

@@ -189,7 +189,7 @@ class EdgePointTopology(Topology):
     fewer_query = True  # with the faces as queries a search takes a tenth less time
 
     @staticmethod
-    def of(mesh: "CollisionMesh", device: Any) -> "EdgePointTopology":
+    def of(mesh: "CollisionMesh", device: wp.Device) -> "EdgePointTopology":
         """The topology for a mesh on a device."""
         cache = MeshCache.of(mesh).topologies
         key = f"{device} edge points"

@@ -107,7 +107,7 @@ class ProximityStore:
         return rows, shared.shared_by.numpy()[rows]
 
 
-def _nothing(dtype: Any, shape: tuple[int, ...]) -> NDArray[Any]:
+def _nothing(dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
     """A column of no pairs."""
     return np.zeros((0, *shape), dtype)
 

@@ -18,12 +18,11 @@ from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.mesh.scene import length_scale_of, possible_kinds
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.device_results import LaunchResult
-from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import LaunchFlag
 from ccd_warp._runtime.tape import wants_gradient
-from ccd_warp._scene.input.arguments import check_count, shown
+from ccd_warp._scene.input.arguments import check_count
 from ccd_warp._scene.input.interop import as_positions, without_worlds
 from ccd_warp._scene.input.options import Options, naming
 
@@ -206,11 +205,6 @@ class Launches:
         """Launch on the device step of bodies that turn, which the first such launch makes."""
         from ccd_warp._rigid.arc_step import DeviceArcStep  # few programs need it
 
-        if isinstance(motion, AffineMotion):
-            raise ValueError(
-                f"motion is {shown(motion)}; expected a RigidMotion for a launch, or vertices_t0 and vertices_t1 at "
-                f"motion.positions_t0 and motion.positions_t1, between which they move straight, and no motion"
-            )
         mesh = self._mesh
         paths = paths_of(mesh, self._options, motion)
         step, self._arc_step = self._arc_step, None

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.host.course import Course
-from ccd_warp._rigid.affine_motion import AffineMotion
-from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames, check_rows
-from ccd_warp._rigid.motion import Motion, RigidMotion
+from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import listed
 from ccd_warp._scene.input.arguments import check_instance, shown
 from ccd_warp._scene.input.names import body_label
@@ -19,22 +18,6 @@ from ccd_warp._scene.mesh import CollisionMesh
 
 if TYPE_CHECKING:
     from ccd_warp._rigid.motion_worlds import MotionWorlds, Pipeline
-
-
-def straightened(
-    mesh: CollisionMesh, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
-) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
-    """The positions at both ends where bodies stretch, which move their vertices straight; and any other motion."""
-    if not isinstance(motion, AffineMotion):
-        return vertices_t0, vertices_t1, motion
-    bodies = np.flatnonzero(mesh.rigid)
-    check_rows(mesh, bodies, len(motion._affine_t0))
-    start, end = (x.copy() for x in mesh.frames(vertices_t0, vertices_t1))
-    rows = np.flatnonzero(mesh.rigid[mesh.vertex_body])
-    first = np.searchsorted(mesh.vertex_body[rows], bodies)
-    with np.errstate(invalid="ignore"):  # of vertices that take no part
-        start[rows], end[rows] = motion._ends(start[rows], first)
-    return start, end, None
 
 
 def straight_sentence(mesh: CollisionMesh) -> str:

@@ -14,7 +14,7 @@ from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.motion import Motion, RigidMotion
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.poses import shown_bodies
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.texts import text_completed_by
@@ -37,7 +37,7 @@ def find_candidates(
     vertices_t1: ArrayLike,
     inflation: float = 0.0,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     **options: Unpack[CandidateOptions],
 ) -> Candidates:
     """Find the pairs of primitives whose swept axis-aligned boxes overlap.
@@ -98,7 +98,7 @@ def find_candidates(
     radii, those of two that come within ``inflation`` and both radii.
     """
     checked_options = options_of("find_candidates", CandidateOptions, options, others=["inflation", "motion"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_candidates(vertices_t0, vertices_t1, inflation, motion=motion)
 
 
@@ -148,7 +148,7 @@ def find_intersections(
     finite positions. Float64 decides where a bound on its errors allows it, and integer arithmetic everything else.
     """
     checked_options = options_of("find_intersections", IntersectionOptions, options)
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_intersections(positions)
 
 
@@ -195,7 +195,7 @@ def find_proximity(
     exact to within 2⁻¹⁰⁷⁴.
     """
     checked_options = options_of("find_proximity", ProximityOptions, options, others=["distance", "unique"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.find_proximity(positions, distance, unique=unique)
 
 
@@ -236,7 +236,7 @@ def displacement_bounds(
     move. Bounds are rounded down.
     """
     checked_options = options_of("displacement_bounds", DisplacementOptions, options, others=["search_radius"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.displacement_bounds(positions, search_radius)
 
 
@@ -245,7 +245,7 @@ def mesh_ccd(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> MeshResult:
@@ -257,8 +257,8 @@ def mesh_ccd(
             one size, or [V, 2] in the plane.
         vertices_t1: End positions, shape [V, 3], in which static bodies are where they start; or those of the moving
             vertices only, shape [V_moving, 3].
-        motion: How rigid bodies turn, or bodies stretch, whose rows are in their own frames: a pose for each body in
-            ``rigid`` of the mesh, and for no others.
+        motion: How rigid bodies turn, whose rows are in their own frames: a pose for each body in ``rigid`` of the
+            mesh, and for no others.
         check_start: Whether to look for surfaces that cross at the start, too, in about as much time as the step takes:
             ``start`` of the result has the intersections, and a ``RuntimeWarning`` says of which bodies edges pass
             through faces.
@@ -282,7 +282,7 @@ def mesh_ccd(
     covers the pair is late, and ``inf`` is certain.
     """
     checked_options = options_of("mesh_ccd", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.mesh_ccd(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -338,7 +338,7 @@ def rigid_ccd(
             f"poses_t0 is of {shown_bodies(motion.turns.shape)}; expected {counted(count, 'body', 'bodies')}, those of "
             f"the mesh but half-spaces, static ones included{further}"
         )
-    with CollisionPipeline.borrowed(bodies, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(bodies, checked_options) as pipeline:
         return pipeline.mesh_ccd(bodies.vertices, bodies.vertices, motion=motion)
 
 
@@ -348,7 +348,7 @@ def collision_free_step(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> float:
@@ -370,7 +370,7 @@ def collision_free_step(
     that to something at the start, closer than it was (less 1.2e-13 of the size and motion of the pair).
     """
     checked_options = options_of("collision_free_step", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.collision_free_step(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -380,7 +380,7 @@ def is_step_collision_free(
     vertices_t0: ArrayLike,
     vertices_t1: ArrayLike,
     *,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[MeshOptions],
 ) -> bool:
@@ -401,7 +401,7 @@ def is_step_collision_free(
     Guarantee: True is certain, for every pair that passes the mesh's filter, of any kind that :func:`mesh_ccd` checks.
     """
     checked_options = options_of("is_step_collision_free", MeshOptions, options, others=["motion", "check_start"])
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         return pipeline.is_step_collision_free(vertices_t0, vertices_t1, motion=motion, check_start=check_start)
 
 
@@ -413,7 +413,7 @@ def line_search(
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     max_rounds: int = DEFAULT_MAX_ROUNDS,
-    motion: Motion | None = None,
+    motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
 ) -> LineSearchResult:
@@ -477,7 +477,7 @@ def line_search(
     """
     others = ["per", "safety", "max_rounds", "motion", "check_start"]
     checked_options = options_of("line_search", LineSearchOptions, options, others=others)
-    with CollisionPipeline.borrowed(mesh, checked_options) as pipeline:
+    with CollisionPipeline._borrowed(mesh, checked_options) as pipeline:
         further: dict[str, Any] = {"max_rounds": max_rounds, "motion": motion, "check_start": check_start}
         return pipeline.line_search(vertices_t0, vertices_t1, per=per, safety=safety, **further)
 

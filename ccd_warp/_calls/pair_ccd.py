@@ -80,9 +80,10 @@ class PairResult(Placed):
         """True where toi is finite, bool, shape [n]."""
         if isinstance(self.toi, np.ndarray):
             return np.isfinite(self.toi)
-        hit = wp.empty(self.toi.shape, dtype=wp.bool, device=self.toi.device)
-        load(mark_finite, hit.device)
-        wp.launch(mark_finite, len(hit), inputs=[self.toi], outputs=[hit], device=hit.device, record_tape=False)
+        device = self.toi.device
+        hit = wp.empty(self.toi.shape, dtype=wp.bool, device=device)
+        load(mark_finite, device)
+        wp.launch(mark_finite, len(hit), inputs=[self.toi], outputs=[hit], device=device, record_tape=False)
         return hit
 
     def toi_gradient(self, points_t0: ArrayLike, points_t1: ArrayLike) -> ToiGradient:
@@ -268,7 +269,7 @@ def _touch(options: Options) -> Touch:
 
 
 def _solve_few(
-    kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: Any
+    kind: PairKind, points_t0: np.ndarray, points_t1: np.ndarray, options: Options, device: wp.Device
 ) -> list[np.ndarray]:
     """Solve so few pairs on the CPU that packing the launch would take a good part of the time."""
     count = len(points_t0)
@@ -290,7 +291,7 @@ def _solve_few(
     return results
 
 
-def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: Any) -> PairResult:
+def _solve(kind: PairKind, points_t0: wp.array, points_t1: wp.array, options: Options, device: wp.Device) -> PairResult:
     """Launch the solver; on the CPU in two rounds, the second for the pairs that the first leaves open."""
     is_one_round = device.is_cuda or device.is_capturing  # the host or the graph does not know which pairs are open
     first = int(options.max_iterations) if is_one_round else options.first_iterations
@@ -317,7 +318,7 @@ def _solve_open(
     results: list[np.ndarray],
     is_open: np.ndarray,
     options: Options,
-    device: Any,
+    device: wp.Device,
 ) -> None:
     """The second round: solve the pairs that the first left open, and overwrite their results."""
     open_t0: wp.array = wp.array(points_t0[is_open], dtype=wp.vec3d, device=device)
@@ -333,7 +334,7 @@ def _launch(
     points_t1: wp.array,
     options: Options,
     max_iterations: int,
-    device: Any,
+    device: wp.Device,
 ) -> PairResult:
     """Launch the solver, and return the arrays to which it writes."""
     count = points_t0.shape[0]
@@ -364,7 +365,7 @@ def _launch(
     return out
 
 
-def _shared(array: np.ndarray, dtype: Any) -> wp.array:
+def _shared(array: np.ndarray, dtype: type) -> wp.array:
     """A Warp array on the CPU in the memory of a NumPy array; from the array itself it takes twice as long to make."""
     shared: wp.array = wp.array(ptr=array.ctypes.data, dtype=dtype, shape=array.shape[:1], device="cpu", copy=False)
     shared._ref = array  # type: ignore[assignment]  # keeps the memory alive
@@ -399,10 +400,11 @@ def _as_points(kind: PairKind, points: wp.array, name: str) -> wp.array:
         if points.dtype == wp.vec3d:
             return points
         if points.dtype == wp.vec2d and 2 in dimensions:
-            lifted = wp.empty(points.shape, dtype=wp.vec3d, device=points.device)
-            load(lift, points.device)
-            dim, device = points.shape, points.device
-            wp.launch(lift, dim=dim, inputs=[points], outputs=[lifted], device=device, record_tape=False)
+            device = points.device
+            assert device is not None
+            lifted = wp.empty(points.shape, dtype=wp.vec3d, device=device)
+            load(lift, device)
+            wp.launch(lift, dim=points.shape, inputs=[points], outputs=[lifted], device=device, record_tape=False)
             return lifted
     if points.dtype == wp.float64 and points.ndim == 3 and points.shape[1:] == (count, 3) and points.is_contiguous:
         return wp.array(ptr=points.ptr, dtype=wp.vec3d, shape=points.shape[:2], device=points.device, copy=False)

@@ -14,7 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._calls.motions import course_of, paths_of, start_of, straight_sentence, straightened, worlds_of
+from ccd_warp._calls.motions import course_of, paths_of, start_of, straight_sentence, worlds_of
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.host.candidates import Candidates, validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
@@ -40,7 +40,7 @@ from ccd_warp._results.line_search_result import LineSearchResult
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import Counts, MeshResult
 from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
-from ccd_warp._rigid.motion import Motion, RigidMotion
+from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
@@ -141,7 +141,7 @@ class CollisionPipeline:
 
     @classmethod
     @contextmanager
-    def borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
+    def _borrowed(cls, mesh: CollisionMesh, options: Options) -> Iterator[CollisionPipeline]:
         """A pipeline for one call, on a workspace cached with the mesh that no other thread uses meanwhile."""
         check_instance("mesh", mesh, CollisionMesh)
         device = resolve_device(options.device)
@@ -194,17 +194,9 @@ class CollisionPipeline:
 
         return self._run(kind, frames, work, paths=paths)
 
-    def _ends_and_motion(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, motion: Motion | None
-    ) -> tuple[ArrayLike, ArrayLike, RigidMotion | None]:
-        """The positions and the motion of a call; a motion that stretches bodies is one of positions alone."""
-        if motion is None:
-            self._warn_of_straight_motion()
-        return straightened(self.mesh, vertices_t0, vertices_t1, motion)
-
-    def _warn_of_straight_motion(self) -> None:
+    def _warn_of_straight_motion(self, motion: RigidMotion | None) -> None:
         """Say once, in a call without a motion, that rigid bodies then move as others do."""
-        if len(self.mesh._moving_rigid) and self._workspace is not None:
+        if motion is None and len(self.mesh._moving_rigid) and self._workspace is not None:
             self._workspace.warn_once("no motion", lambda: straight_sentence(self.mesh))
 
     def _run(
@@ -309,8 +301,7 @@ class CollisionPipeline:
                 ``vertices_t0``. Its numbers are read on the host, so such a launch is no part of a graph. It writes to
                 arrays of its own, whose list has a pair again for each slice of the step in which it touches, one slice
                 for each 0.2 radians; ``to_host()`` keeps the first. One of W worlds for a mesh of one launches what
-                :meth:`ccd_warp.CollisionMesh.replicate` of W would, whose capacities are for all worlds. An
-                :class:`ccd_warp.AffineMotion` is for rows that it has moved.
+                :meth:`ccd_warp.CollisionMesh.replicate` of W would, whose capacities are for all worlds.
 
         Returns:
             The arrays to which the launch writes, the same ones until the next :meth:`reserve`.
@@ -417,8 +408,7 @@ class CollisionPipeline:
         self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
     ) -> LaunchResult:
         with self._lock:
-            if motion is None:
-                self._warn_of_straight_motion()
+            self._warn_of_straight_motion(motion)
             return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_once, **arguments)
 
     def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
@@ -475,25 +465,20 @@ class CollisionPipeline:
             launch = self._launches.launch_at_one_time
             return launch(DeviceDisplacementStep, positions, search_radius, self._warn_once)
 
-    @property
-    def num_allocations(self) -> int:
-        """Number of device arrays allocated so far."""
-        return self._workspace.buffers.num_allocations if self._workspace else 0
-
     def find_candidates(
         self,
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         inflation: float = 0.0,
         *,
-        motion: Motion | None = None,
+        motion: RigidMotion | None = None,
     ) -> Candidates:
         """Find the pairs of primitives whose swept boxes overlap: :func:`ccd_warp.find_candidates` says which."""
         from ccd_warp._engine.host.candidate_step import CandidateStep  # few programs need it
 
         with naming("find_candidates"):
             inflation = validated_inflation(inflation)
-        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        self._warn_of_straight_motion(motion)
         work = lambda step: step.candidates(inflation)  # noqa: E731
         return self._on_step(CandidateStep, vertices_t0, vertices_t1, work, motion)
 
@@ -536,13 +521,13 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: Motion | None = None,
+        motion: RigidMotion | None = None,
         check_start: bool = False,
     ) -> MeshResult:
         """Earliest times of impact in a step (:func:`ccd_warp.mesh_ccd`)."""
         with naming("mesh_ccd"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        self._warn_of_straight_motion(motion)
         worlds = worlds_of(self, vertices_t0, vertices_t1, motion, check_start=check_start)
         if worlds is not None:
             result = worlds.result()
@@ -585,13 +570,13 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: Motion | None = None,
+        motion: RigidMotion | None = None,
         check_start: bool = False,
     ) -> float:
         """Largest fraction of a step that is surely free of collisions (:func:`ccd_warp.collision_free_step`)."""
         with naming("collision_free_step"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        self._warn_of_straight_motion(motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start)
         toi = min(least, self._options.t_max)
         if check_start:
@@ -668,13 +653,13 @@ class CollisionPipeline:
         vertices_t0: ArrayLike,
         vertices_t1: ArrayLike,
         *,
-        motion: Motion | None = None,
+        motion: RigidMotion | None = None,
         check_start: bool = False,
     ) -> bool:
         """Whether a step is certain to be free of collisions (:func:`ccd_warp.is_step_collision_free`)."""
         with naming("is_step_collision_free"):
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        self._warn_of_straight_motion(motion)
         least = self._least_of_worlds(vertices_t0, vertices_t1, motion, check_start=check_start, any_suffices=True)
         if not check_start:
             return least == np.inf
@@ -688,7 +673,7 @@ class CollisionPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
-        motion: Motion | None = None,
+        motion: RigidMotion | None = None,
         check_start: bool = False,
     ) -> LineSearchResult:
         """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
@@ -697,7 +682,7 @@ class CollisionPipeline:
             per, safety = validated_line_search(per, safety)
             max_rounds = check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
             check_start = check_flag("check_start", check_start)
-        vertices_t0, vertices_t1, motion = self._ends_and_motion(vertices_t0, vertices_t1, motion)
+        self._warn_of_straight_motion(motion)
         frames = self.mesh.frames(vertices_t0, vertices_t1)
         paths = None if motion is None else paths_of(self.mesh, self._options, motion)
         course = course_of(self.mesh, *frames, paths, motion)

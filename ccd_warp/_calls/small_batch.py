@@ -59,7 +59,7 @@ class SmallBatch:
         capacity: The number of pairs for which there are arrays.
     """
 
-    def __init__(self, key: _Key, device: Any, num_points: int, packed: Any, capacity: int) -> None:
+    def __init__(self, key: _Key, device: wp.Device, num_points: int, packed: Any, capacity: int) -> None:
         kind, real, norm = self.key = key
         self.capacity = capacity
         narrow_phase = narrow_phase_on(device, real, norm)
@@ -123,7 +123,7 @@ class SmallBatch:
         self._bound[index] = value
 
 
-def borrowed_batch(key: _Key, device: Any, num_points: int, packed: Any, count: int) -> SmallBatch:
+def borrowed_batch(key: _Key, device: wp.Device, num_points: int, packed: Any, count: int) -> SmallBatch:
     """A batch for one call, which no other call uses meanwhile; one that is not given back is not used again."""
     idle = _idle.setdefault(key, [])
     try:

@@ -49,15 +49,14 @@ def make_parser() -> argparse.ArgumentParser:
         (
             "run",
             "earliest times of impact between two frames of a mesh",
-            "Every vertex moves on a straight line from its place in START to its place in END; with --poses rigid "
-            f"bodies turn, and their vertices move on arcs. {_STATUS}",
+            f"Every vertex moves on a straight line from its place in START to its place in END. {_STATUS}",
             _add_run,
         ),
         (
             "sequence",
             "earliest times of impact in every step of a sequence of frames",
-            "Every vertex moves on a straight line from each frame to the next; with --poses rigid bodies turn, and "
-            f"their vertices move on arcs. Ctrl-C keeps the rows of the steps so far. {_STATUS}",
+            "Every vertex moves on a straight line from each frame to the next. Ctrl-C keeps the rows of the steps so "
+            f"far. {_STATUS}",
             _add_sequence,
         ),
         (
@@ -100,7 +99,7 @@ def _adder(parser: Any) -> _Add:
 
 def _add_run(add: _Add) -> None:
     add("start", "mesh at the start of the step: PLY, OBJ, STL, OFF, GLB, VTU, ...", **_file("START"))
-    add("end", "mesh at its end, with the same faces; none with --poses", **_file("END", nargs="?"))
+    add("end", "mesh at its end, with the same faces", **_file("END"))
     text = "write contacts and the toi of every vertex as .npz or .json; - writes JSON to standard output"
     add("--output", f"{text}, and the report to stderr", **_file())
     add("--picture", "draw the step at its start, toi and end as .png (extra 'viz')", **_file())
@@ -111,10 +110,9 @@ def _add_sequence(add: _Add) -> None:
     text = "mesh files, in the order of the numbers in their names, where files of another name are another body"
     others = "or folders of them, or files of many frames, a body each: .pvd, .xdmf"
     add("frames", f"{text}; {others}", **_file("FRAME", nargs="+"))
-    text = "folder of steps.csv and steps.png (ccd_warp_sequence); - writes the CSV alone, to standard output"
+    text = "folder of steps.csv (ccd_warp_sequence); - writes the CSV alone, to standard output"
     add("--output", f"{text}, and the report to stderr", **_file("DIR", default=Path("ccd_warp_sequence")))
-    text = "an animation as .gif or .mp4 (which needs ffmpeg), or the first step with a contact as .png (extra 'viz')"
-    add("--picture", text, **_file())
+    add("--picture", "draw the first step with a contact as .png (extra 'viz')", **_file())
     _add_scene(add)
 
 
@@ -126,17 +124,11 @@ def _add_demo(add: _Add) -> None:
 def _add_bench(add: _Add) -> None:
     add("--quick", "fewer queries and rounds: half a minute on two cores", **_FLAG)
     add("--devices", "Warp devices (the CPU and every GPU)", metavar="NAME", nargs="+")
-    text = "folder of bench.csv and bench.png (ccd_warp_bench); the picture needs the extra 'bench'"
-    add("--output", text, **_file("DIR", default=Path("ccd_warp_bench")))
+    add("--output", "folder of bench.csv (ccd_warp_bench)", **_file("DIR", default=Path("ccd_warp_bench")))
 
 
 def _add_scene(add: _Add) -> None:
     """What `run` and `sequence` take alike: obstacles, limits, and what decides the exit status."""
-    text = "rigid bodies: poses of the bodies of one mesh file, in which each is in its own frame. A CSV with"
-    more = "a row for each body and time: t, body, px, py, pz, qx, qy, qz, qw; a body without rows does not move"
-    add("--poses", f"{text} {more}", **_file())
-    text = "how a body of --poses moves: its origin on a straight line, or the body on a screw (linear)"
-    add("--path", text, choices=("linear", "screw"))
     again = "may be given several times"
     add("--static", f"an obstacle that does not move; {again}", **_file(), **_REPEATED)
     text = "a body that moves as it is told, as a scripted wall: it is tested against free bodies alone"

@@ -23,7 +23,6 @@ import warp as wp
 import ccd_warp as ccd
 from ccd_warp._cli.demo import cloth_scene
 from ccd_warp._cli.process import make_folder, start_quietly, teller
-from ccd_warp._cli.report import format_table
 
 SIDE = 1024  # of the primitives, which is the unit of the tolerance
 KINDS = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
@@ -193,32 +192,17 @@ def table_of(rows: list[dict[str, Any]], of_steps: list[tuple[str, str, float]])
         lines[-1] += [f"{row[name]:.0e}" for name in ("early_99", "early_most")]
         lines[-1] += [str(row[name]) for name in ("missed", "late", "phantom", "queries")]
     steps = [[scene, name, f"{1e3 * seconds:.1f} ms"] for scene, name, seconds in of_steps]
-    of_queries = format_table(header, lines, align="<<>>>>>>>")
-    return [*of_queries, "", *format_table(["a whole step", "call", "time"], steps, align="<<>")]
+    return [*_aligned([header, *lines]), "", *_aligned([["a whole step", "call", "time"], *steps])]
 
 
-def draw(rows: list[dict[str, Any]], title: str, path: Path) -> None:
-    """Time of a query against the error of its toi: a panel for each family and kind, a line for each method."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.2 * len(FAMILIES), 3.6 * len(KINDS)), layout="constrained")
-    panels = figure.subplots(len(KINDS), len(FAMILIES), sharex=True, sharey=True)
-    for panel, (kind, family) in zip(panels.flat, product(KINDS, FAMILIES), strict=True):
-        for name in dict.fromkeys(row["method"] for row in rows):
-            of = [r for r in rows if (r["family"], r["kind"], r["method"]) == (family, kind, name)]
-            error, seconds = [max(row["early_99"], 1e-17) for row in of], [row["seconds"] for row in of]
-            panel.loglog(error, seconds, "o-" if name.startswith("ours") else "s--", label=name)
-            wrong = [k for k, row in enumerate(of) if row["missed"] or row["late"]]
-            panel.plot([error[k] for k in wrong], [seconds[k] for k in wrong], "rx", markersize=12, markeredgewidth=2)
-        panel.set(title=f"{family}, {kind}", xlabel="99 in 100 tois are early by less", ylabel="seconds of a query")
-        panel.grid(alpha=0.3)
-    panels.flat[0].legend(fontsize=8)
-    figure.suptitle(f"{title}\na point is a tolerance; red crosses: a collision missed or reported late", fontsize=9)
-    figure.savefig(path, dpi=110)
+def _aligned(rows: list[list[str]]) -> list[str]:
+    """Lines of columns side by side."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  " + "  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Measure, print a table, write bench.csv and bench.png; 1 where an answer of ours is missed or late, else 0."""
+    """Measure, print a table, write bench.csv; 1 where an answer of ours is missed or late, else 0."""
     start_quietly(None)
     present = [device.alias for device in wp.get_devices()]
     devices = arguments.devices or present
@@ -227,7 +211,7 @@ def run(arguments: argparse.Namespace) -> int:
     folder: Path = arguments.output
     make_folder(folder, "--output")
     tell = teller(None, is_quiet=arguments.quiet)
-    has_peer, has_picture = (find_spec(name) is not None for name in ("ipctk", "matplotlib"))
+    has_peer = find_spec("ipctk") is not None
     title = f"ccd-warp {ccd.__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
     tell(title := f"{title}; {', '.join(wp.get_device(name).name for name in devices)}, one thread of a CPU")
     tell("measuring queries and steps, which takes a minute or more" if not arguments.quick else "measuring")
@@ -236,12 +220,9 @@ def run(arguments: argparse.Namespace) -> int:
     with (folder / "bench.csv").open("w", encoding="utf-8", newline="") as file:
         csv.writer(file).writerows([rows[0].keys(), *(row.values() for row in rows)])
     tell("\n".join(table_of(rows, of_steps)))
-    if has_picture:
-        draw(rows, title, folder / "bench.png")
-    tell(f"wrote bench.csv{' and bench.png' * has_picture} in {folder}")
-    for is_present, what in ((has_peer, "ipctk, to stand beside ours"), (has_picture, "matplotlib, for the picture")):
-        if not is_present:
-            tell(f"not installed: {what}; install with: pip install 'ccd-warp[bench]'")
+    tell(f"wrote bench.csv in {folder}")
+    if not has_peer:
+        tell("not installed: ipctk, to stand beside ours; install with: pip install 'ccd-warp[bench]'")
     of_ours = [row for row in rows if row["method"].startswith("ours")]
     wrong = [sum(row[fault] for row in of_ours) for fault in ("missed", "late")]
     tell(f"{sum(row['queries'] for row in of_ours):,} answers of ours: {wrong[0]} missed, {wrong[1]} late")

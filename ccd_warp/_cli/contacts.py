@@ -12,13 +12,10 @@ from ccd_warp._runtime.status import PairKind, primitives_of
 from ccd_warp._scene.mesh import CollisionMesh
 
 
-def earliest(result: MeshResult, most: int) -> Contacts:
-    """The earliest contacts, of which the first is that of the result."""
-    contacts, first = result.contacts, result.first
-    order = np.argsort(contacts.toi, kind="stable")
-    if first is not None:
-        order = np.append(first.index, order[order != first.index])
-    return contacts[order[:most]]
+def earliest(result: MeshResult) -> Contacts:
+    """The earliest contact, alone or not there."""
+    first = 0 if result.first is None else result.first.index
+    return result.contacts[first : first + 1]
 
 
 def vertices_in_body(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.int64]:
@@ -45,9 +42,9 @@ def primitives_in_body(mesh: CollisionMesh, contacts: Contacts) -> NDArray[np.in
 
 
 def described(mesh: CollisionMesh, contacts: Contacts) -> list[str]:
-    """What touches what in the first of some contacts, and where: two lines."""
+    """What touches what in the only contact, and where: two lines."""
     a, b = (mesh.names[body] for body in contacts.bodies[0].tolist())
-    v, face = vertices_in_body(mesh, contacts[:1])[0].tolist(), primitives_in_body(mesh, contacts[:1])[0, 1]
+    v, face = vertices_in_body(mesh, contacts)[0].tolist(), primitives_in_body(mesh, contacts)[0, 1]
     what = {
         PairKind.VERTEX_FACE: f"vertex {v[0]} of {a} and face {face} of {b}",
         PairKind.EDGE_EDGE: f"edge {v[0]}-{v[1]} of {a} and edge {v[2]}-{v[3]} of {b}",

@@ -128,7 +128,7 @@ def _write(folder: Path, scene: DemoScene) -> None:
 
 def _tests_at_both_ends(step: SolvedStep) -> list[str]:
     """What a simulation without CCD finds: whether surfaces cross at the start, and whether they do at the end."""
-    with CollisionPipeline.borrowed(step.mesh, step.options) as pipeline:
+    with CollisionPipeline._borrowed(step.mesh, step.options) as pipeline:
         ends = (step.frames.vertices_t0, step.frames.vertices_t1)
         num_crossing = [pipeline.find_intersections(vertices).num_crossing for vertices in ends]
     return ["HIT" if count else "MISS" for count in num_crossing]

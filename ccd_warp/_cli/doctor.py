@@ -42,7 +42,7 @@ def run(_: argparse.Namespace) -> int:
     return 0
 
 
-def _source_of_kernels(device: Any) -> str:
+def _source_of_kernels(device: wp.Device) -> str:
     """Which of the two happens, and why."""
     if reason := why_none(device):
         return f"kernels are compiled when they are first needed, because {reason}"

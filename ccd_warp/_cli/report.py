@@ -33,15 +33,6 @@ def format_toi(toi: float) -> str:
     return repr(float(toi)) if math.isfinite(toi) else "none"
 
 
-def format_table(header: Sequence[str], rows: Sequence[Sequence[str]], *, align: str) -> list[str]:
-    """Lines of a plain table; ``align`` holds ``<`` or ``>`` for each column."""
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
-    return [
-        "  " + "  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(row, align, widths, strict=True)).rstrip()
-        for row in [header, *rows]
-    ]
-
-
 def format_title(title: str, options: Options) -> str:
     """The first line of a report."""
     device = wp.get_device(options.device)
@@ -58,26 +49,24 @@ def format_report(title: str, step: SolvedStep) -> str:
         step: The step and its result.
     """
     tois = [format_toi(toi) for toi in step.result.body_toi.tolist()]
-    lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step), ""]
-    lines += [*length_lines(step.mesh, step.moving.all_at(0.0), step.displacement, step.options), ""]
-    total = sum(step.timings.values())
-    rows = [
-        (name.replace("_", " "), f"{seconds:.4f}", f"{seconds / total:.0%}" if total > 0 else "")
-        for name, seconds in [*step.timings.items(), ("total", total)]
-    ]
-    return "\n".join(lines + format_table(("stage", "seconds", "share"), rows, align="<>>"))
+    lines = [format_title(title, step.options), "", *body_lines(step.frames, tois), "", *_outcome(step)]
+    lines.append(length_line(step.mesh, step.ends[0], step.displacement, step.options))
+    timings = {**step.timings, "total": sum(step.timings.values())}
+    stages = ", ".join(f"{name.replace('_', ' ')} {seconds:.4f}" for name, seconds in timings.items())
+    return "\n".join([*lines, f"seconds  {stages}"])
 
 
 def body_lines(frames: Frames, tois: Sequence[str] = ()) -> list[str]:
     """The first bodies with their sizes, what was merged in reading them, and which vertices take no part."""
-    mesh, header = frames.mesh, ("body", "", "vertices", "faces", *(["earliest toi"] if tois else []))
+    mesh = frames.mesh
     vertices, faces = np.diff(mesh.body_vertex_range), np.bincount(mesh.face_body, minlength=mesh.num_bodies)
-    rows = [
-        (name, mesh._kind_of_body(b), f"{vertices[b]:,}", f"{faces[b]:,}", *tois[b : b + 1])
-        for b, name in enumerate(mesh.names)
+    lines = [
+        f"  {name}  {mesh._kind_of_body(b)}, {counted(int(vertices[b]), 'vertex', 'vertices')}, "
+        f"{counted(int(faces[b]), 'face', 'faces')}{f', toi {tois[b]}' if tois else ''}"
+        for b, name in enumerate(mesh.names[:_MOST_BODIES])
     ]
-    lines = format_table(header, rows[:_MOST_BODIES], align="<<>><"[: len(header)])
-    lines += [f"  ... {len(rows) - _MOST_BODIES:,} more bodies"] if len(rows) > _MOST_BODIES else []
+    more = mesh.num_bodies - _MOST_BODIES
+    lines += [f"  ... {more:,} more bodies"] if more > 0 else []
     unused = mesh.vertex_body[np.setdiff1d(mesh.unused_vertices, mesh.inner_vertices)]
     num_unused, notes = np.bincount(unused, minlength=mesh.num_bodies).tolist(), []
     for name, merged, count in zip(mesh.names, frames.num_merged.tolist(), num_unused, strict=True):
@@ -87,23 +76,22 @@ def body_lines(frames: Frames, tois: Sequence[str] = ()) -> list[str]:
     return lines + notes[:_MOST_BODIES]
 
 
-def length_lines(mesh: CollisionMesh, start: NDArray[np.float64], displacement: float, options: Options) -> list[str]:
+def length_line(mesh: CollisionMesh, start: NDArray[np.float64], displacement: float, options: Options) -> str:
     """The lengths of a step, or of several with the same options, in the unit of the files."""
     scale = options.length_scale
     assert scale is not None, "chosen for the mesh if not given"
     with np.errstate(over="ignore"):
         x, y, z = np.ptp(start, axis=0).tolist()
     is_distance = options.minimum_distance > 0 or mesh.radius is not None
-    rows = [
-        ("extents at the start", f"{x:.6g} x {y:.6g} x {z:.6g}"),
-        ("largest displacement", f"{displacement:.6g}"),
-        ("length scale", f"{scale:.6g}"),
-        ("tolerance", f"{options.tolerance * scale:.6g}"),
-        ("minimum distance" if is_distance else "minimum separation", f"{options.separation(scale):.6g}"),
+    lengths = [
+        f"extents at the start {x:.6g} x {y:.6g} x {z:.6g}",
+        f"largest displacement {displacement:.6g}",
+        f"length scale {scale:.6g}",
+        f"tolerance {options.tolerance * scale:.6g}",
+        f"minimum {'distance' if is_distance else 'separation'} {options.separation(scale):.6g}",
+        *([shown_range("radius", mesh.radius)] if mesh.radius is not None else []),
     ]
-    if mesh.radius is not None:
-        rows.append(("radius", shown_range("radius", mesh.radius).removeprefix("radius ")))
-    return format_table(("in the unit of the files", ""), rows, align="<<")
+    return f"lengths, in the unit of the files  {', '.join(lengths)}"
 
 
 def looked_at(mesh: CollisionMesh, options: Options) -> str:
@@ -118,10 +106,8 @@ def left_out(mesh: CollisionMesh, options: Options, ignored: StartContacts | Non
     kinds = possible_kinds(mesh, options)
     parts = [f"{kind_name(kind)} pairs (--pair-kinds)" for kind in possible_kinds(mesh, Options()) if kind not in kinds]
     is_left_out = mesh._is_free & ~mesh.self_collision
-    if (is_left_out & ~mesh.rigid).any():
+    if is_left_out.any():
         parts.append("pairs within a body (--no-self-collision)")
-    if (is_left_out & mesh.rigid).any():
-        parts.append("pairs within a rigid body")
     if fixed := [word for word in ("static", "kinematic") if getattr(mesh, word).any()]:
         parts.append(f"pairs of {' and '.join(fixed)} bodies")
     if ignored is not None:
@@ -159,7 +145,7 @@ def _outcome(step: SolvedStep) -> list[str]:
     else:
         lines = [f"scene toi  {format_toi(result.toi)}   (of the step; no pair looked at touches before it)"]
     if len(contacts):
-        what, where = described(step.mesh, earliest(result, 1))
+        what, where = described(step.mesh, earliest(result))
         lines += [f"first contact  {what}", f"               {where}"]
         by_kind = result.counts.num_contacts.items()
         counts = ", ".join(f"{count:,} {kind_name(kind)}" for kind, count in by_kind if count)

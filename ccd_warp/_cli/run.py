@@ -11,7 +11,7 @@ from ccd_warp._cli.process import STDOUT, check_output, start_quietly, teller, w
 from ccd_warp._cli.report import format_report
 from ccd_warp._cli.scene import open_sequence
 from ccd_warp._cli.solve import Steps
-from ccd_warp._scene.input.messages import InputError, printable
+from ccd_warp._scene.input.messages import printable
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -26,16 +26,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_output(output, RESULT_SUFFIXES)
     if picture is not None:
         check_picture(picture, "--picture")
-    if arguments.end is None and arguments.poses is None:
-        raise InputError("END is missing; expected the mesh at the end of the step, or --poses; see run --help")
     begin = time.perf_counter()
     with warnings_on_stderr(is_quiet=is_quiet):
-        sequence = open_sequence(arguments, [path for path in (arguments.start, arguments.end) if path is not None])
-    if len(sequence) != 2:
-        raise InputError(
-            f"--poses {arguments.poses}: holds poses at {len(sequence)} times; expected 2, those of both ends of the "
-            "step; `sequence` takes more"
-        )
+        sequence = open_sequence(arguments, [arguments.start, arguments.end])
     seconds = time.perf_counter() - begin
     steps = Steps(arguments, sequence)
     try:
@@ -48,9 +41,7 @@ def run(arguments: argparse.Namespace) -> int:
     if picture is not None:
         draw_step(picture, step)
     tell = teller(output, is_quiet=is_quiet)
-    times = ": " + " -> ".join(sequence.labels)
-    title = f"{arguments.start}{times if arguments.end is None else f' -> {arguments.end}'}"
-    tell(format_report(title, step))
+    tell(format_report(f"{arguments.start} -> {arguments.end}", step))
     for path in (path for path in (output, picture) if path not in (None, STDOUT)):
         tell(f"wrote {printable(str(path))}")
     return int(arguments.fail_on_contact and (step.result.hit or step.start.num_crossing > 0))

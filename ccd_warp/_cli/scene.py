@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 
 from ccd_warp import CollisionPipeline
-from ccd_warp._calls.pose_sequence import PoseSequence
 from ccd_warp._files.bodies import Body, mesh_of, static_bodies
 from ccd_warp._files.sequence import FrameSequence
 from ccd_warp._files.series import FileSeries, find_series
@@ -23,29 +22,18 @@ from ccd_warp._scene.input.names import distinct_names
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 
-StepSequence = FrameSequence | PoseSequence
+
+def open_sequence(arguments: argparse.Namespace, paths: list[Path]) -> FrameSequence:
+    """The frames of files, in one order if there are just two of a step."""
+    options = {"displacement": arguments.displacement, "surface": arguments.surface}
+    is_step = arguments.command == "run"
+    series = [FileSeries(paths[0].name, paths, **options)] if is_step else find_series(paths, **options)
+    return FrameSequence(series, _obstacles(arguments), partial(make_mesh, arguments), split=arguments.split)
 
 
-def open_sequence(arguments: argparse.Namespace, paths: list[Path]) -> StepSequence:
-    """The frames of files, in one order if there are just two of a step, or the poses of the bodies of one file."""
-    how = {"surface": arguments.surface, "split": arguments.split}
-    obstacles, joined = _obstacles(arguments, **how), partial(make_mesh, arguments)
-    if arguments.poses is None:
-        if arguments.path is not None:
-            raise InputError(f"--path {arguments.path} is given without --poses; expected both, or neither")
-        options = {"displacement": arguments.displacement, "surface": arguments.surface}
-        is_step = arguments.command == "run"
-        series = [FileSeries(paths[0].name, paths, **options)] if is_step else find_series(paths, **options)
-        return FrameSequence(series, obstacles, joined, split=arguments.split)
-    if len(paths) != 1 or arguments.displacement is not None:
-        surplus = "--displacement is" if arguments.displacement is not None else f"{len(paths)} files are"
-        raise InputError(f"{surplus} given with --poses; expected one mesh file, with each body in its own frame")
-    return PoseSequence(paths[0], arguments.poses, arguments.path or "linear", obstacles, joined, **how)
-
-
-def _obstacles(arguments: argparse.Namespace, **how: bool) -> list[Body]:
+def _obstacles(arguments: argparse.Namespace) -> list[Body]:
     """The bodies of ``--static`` and ``--half-space``; these are called "half-space" where they have no name."""
-    bodies = static_bodies(arguments.static, **how)
+    bodies = static_bodies(arguments.static, surface=arguments.surface, split=arguments.split)
     for text in arguments.half_space:
         name, _, numbers = text.rpartition("=")
         try:
@@ -57,8 +45,8 @@ def _obstacles(arguments: argparse.Namespace, **how: bool) -> list[Body]:
     return bodies
 
 
-def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: Sequence[int] = ()) -> CollisionMesh:
-    """The bodies as one mesh, of which some are rigid."""
+def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body]) -> CollisionMesh:
+    """The bodies as one mesh."""
     names = distinct_names([body.name for body in bodies])
     moving = [name for name, body in zip(names, bodies, strict=True) if not body.is_static]
     mesh = mesh_of(
@@ -67,7 +55,6 @@ def make_mesh(arguments: argparse.Namespace, bodies: Sequence[Body], *, rigid: S
         kinematic=[names.index(moving[_body("--kinematic", name, moving)]) for name in arguments.kinematic],
         radius=_radii(arguments.radius, names, bodies),
         exclusion_rings=arguments.exclusion_rings,
-        rigid=rigid,
     )
     pairs = [_body_pair(text, names) for text in arguments.exclude]
     return mesh.excluding({"bodies": pairs}) if pairs else mesh
@@ -122,7 +109,7 @@ class StartContacts:
     def of(cls, mesh: CollisionMesh, vertices: np.ndarray, options: Options) -> "StartContacts":
         """Of positions: what touches where nothing moves, what is nearer than the tolerance, and what crosses."""
         rounding = options.tolerance * (mesh.length_scale if options.length_scale is None else options.length_scale)
-        with CollisionPipeline.borrowed(mesh, options) as pipeline:
+        with CollisionPipeline._borrowed(mesh, options) as pipeline:
             contacts = pipeline.mesh_ccd(vertices, vertices).contacts
             near = pipeline.find_proximity(vertices, options.minimum_distance + rounding)
             start = pipeline.find_intersections(vertices)

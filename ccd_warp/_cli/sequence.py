@@ -7,7 +7,7 @@ from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
-from ccd_warp._cli.pictures import check_picture, draw_animation, draw_step
+from ccd_warp._cli.pictures import check_picture, draw_step
 from ccd_warp._cli.process import (
     INTERRUPTED,
     STDOUT,
@@ -15,28 +15,25 @@ from ccd_warp._cli.process import (
     say,
     start_quietly,
     teller,
-    warn,
     warnings_on_stderr,
     write_out,
 )
 from ccd_warp._cli.report import (
     body_lines,
     crossing_sentence,
-    format_table,
     format_title,
     format_toi,
-    length_lines,
+    length_line,
     looked_at,
     scope_lines,
 )
 from ccd_warp._cli.scene import open_sequence
 from ccd_warp._cli.solve import Steps
-from ccd_warp._cli.table import COLUMNS, StepRow, csv_text, draw_plot
+from ccd_warp._cli.table import COLUMNS, StepRow, csv_text
 from ccd_warp._runtime.display import start_sentence
 from ccd_warp._scene.input.messages import printable
 
-CSV, PLOT = "steps.csv", "steps.png"
-_MOST_ROWS = 20  # steps whose toi the report lists; the CSV file has all
+CSV = "steps.csv"
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -49,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     start_quietly(arguments.device)
     picture, is_quiet, output = arguments.picture, arguments.quiet, arguments.output
     if picture is not None:
-        check_picture(picture, "--picture", is_sequence=True)
+        check_picture(picture, "--picture")
     with warnings_on_stderr(is_quiet=is_quiet):
         sequence = open_sequence(arguments, arguments.frames)
     if output != STDOUT:
@@ -76,10 +73,9 @@ def run(arguments: argparse.Namespace) -> int:
             pass
         finally:
             steps.line.clear()
-    has_plot = bool(rows) and is_file and _has_plot(output / PLOT, rows, steps.options.t_max, is_quiet)
     if rows:
         tell(_report(steps, rows))
-    files = {output / CSV: is_file, output / PLOT: has_plot, picture: picture is not None and is_complete}
+    files = {output / CSV: is_file, picture: picture is not None and is_complete}
     for path in [path for path, is_written in files.items() if is_written]:
         tell(f"wrote {printable(str(path))}")
     if not is_complete:
@@ -89,33 +85,18 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _draw(path: Path, steps: Steps, rows: Sequence[StepRow]) -> None:
-    """Draw the animation, or the first step that has a contact, or else one at whose start surfaces cross."""
-    if path.suffix.lower() != ".png":
-        steps.begin("pictures", 2 * len(rows))
-        draw_animation(path, steps.moving, rows, steps.advance)
-        return
+    """Draw the first step that has a contact, or else one at whose start surfaces cross."""
     crossing = next((row.step for row in rows if row.crossing), 0)
     step = steps.solved(next((row.step for row in rows if row.hit), crossing))
     steps.line.clear()
     draw_step(path, step)
 
 
-def _has_plot(path: Path, rows: Sequence[StepRow], t_max: float, is_quiet: bool) -> bool:
-    """Draw the plot of the steps so far, where matplotlib is installed."""
-    try:
-        draw_plot(path, rows, t_max)
-        return True
-    except ImportError:
-        if not is_quiet:
-            warn(f"{PLOT} is not drawn without matplotlib; install with: pip install 'ccd-warp[viz]'")
-        return False
-
-
 def _report(steps: Steps, rows: Sequence[StepRow]) -> str:
     """The report of the steps that were solved, without a final newline."""
     sequence, options, mesh = steps.sequence, steps.options, steps.sequence.mesh
     title = f"{len(sequence)} frames of {sequence._name}"
-    lines = [format_title(title, options), "", *body_lines(sequence._step(0)[0]), ""]
+    lines = [format_title(title, options), "", *body_lines(sequence.step(0)), ""]
     hits, crossing = [row for row in rows if row.hit], [row for row in rows if row.crossing]
     if not hits:
         lines.append(f"steps with contacts  none of {len(rows)}   {looked_at(mesh, options)}")
@@ -125,9 +106,6 @@ def _report(steps: Steps, rows: Sequence[StepRow]) -> str:
         lines.append(f"the first  step {first.step}, {first.start} -> {first.end}, toi {format_toi(first.toi)}")
         sentence = start_sentence(first.at_start)
         lines += [f"           {line}" for line in [*first.described, *([sentence] if sentence else [])]]
-        cells = [(str(row.step), row.start, format_toi(row.toi), f"{sum(row.counts):,}") for row in hits[:_MOST_ROWS]]
-        lines += ["", *format_table(("step", "from frame", "toi", "contacts"), cells, align="><<>")]
-        lines += [f"  ... {len(hits) - _MOST_ROWS} more", ""] if len(hits) > _MOST_ROWS else [""]
         if num_capped := sum(row.at_limit for row in rows):
             lines.append(f"{num_capped:,} contacts stopped at a limit: their toi is early, never late")
     if crossing:
@@ -135,8 +113,9 @@ def _report(steps: Steps, rows: Sequence[StepRow]) -> str:
         lines.append(f"           of the first, {crossing_sentence(crossing[0].crossing)}")
     else:
         lines.append("at the start of each step  no edge passes through a face")
-    lines += [*scope_lines(mesh, options, steps.ignored), ""]
-    return "\n".join(lines + length_lines(mesh, steps.at_start, max(row.displacement for row in rows), options))
+    lines += scope_lines(mesh, options, steps.ignored)
+    displacement = max(row.displacement for row in rows)
+    return "\n".join([*lines, length_line(mesh, steps.at_start, displacement, options)])
 
 
 def _numbers(some: Sequence[StepRow], rows: Sequence[StepRow], what: str = "") -> str:

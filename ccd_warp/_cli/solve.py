@@ -14,13 +14,11 @@ from ccd_warp import CollisionPipeline
 from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.progress_line import ProgressLine
-from ccd_warp._cli.scene import StartContacts, StepSequence
+from ccd_warp._cli.scene import StartContacts
 from ccd_warp._engine.mesh.scene import possible_kinds
-from ccd_warp._files.sequence import Frames
-from ccd_warp._results.contact_place import MovingVertices
+from ccd_warp._files.sequence import Frames, FrameSequence
 from ccd_warp._results.intersections import Intersections
 from ccd_warp._results.results import MeshResult
-from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.display import kind_name
 from ccd_warp._runtime.kernel_cache import announced_compilation
 from ccd_warp._runtime.lazy import lazy_property
@@ -41,7 +39,6 @@ class SolvedStep:
         start: What touches, or passes through another, at the start.
         ignored: What is left out of both, because it is in contact in the first frame; None if nothing is.
         timings: Seconds of each stage, in order, without a total.
-        motion: How rigid bodies turn, whose positions are in their own frames; None where all vertices move straight.
     """
 
     frames: Frames
@@ -50,7 +47,6 @@ class SolvedStep:
     start: Intersections
     ignored: StartContacts | None
     timings: dict[str, float]
-    motion: RigidMotion | None = None
 
     @property
     def mesh(self) -> CollisionMesh:
@@ -63,31 +59,20 @@ class SolvedStep:
         return self.start[self.start.is_crossing]
 
     @lazy_property
-    def moving(self) -> MovingVertices:
-        """How the vertices move."""
-        return moving_vertices(self.frames, self.motion)
+    def ends(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Positions at both ends; vertices that take no part are where others of their bodies are."""
+        return self.mesh._both_placed(self.frames.vertices_t0, self.frames.vertices_t1)
 
     @lazy_property
     def displacement(self) -> float:
         """The largest distance of a vertex from its place at the start."""
-        start = self.moving.all_at(0.0)
+        start, end = self.ends
         with np.errstate(over="ignore"):
-            ways = [np.linalg.norm(self.moving.all_at(t) - start, axis=1) for t in self.moving.times[1:]]
-        return max(float(way.max(initial=0.0)) for way in ways)
+            return float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
 
 
-def moving_vertices(frames: Frames, motion: RigidMotion | None) -> MovingVertices:
-    """How all vertices move; those that take no part as others of their bodies do."""
-    mesh = frames.mesh
-    places = mesh._both_placed(frames.vertices_t0, frames.vertices_t1)
-    return MovingVertices(mesh, *places) if motion is None else motion._moving(mesh, *places)
-
-
-def make_options(values: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.float64] | None = None) -> Options:
-    """The options of the command line, with the length scale that they mean if they give none.
-
-    It is that of the mesh: the longest side of the box around all bodies at the start, where ``start`` says where they
-    are if they have frames of their own.
+def make_options(values: dict[str, Any], mesh: CollisionMesh) -> Options:
+    """The options of the command line, with the length scale of the mesh if they give none.
 
     Raises:
         ValueError: If an option is out of its range, or the bodies cannot form a kind of pair that it names.
@@ -99,10 +84,7 @@ def make_options(values: dict[str, Any], mesh: CollisionMesh, start: NDArray[np.
                 f"--pair-kinds holds {kind_name(kind)}, which these bodies cannot form, as they have no particles, "
                 f"cables or half-spaces; expected some of {', '.join(map(kind_name, possible))}"
             )
-    if options.length_scale is not None:
-        return options
-    size = 0.0 if start is None else float(np.ptp(start, axis=0).max())
-    return replace(options, length_scale=size if size > 0.0 and np.isfinite(size) else mesh.length_scale)
+    return options if options.length_scale is not None else replace(options, length_scale=mesh.length_scale)
 
 
 def solve(
@@ -113,7 +95,6 @@ def solve(
     is_quiet: bool,
     show: Callable[[Progress], None] | None = None,
     ignored: StartContacts | None = None,
-    motion: RigidMotion | None = None,
 ) -> SolvedStep:
     """Run ``mesh_ccd`` on a step, with its progress on a line that stays there, and find what intersects at its start.
 
@@ -122,16 +103,16 @@ def solve(
     with (
         nullcontext() if is_quiet else announced_compilation(),
         warnings_on_stderr(line.clear, is_quiet=is_quiet),
-        CollisionPipeline.borrowed(frames.mesh, options) as pipeline,
+        CollisionPipeline._borrowed(frames.mesh, options) as pipeline,
     ):
         pipeline._show_progress = line.show if show is None else show
-        result = pipeline.mesh_ccd(frames.vertices_t0, frames.vertices_t1, motion=motion)
+        result = pipeline.mesh_ccd(frames.vertices_t0, frames.vertices_t1)
         timings = {name: seconds for name, seconds in result.timings.items() if name != "total"}
         begin = time.perf_counter()
-        start = pipeline.find_intersections(moving_vertices(frames, motion).all_at(0.0))
+        start = pipeline.find_intersections(frames.vertices_t0)
         timings["intersections_at_start"] = time.perf_counter() - begin
     start = start if ignored is None else ignored.others(start)
-    return SolvedStep(frames, options, result, start, ignored, timings, motion)
+    return SolvedStep(frames, options, result, start, ignored, timings)
 
 
 class Steps:
@@ -145,11 +126,11 @@ class Steps:
         line: The line.
     """
 
-    def __init__(self, arguments: argparse.Namespace, sequence: StepSequence) -> None:
+    def __init__(self, arguments: argparse.Namespace, sequence: FrameSequence) -> None:
         self.sequence, self.is_quiet, self.ignored = sequence, arguments.quiet, None
-        self.at_start = self.moving(0).all_at(0.0)
-        option_values, has_frames_of_bodies = command_line_options(arguments), arguments.poses is not None
-        self.options = make_options(option_values, sequence.mesh, self.at_start if has_frames_of_bodies else None)
+        first = sequence.step(0)
+        self.at_start, _ = sequence.mesh._both_placed(first.vertices_t0, first.vertices_t1)
+        self.options = make_options(command_line_options(arguments), sequence.mesh)
         if arguments.ignore_start_contacts:
             with warnings_on_stderr(is_quiet=self.is_quiet):
                 self.ignored = StartContacts.of(sequence.mesh, self.at_start, self.options)
@@ -169,13 +150,8 @@ class Steps:
         self._progress.done += 1
         self.line.show(self._progress)
 
-    def moving(self, k: int) -> MovingVertices:
-        """How all vertices move in a step."""
-        return moving_vertices(*self.sequence._step(k))
-
     def solved(self, k: int) -> SolvedStep:
         """A step and its result."""
-        frames, motion = self.sequence._step(k)
         show = None if not self._progress.stage else lambda _: self.line.show(self._progress)
-        how: dict[str, Any] = {"show": show, "ignored": self.ignored, "motion": motion}
-        return solve(frames, self.options, self.line, is_quiet=self.is_quiet, **how)
+        how: dict[str, Any] = {"show": show, "ignored": self.ignored}
+        return solve(self.sequence.step(k), self.options, self.line, is_quiet=self.is_quiet, **how)

@@ -98,7 +98,7 @@ class Plan:
         self,
         recording: Recording,
         stages: Stages,
-        active: Any,
+        active: wp.array,
         *,
         sort: Callable[[], None] | None = None,
     ) -> None:
@@ -113,7 +113,13 @@ class Plan:
         stages.fill_slender(recording, self.slender_trees, active)
 
     def record_narrow_phase(
-        self, recording: Recording, stages: Stages, active: Any, *, only_moving: bool = False, gaps_moved: float = 0.0
+        self,
+        recording: Recording,
+        stages: Stages,
+        active: wp.array,
+        *,
+        only_moving: bool = False,
+        gaps_moved: float = 0.0,
     ) -> None:
         """Record what vertices and half-spaces do, and both rounds of the narrow phase."""
         if self.has_planes:

@@ -53,7 +53,7 @@ StepFields, PairFields, LeastFields = fields_of(Step), fields_of(PairList), fiel
 SearchedFields, CandidateFields = fields_of(Searched), fields_of(Candidates)
 
 
-def measure_pairs_in(norm: str, device: Any) -> Any:
+def measure_pairs_in(norm: str, device: wp.Device) -> Any:
     """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
     parameters = {"width": lanes_of(device)} if is_ball(norm) else {}
     return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
@@ -408,7 +408,7 @@ class Stages:
         self,
         launcher: Launcher,
         sink: int,
-        active: Any = None,
+        active: wp.array | Slot | None = None,
         *,
         only_moving: bool = False,
         gaps_moved: float = 0.0,
@@ -554,7 +554,7 @@ class Stages:
     def _launch_solvers(
         self,
         launcher: Launcher,
-        kernel: Any,
+        kernel: wp.Kernel,
         kind: PairKind,
         chunk: int,
         inputs: list[Any],

@@ -133,10 +133,6 @@ class FrameSequence:
         """All steps, one after the other."""
         return map(self.step, range(len(self) - 1))
 
-    def _step(self, k: int) -> tuple[Frames, None]:
-        """A step, and that no body turns in it, as of a `PoseSequence`."""
-        return self.step(k), None
-
 
 def read_frames(
     start_path: str | Path,

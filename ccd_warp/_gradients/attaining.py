@@ -88,7 +88,7 @@ class Attaining:
         if is_read and len(memory.attaining) < _MOST_UNUSED:
             memory.attaining.append(self)
 
-    def _empty(self, dtype: Any, count: int | tuple[int, int]) -> wp.array:
+    def _empty(self, dtype: type, count: int | tuple[int, int]) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self._device)
 
     @lazy_property
@@ -166,7 +166,7 @@ class Attaining:
         else:
             wp.utils.radix_sort_pairs(keys, values, count, end_bit=num_bits)
 
-    def _launch_of_minima(self, kernel: Any, of_minima: Mapping[str, wp.array]) -> None:
+    def _launch_of_minima(self, kernel: wp.Kernel, of_minima: Mapping[str, wp.array]) -> None:
         """Launch a kernel that finds the gradients by the tois of the contacts."""
         gradient = struct_of(toi_adjoint.MinimaGradients, of_minima)
         inputs = [self._check.copies.as_struct, self._mesh, self._list, gradient]

@@ -75,7 +75,8 @@ def write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
 
 def _in_order(array: wp.array) -> AbstractContextManager[Any]:
     """A block whose launches, on CUDA, are in the order of the stream of JAX, which is the current one in a call."""
-    device: Any = array.device
+    device = array.device
+    assert device is not None
     return nullcontext() if device.is_cpu or device.is_capturing else in_order_with(device.stream)
 
 

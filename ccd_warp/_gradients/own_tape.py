@@ -20,7 +20,8 @@ def launched(launch: Callable[..., LaunchResult], arrays: Sequence[wp.array]) ->
     tape = wp.Tape() if any(x.requires_grad for x in arrays) else None
     with nullcontext() if tape is None else tape:
         result = launch(*arrays)
-    device: Any = result.toi.device
+    device = result.toi.device
+    assert device is not None
     if device.is_cuda and device.is_capturing:
         return tape, result
     flags = LaunchFlag(int(result.flags.numpy()[0]))

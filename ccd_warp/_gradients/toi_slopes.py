@@ -173,7 +173,7 @@ def _slopes(
         name: wp.empty(count, dtype=dtype, device=device) for name, dtype in _COLUMNS.items()
     }
 
-    def array(values: NDArray[Any] | None, dtype: Any) -> wp.array | None:
+    def array(values: NDArray[Any] | None, dtype: type) -> wp.array | None:
         if values is None:
             return None
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=device, copy=False)

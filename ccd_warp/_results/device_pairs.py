@@ -137,18 +137,6 @@ class DeviceContacts(DevicePairs):
         """
         return self._known_step().contact_points_at(vertices_t0, vertices_t1)
 
-    def order_by_toi(self) -> wp.array:
-        """Indices of the contacts by ascending toi, those with one toi in the order of :class:`Contacts`.
-
-        Returns:
-            The indices, int32, shape [max_contacts]. Those of the contacts come first, the earliest at the front, and
-            then those of the rows without one.
-
-        Raises:
-            RuntimeError: If a graph is being captured and there was no earlier call.
-        """
-        return self._known_step().contact_arrays.order_by_toi()
-
     def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> Contacts:
         """The contacts as NumPy arrays in the order of :class:`Contacts`; this waits for the device.
 

@@ -67,7 +67,7 @@ def unique_rows(
     """The first row of each two features of a table on the host, ascending, and how many rows have them."""
     cpu, count = wp.get_device("cpu"), len(kind)
 
-    def on_cpu(values: NDArray[Any], dtype: Any) -> wp.array:
+    def on_cpu(values: NDArray[Any], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(values), dtype=dtype, device=cpu, copy=False)
 
     columns = {"kind": on_cpu(kind, wp.int32), "primitives": on_cpu(primitives, wp.vec2i)}

@@ -98,7 +98,7 @@ class DeviceArcStep(DeviceLineSearch):
         self,
         recording: Recording,
         form: Form,
-        active: Any,
+        active: wp.array,
         *,
         is_first: bool = True,
         adapt: Callable[[Stages], Stages] = lambda stages: stages,
@@ -131,7 +131,7 @@ class DeviceArcStep(DeviceLineSearch):
                 self.record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
         return first
 
-    def _record_near(self, recording: Recording, near: Any, rows: Any, active: Any) -> None:
+    def _record_near(self, recording: Recording, near: Any, rows: Any, active: wp.array) -> None:
         """Record the launches that mark what is near in each slice; ``rows`` of both ends where they are others."""
         assert self._bodies is not None
         if rows is not None:

@@ -29,7 +29,7 @@ class PathTable:
         columns: Its arrays by name.
     """
 
-    def __init__(self, count: int, device: Any, names: Iterable[str] = _COLUMNS) -> None:
+    def __init__(self, count: int, device: wp.Device, names: Iterable[str] = _COLUMNS) -> None:
         """Allocate these columns, all by default, for so many bodies."""
         self.columns: dict[str, wp.array] = {
             name: wp.zeros(count, dtype=_COLUMNS[name], device=device) for name in names
@@ -94,7 +94,7 @@ class Arcs(Motion):
         times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
         return times[0], times[1]
 
-    def place(self, times: Times, recording: Recording, start: Any, end: Any) -> None:
+    def place(self, times: Times, recording: Recording, start: wp.array | Slot, end: wp.array | Slot) -> None:
         """Record what places bodies and vertices at both ends of a slice, given positions at those of the step."""
         topology = self._topology
         inputs = [*times, self.paths]

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._results.contact_place import MovingVertices
 from ccd_warp._results.toi_gradient import ToiGradient
-from ccd_warp._rigid.affine_motion import AffineMotion
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
 from ccd_warp._rigid.poses import (
@@ -347,7 +346,3 @@ def _check_agreement(motion: RigidMotion, ends: NDArray[np.float64], poses: NDAr
     poses = np.hstack([poses[:, :3], normalized(poses[:, 3:])])
     turns = np.maximum(norms(paths.omega), 1.0)
     check_ends(ends, poses, np.column_stack([scale, turns]), motion._leading)
-
-
-# What calls on a step take.
-Motion = RigidMotion | AffineMotion

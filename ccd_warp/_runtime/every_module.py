@@ -57,7 +57,7 @@ def every_module(width: int | None) -> dict[str, Any]:
     return modules | _of_searches(width)
 
 
-def _of_solver(real: Any, norm: str, width: int | None) -> dict[str, Any]:
+def _of_solver(real: type, norm: str, width: int | None) -> dict[str, Any]:
     of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
     if width:
         lanes = width if width == 1 or real is wp.float64 else 2 * width

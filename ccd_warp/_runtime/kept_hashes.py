@@ -86,7 +86,7 @@ def runs_as_written(known: dict[str, str]) -> bool:
     return True
 
 
-def hashes_of(module: Any, block_dim: int | None) -> dict[str, list[Any]]:
+def hashes_of(module: wp.Module, block_dim: int | None) -> dict[str, list[Any]]:
     """The hash of a module, and for each kernel its own, whether it strides and its dimension, by name and options."""
     module_hash, live = module.get_module_hash(block_dim), list(module._get_live_kernels())
     of_kernels = {
@@ -97,7 +97,7 @@ def hashes_of(module: Any, block_dim: int | None) -> dict[str, list[Any]]:
     return {_key(module, block_dim): [module_hash.hex(), of_kernels]} if is_known else {}
 
 
-def recall(module: Any, block_dim: int | None, index: dict[str, Any]) -> None:
+def recall(module: wp.Module, block_dim: int | None, index: dict[str, Any]) -> None:
     """Give Warp the hash that an index has for a module, where it is for these sources and options, and its code."""
     if block_dim in module.hashers or index.get("sources") != digest_of_sources():
         return
@@ -117,14 +117,14 @@ def recall(module: Any, block_dim: int | None, index: dict[str, Any]) -> None:
     module.resolved_options[block_dim] = module.resolve_options(wp.config, block_dim=block_dim)
 
 
-def recall_from_cache(module: Any, block_dim: int | None) -> None:
+def recall_from_cache(module: wp.Module, block_dim: int | None) -> None:
     """Give Warp the hash that is kept in its cache."""
     if _is_ours(module):
         with suppress(OSError, ValueError, TypeError, LookupError):  # there is none, or half of one
             recall(module, block_dim, dict(json.loads(_path(module, block_dim).read_bytes())))
 
 
-def keep_in_cache(module: Any, block_dim: int | None) -> None:
+def keep_in_cache(module: wp.Module, block_dim: int | None) -> None:
     """Keep a hash that Warp has computed, of the sources."""
     if not _is_ours(module) or isinstance(module.hashers.get(block_dim), _KeptHasher):
         return
@@ -139,7 +139,7 @@ def keep_in_cache(module: Any, block_dim: int | None) -> None:
         own.replace(path)
 
 
-def _is_ours(module: Any) -> bool:
+def _is_ours(module: wp.Module) -> bool:
     """Whether the digest is that of all that a module may contain."""
     files = {kernel.func.__code__.co_filename for kernel in module._get_live_kernels()}
     return bool(files) and files <= sources.keys()
@@ -159,13 +159,13 @@ def _digest_of_code(path: str, code: CodeType) -> str:
     return hashlib.sha256(marshal.dumps(code, 2).replace(len(name).to_bytes(4, "little") + name, b"")).hexdigest()[:16]
 
 
-def _path(module: Any, block_dim: int | None) -> Path:
+def _path(module: wp.Module, block_dim: int | None) -> Path:
     python = f"{sys.implementation.cache_tag} {sys.flags.optimize}"
     name = hashlib.sha256(f"{digest_of_sources()} {_key(module, block_dim)} {python}".encode()).hexdigest()
     return Path(str(wp.config.kernel_cache_dir), _FOLDER, f"{name}.json")
 
 
-def _key(module: Any, block_dim: int | None) -> str:
+def _key(module: wp.Module, block_dim: int | None) -> str:
     options = sorted(module.resolve_options(wp.config, block_dim=block_dim).items())
     files = sorted({kernel.func.__module__ for kernel in module._get_live_kernels()})
     return f"{module.name} {hashlib.sha256(repr((files, options)).encode()).hexdigest()}"

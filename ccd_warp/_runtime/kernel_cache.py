@@ -23,7 +23,7 @@ _is_said = False
 _is_announced = False
 
 
-def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
+def load_or_repair(kernel: wp.Kernel, device: wp.Device, block_dim: int | None) -> None:
     """Load a kernel's module, of the package, from the cache or compiled; damaged files are named, and compiled again.
 
     Raises:
@@ -64,7 +64,7 @@ def load_or_repair(kernel: Any, device: Any, block_dim: int | None) -> None:
     raise failure
 
 
-def is_current(module: Any, device: Any) -> bool:
+def is_current(module: wp.Module, device: wp.Device) -> bool:
     """Whether a module that has been loaded on the CPU is as it was then.
 
     A launch would load it again if not, with the flags of another device, and each of several threads would: Warp gives
@@ -76,14 +76,14 @@ def is_current(module: Any, device: Any) -> bool:
     return hasher is not None and loaded is not None and hasher.get_hash() == loaded.module_hash
 
 
-def _forget(module: Any, block_dim: int | None) -> None:
+def _forget(module: wp.Module, block_dim: int | None) -> None:
     """Let Warp compute the hash of a module for a device, and compile it; what is loaded on others is not touched."""
     for known in (module.hashers, module.resolved_options):
         known.pop(block_dim, None)
     module.failed_builds = {}
 
 
-def _say_once(device: Any) -> None:
+def _say_once(device: wp.Device) -> None:
     """Say once in a process why a first call takes seconds, in notebooks and logs, too; not where Warp is silent."""
     global _is_said
     is_silent = wp.config.log_level > wp.LOG_WARNING and not _is_announced
@@ -107,7 +107,7 @@ def announced_compilation() -> Iterator[None]:
         _is_announced = False
 
 
-def _load(kernel: Any, device: Any, block_dim: int | None) -> None:
+def _load(kernel: wp.Kernel, device: wp.Device, block_dim: int | None) -> None:
     module, compiled = kernel.module, _compiled_for_gpu(kernel.module, device, block_dim)
     with one_header():
         if compiled:
@@ -118,7 +118,7 @@ def _load(kernel: Any, device: Any, block_dim: int | None) -> None:
         raise RuntimeError(f"the kernel {kernel.key} is missing")
 
 
-def _is_there(kernel: Any, device: Any, block_dim: int | None) -> bool:
+def _is_there(kernel: wp.Kernel, device: wp.Device, block_dim: int | None) -> bool:
     """Whether a module has its kernel: an object file of zeros, as a crash of the machine leaves it, has none."""
     key = (device.context, block_dim)
     if device.is_cuda or kernel.module.execs[key].get_kernel_hooks(kernel).forward is not None:
@@ -127,7 +127,7 @@ def _is_there(kernel: Any, device: Any, block_dim: int | None) -> bool:
     return False
 
 
-def _compiled_for_gpu(module: Any, device: Any, block_dim: int | None) -> dict[str, str]:
+def _compiled_for_gpu(module: wp.Module, device: wp.Device, block_dim: int | None) -> dict[str, str]:
     """Code that `ccd-warp compile --arch` has put into the cache: Warp itself may look there for PTX alone."""
     if not device.is_cuda:
         return {}

@@ -20,7 +20,7 @@ from ccd_warp.kernels.template import specialised
 _WIDTHS = {8: ("AVX512F", "X86_V4"), 4: ("AVX2", "X86_V3")}
 
 
-def lanes_of(device: Any) -> int:
+def lanes_of(device: wp.Device) -> int:
     """Lanes of float64: 8 with AVX-512, 4 with AVX2, 1 with any other processor and on CUDA.
 
     Args:
@@ -29,7 +29,7 @@ def lanes_of(device: Any) -> int:
     return 1 if device.is_cuda else cpu_lanes()
 
 
-def narrow_phase_on(device: Any, real: Any, norm: str) -> ModuleType:
+def narrow_phase_on(device: wp.Device, real: type, norm: str) -> ModuleType:
     """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
 
     Args:
@@ -42,7 +42,7 @@ def narrow_phase_on(device: Any, real: Any, norm: str) -> ModuleType:
     return specialised("narrow_phase.narrow_phase", real=real, width=width, norm=norm)
 
 
-def queued_kernels(real: Any, norm: str, sink: int, *, is_clipping: bool) -> dict[str, Any]:
+def queued_kernels(real: type, norm: str, sink: int, *, is_clipping: bool) -> dict[str, Any]:
     """The kernels of the narrow phase on CUDA by their stages, in the order of their launches.
 
     Args:
@@ -56,7 +56,9 @@ def queued_kernels(real: Any, norm: str, sink: int, *, is_clipping: bool) -> dic
     return {stage: kernel for stage, kernel in stages.items() if stage != left_out}
 
 
-def search_on(device: Any, walk: str, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False) -> Any:
+def search_on(
+    device: wp.Device, walk: str, end: str, with_lists: bool, *, is_cuda: bool, is_thick: bool = False
+) -> Any:
     """The kernel of a search that ends at a stage (``kernels.search.search_types``), with lanes for its cull.
 
     Args:

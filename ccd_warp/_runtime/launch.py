@@ -26,17 +26,17 @@ _MOST_ITEMS = 1 << 19
 _loaded: set[tuple[Any, str]] = set()
 
 
-def block_dim_of(kernel: Any, device: Any) -> int | None:
+def block_dim_of(kernel: wp.Kernel, device: wp.Device) -> int | None:
     """Threads of a block in launches of a kernel: what its module says, 256 for most; Warp's own choice on the CPU."""
     return kernel.module.options["block_dim"] if device.is_cuda else None
 
 
-def load(kernel: Any, device: Any, progress: Progress | None = None) -> None:
+def load(kernel: wp.Kernel, device: wp.Device, progress: Progress | None = None) -> None:
     """Compile and load a kernel once, on another thread, so that an interrupt is handled meanwhile."""
     load_all([kernel], device, progress)
 
 
-def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = None) -> None:
+def load_all(kernels: Iterable[Any], device: wp.Device, progress: Progress | None = None) -> None:
     """Compile and load kernels once, their modules side by side; what takes longest comes first.
 
     How many of them are ready is told to ``progress``, which then goes on with its stage.
@@ -50,7 +50,7 @@ def load_all(kernels: Iterable[Any], device: Any, progress: Progress | None = No
     stage = progress.stage, progress.total, progress.done
     progress.begin("compiling kernels", len(missing))
 
-    def load_module(kernel: Any) -> None:
+    def load_module(kernel: wp.Kernel) -> None:
         load_or_repair(kernel, device, block_dim_of(kernel, device))
         progress.done += 1
 
@@ -89,7 +89,7 @@ class Execution:
         progress: Told how far a long job is, ten times a second, on the thread that waits for it.
     """
 
-    device: Any
+    device: wp.Device
     num_threads: int
     flag: StopFlag | None = None
     progress: Progress = field(default_factory=Progress)
@@ -101,7 +101,7 @@ class Execution:
 
     def launch(
         self,
-        kernel: Any,
+        kernel: wp.Kernel,
         count: int,
         inputs: list,
         outputs: list,
@@ -306,7 +306,7 @@ def _in_sequences(groups: list[_Group]) -> list[_Group]:
     return joined
 
 
-def leaves_out_launches(device: Any) -> bool:
+def leaves_out_launches(device: wp.Device) -> bool:
     """Whether the graph that is captured on a device can leave out launches by a flag.
 
     On CUDA that takes a driver from 12.4 on and a capture that Warp has begun. It would wait for the flag in one that
@@ -388,7 +388,7 @@ class Recording:
 
     def launch(
         self,
-        kernel: Any,
+        kernel: wp.Kernel,
         count: int,
         inputs: list,
         outputs: list,

@@ -19,7 +19,7 @@ FOLDER = Path(__file__).parents[1] / "_objects"
 INDEX = "index.json"  # the version of Warp, length and checksum of each file, and hashes of modules
 
 
-def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
+def load_packaged(module: wp.Module, device: wp.Device, block_dim: int | None) -> bool:
     """Load a module of the package for a device; whether there was one. A damaged one is named, and not loaded."""
     if not has_any():  # no hash is computed for nothing
         return False
@@ -41,7 +41,7 @@ def load_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
     return False
 
 
-def is_packaged(module: Any, device: Any, block_dim: int | None) -> bool:
+def is_packaged(module: wp.Module, device: wp.Device, block_dim: int | None) -> bool:
     """Whether the package has a module for a device, and whole."""
     paths = [FOLDER / name for name, _ in _names(module, device, block_dim) if is_known(name)]
     return bool(paths) and _is_whole(paths[0]) and _is_whole(FOLDER / meta_name(module, block_dim))
@@ -57,7 +57,7 @@ def has_any() -> bool:
     return bool(_files())
 
 
-def why_none(device: Any) -> str:
+def why_none(device: wp.Device) -> str:
     """Why the package has no kernels for a device at all, or an empty text where it may have some."""
     index = _index()
     if not index:
@@ -69,12 +69,12 @@ def why_none(device: Any) -> str:
     return ""
 
 
-def object_name(module: Any, block_dim: int | None, ending: str) -> str:
+def object_name(module: wp.Module, block_dim: int | None, ending: str) -> str:
     """The name of an object: the hash of its module, and what follows the name in Warp's cache."""
     return f"{module.get_module_hash(block_dim).hex()}{ending}"
 
 
-def meta_name(module: Any, block_dim: int | None) -> str:
+def meta_name(module: wp.Module, block_dim: int | None) -> str:
     """The name of what Warp knows of the kernels of a module."""
     return object_name(module, block_dim, ".meta")
 
@@ -93,7 +93,7 @@ def write_index(folder: Path, hashes: dict[str, list[Any]]) -> None:
     (folder / INDEX).write_text(json.dumps(index), encoding="utf-8")
 
 
-def _names(module: Any, device: Any, block_dim: int | None) -> list[tuple[str, int | None]]:
+def _names(module: wp.Module, device: wp.Device, block_dim: int | None) -> list[tuple[str, int | None]]:
     """Names that an object for a device may have, the best first, and the GPU for which it was compiled."""
     if device.is_cpu:
         name = module._get_compile_output_name(device, block_dim=block_dim)

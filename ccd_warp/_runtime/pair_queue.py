@@ -19,7 +19,7 @@ def queue_bytes(*, keeps_contacts: bool) -> int:
     return sum(map(wp.types.type_size_in_bytes, queue_dtypes(keeps_contacts=keeps_contacts).values()))
 
 
-def new_queue(count: int, device: Any, *, keeps_contacts: bool) -> Any:
+def new_queue(count: int, device: wp.Device, *, keeps_contacts: bool) -> Any:
     """A queue with a place for each of ``count`` pairs."""
     dtypes = queue_dtypes(keeps_contacts=keeps_contacts)
     return struct_of(Queue, {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})

@@ -19,7 +19,7 @@ class RepeatedLaunches:
         self.execution = execution
         self._commands: dict[Any, Any] = {}
 
-    def launch(self, kernel: Any, count: int, inputs: list, outputs: list) -> None:
+    def launch(self, kernel: wp.Kernel, count: int, inputs: list, outputs: list) -> None:
         """Run ``kernel`` for items 0 … count-1; the arguments are those of :meth:`Execution.launch`."""
         execution = self.execution
         if count == 0:

@@ -20,7 +20,7 @@ _streams: dict[tuple[int, int], Any] = {}
 _captured_by_libraries: set[Any] = set()
 
 
-def beside(device: Any, handle: int) -> AbstractContextManager[Any]:
+def beside(device: wp.Device, handle: int) -> AbstractContextManager[Any]:
     """A block whose launches come after all that a stream has been given, and before what it is given next.
 
     Args:
@@ -94,7 +94,7 @@ def _told_to_warp(stream: Any) -> Iterator[None]:
             _captured_by_libraries.discard(stream)
 
 
-def _stream_of(device: Any, handle: int, *, anew: bool = False) -> Any:
+def _stream_of(device: wp.Device, handle: int, *, anew: bool = False) -> Any:
     """The object of Warp for a stream of a library."""
     if not handle:
         return device.null_stream

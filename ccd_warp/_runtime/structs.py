@@ -11,7 +11,7 @@ def dtypes_of(struct: Any) -> dict[str, Any]:
     return {name: field.type.dtype for name, field in struct.vars.items() if name != "count" and field.type.ndim == 1}
 
 
-def on_host(dtype: Any) -> tuple[Any, tuple[int, ...]]:
+def on_host(dtype: type) -> tuple[Any, tuple[int, ...]]:
     """The type of NumPy, and the shape of an element, of an array of this type of Warp."""
     return wp.dtype_to_numpy(getattr(dtype, "_wp_scalar_type_", dtype)), tuple(getattr(dtype, "_shape_", ()))
 

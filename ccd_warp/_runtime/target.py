@@ -39,7 +39,7 @@ def cpu_target() -> str:
     return level if not value and _NEEDED[level] <= _flags_of_processor() else NATIVE
 
 
-def set_flags(module: Any, device: Any) -> None:
+def set_flags(module: Any, device: wp.Device) -> None:
     """Have Warp compile a module for a device as all of them are; flags are a part of its name.
 
     Warp keeps the name for each size of a block, and on CUDA it is the same on every machine.

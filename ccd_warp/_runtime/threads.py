@@ -27,7 +27,7 @@ class StopFlag:
         array: The flag, int32, shape [1]; 1 means stop.
     """
 
-    def __init__(self, device: Any) -> None:
+    def __init__(self, device: wp.Device) -> None:
         self.array: wp.array = wp.zeros(1, dtype=wp.int32, device=device)
         self._host = np.zeros(1, dtype=np.int32) if device.is_cuda else self.array.numpy()
 

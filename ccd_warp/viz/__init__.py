@@ -1,14 +1,13 @@
-"""Visualise a step: pictures without a display, and an interactive view. Both need PyVista, the extra ``viz``.
+"""Pictures of a step, without a display. They need PyVista, the extra ``viz``.
 
 The bodies are shown at t = 0, at the toi of the scene and at t = 1. Static bodies are grey, each other body has its own
 colour, and a legend names them; a line shows the path of a body that moves farther than its own size. With ``motion=``
 rigid bodies are where they are at these times, and lines show the arcs of their outermost vertices. At the toi, the
 earliest contacts are points with their normals as arrows; later contacts are fainter and drawn at their future
 positions. Nothing hides a contact. At t = 1 the colours show the toi of the vertices, on large faces the earliest of
-their corners; what touches nothing is pale in the colour of its body, and large faces of static bodies stay grey. Where
-a small body touches first, or primitives below a hundredth of the picture, a close-up shows the contact. With the
-result of ``check_start=True``, points mark at t = 0 where surfaces cross. :func:`to_pyvista` gives the step as data
-sets, for other pictures.
+their corners; what touches nothing is pale in the colour of its body, and large faces of static bodies stay grey. With
+the result of ``check_start=True``, points mark at t = 0 where surfaces cross. :func:`to_pyvista` gives the step as data
+sets, for other pictures, close-ups, windows and animations.
 
 Pictures need no display and no GPU, but an OpenGL library that works without them: on Linux, EGL or OSMesa, which most
 systems have; otherwise install it, for example with ``apt-get install libegl1 libgl1-mesa-dri``.
@@ -28,12 +27,12 @@ from ccd_warp._results.contact_place import BodyMotion
 from ccd_warp._results.results import HostLaunchResult, MeshResult
 from ccd_warp._scene.input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._scene.mesh import CollisionMesh
-from ccd_warp.viz._camera import make_camera, validated_direction
+from ccd_warp.viz._camera import direction_to_viewer
 from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista
 from ccd_warp.viz._file import Picture, check_picture_path
 from ccd_warp.viz._scene import check_result, make_scene
-from ccd_warp.viz._window import ZOOM, check_display, drawing_without_display, drawn, import_pyvista
+from ccd_warp.viz._window import ZOOM, drawing_without_display, drawn
 
 if TYPE_CHECKING:
     from ccd_warp.viz._panel import Panel
@@ -44,7 +43,6 @@ __all__ = [
     "draw_step",
     "drawing_without_display",
     "render_step",
-    "show_step",
     "to_pyvista",
 ]
 
@@ -53,10 +51,7 @@ Colour = Literal["vertex_toi", "body"]
 # Sizes of text, points and lines are given in pixels of a panel with a shorter side of this many pixels, and scale with
 # it.
 _SHORTER_SIDE = 520
-# Margins in these pixels: at the sides of a panel, above for the title, and below for the colour bar and the legend.
-_SIDE, _ABOVE, _BELOW = 14, 40, 72
 _SMALLEST, _LARGEST = 150, 4000
-_WINDOW = (1000, 800)
 
 
 def draw_step(
@@ -101,15 +96,16 @@ def draw_step(
     t_max = check_real("t_max", t_max, "a number in (0, 1]", lambda x: 0 < x <= 1)
     toi_range = _toi_range(result, colour)
     scene = make_scene(mesh, vertices_t0, vertices_t1, result, motion)
+    towards = direction_to_viewer(*scene.ends, camera)
     enlargement = min(width / 3, height) / _SHORTER_SIDE
-    panel_size = (width / 3 / enlargement, height / enlargement)
-    margins = (_SIDE, _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
-    view = make_camera(*scene.ends, camera, panel_size, margins)
 
     def draw(plotter: Any) -> None:
-        from ccd_warp.viz._panel import Panel
+        from ccd_warp.viz._panel import Panel, see
 
-        _draw_panels([Panel(plotter, (0, k), scene, view, ZOOM * enlargement) for k in range(3)], toi_range, t_max)
+        panel_size = (width / 3 / enlargement, height / enlargement)
+        panels = [Panel(plotter, (0, k), scene, panel_size, ZOOM * enlargement) for k in range(3)]
+        see(panels, towards)
+        _draw_panels(panels, toi_range, t_max)
 
     return Picture(drawn((width, height), 3, draw))
 
@@ -172,92 +168,22 @@ def render_step(
 
 
 def _draw_panels(panels: list[Panel], toi_range: tuple[float, float] | None, t_max: float) -> None:
-    from ccd_warp.viz._front import draw_close_up, draw_contacts, draw_crossings
-
     scene = panels[0].scene
     is_hit = np.isfinite(scene.toi)
     middle = scene.toi if is_hit else t_max
     middle_title = f"t = toi = {_rounded_down(middle)}" if is_hit else f"t = {t_max:g}, no contact"
     titles = ("t = 0, surfaces cross" if len(scene.crossing_points) else "t = 0", middle_title, "t = 1")
     for panel, t, title in zip(panels, (0.0, middle, 1.0), titles, strict=True):
-        panel.set_view()
+        panel.light()
         panel.draw_bodies(t, toi_range if panel is panels[2] else None)
         panel.draw_trails()
         panel.write_title(title)
     panels[0].draw_legend()
-    draw_crossings(panels[0])
+    panels[0].draw_crossings()
     if toi_range is not None:
         panels[2].draw_toi_bar(toi_range)
     if is_hit:
-        draw_close_up(panels[1], draw_contacts(panels[1]))
-
-
-def show_step(
-    mesh: CollisionMesh,
-    vertices_t0: ArrayLike,
-    vertices_t1: ArrayLike,
-    result: MeshResult | HostLaunchResult,
-    *,
-    camera: ArrayLike | None = None,
-    colour: Colour = "body",
-    motion: BodyMotion | None = None,
-) -> None:
-    """Open a window with a step and a slider over t in [0, 1] that starts at the toi; return when it is closed.
-
-    Args:
-        mesh: The mesh of the step.
-        vertices_t0: Start positions, float, same length unit as the mesh, shape [V, 3].
-        vertices_t1: End positions, as ``mesh_ccd`` takes them, shape [V, 3] or [V_moving, 3].
-        result: The result of ``mesh_ccd``, or of a launch on the host.
-        camera: Initial direction from the scene to the viewer, as in :func:`render_step`.
-        colour: Colours of the bodies, as in :func:`render_step`.
-        motion: How rigid bodies turn, as in :func:`draw_step`.
-
-    Raises:
-        ImportError: If the extra ``viz`` is not installed.
-        RuntimeError: If there is no display.
-        ValueError: If an argument is not as described.
-    """
-    check_instance("mesh", mesh, CollisionMesh)
-    check_result(result)
-    toi_range = _toi_range(result, colour)
-    scene = make_scene(mesh, vertices_t0, vertices_t1, result, motion)
-    validated_direction(camera)
-    pyvista = import_pyvista()
-    check_display(pyvista)
-    from ccd_warp.viz._front import draw_contacts
-    from ccd_warp.viz._panel import Panel
-
-    width, height = _WINDOW
-    enlargement = min(_WINDOW) / _SHORTER_SIDE
-    margins = (_SIDE, 2 * _ABOVE, _BELOW if toi_range or scene.legend else _SIDE)
-    view = make_camera(*scene.ends, camera, (width / enlargement, height / enlargement), margins)
-    plotter = pyvista.Plotter(
-        window_size=_WINDOW, title="ccd_warp", lighting="none", theme=pyvista.themes.DocumentTheme()
-    )
-    panel = Panel(plotter, (0, 0), scene, view, enlargement)
-    panel.set_view()
-    panel.draw_trails()
-    toi = scene.toi if np.isfinite(scene.toi) else 1.0
-    plotter.add_slider_widget(
-        lambda t: panel.draw_bodies(t, toi_range),
-        rng=(0.0, 1.0),
-        value=toi,
-        title="t" if toi == 1.0 else f"t, toi = {_rounded_down(toi)}",
-        pointa=(0.2, 0.93),
-        pointb=(0.8, 0.93),
-        slider_width=0.02,
-        tube_width=0.005,
-        title_height=0.02,
-        interaction_event="always",
-        fmt="%.4f",
-    )
-    draw_contacts(panel)
-    if toi_range is not None:
-        panel.draw_toi_bar(toi_range)
-    else:
-        panel.draw_legend()
-    plotter.show()
+        panels[1].draw_contacts()
 
 
 def _toi_range(result: MeshResult | HostLaunchResult, colour: Colour) -> tuple[float, float] | None:

@@ -70,15 +70,6 @@ def check_picture_path(path: Path, argument: str) -> None:
     """
     if path.suffix.lower() != ".png":
         raise ValueError(f"{argument} {path}: the name must end in .png")
-    check_file_path(path, argument)
-
-
-def check_file_path(path: Path, argument: str) -> None:
-    """Reject a file that cannot be written, before the computation.
-
-    Raises:
-        ValueError: If the folder does not exist or is not writable.
-    """
     if not path.parent.is_dir():
         raise ValueError(f"{argument} {path}: the folder {path.parent} does not exist; create it first")
     if path.is_dir() or not os.access(path if path.exists() else path.parent, os.W_OK):

@@ -8,11 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._results.contact_place import BodyMotion, points_at_toi
-from ccd_warp._results.pairs import pair_corners
-from ccd_warp._results.results import Contacts, HostLaunchResult, MeshResult
+from ccd_warp._results.results import HostLaunchResult, MeshResult
 from ccd_warp._runtime.display import listed, shortened
 from ccd_warp._runtime.lazy import lazy_property
-from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.half_space import unit_normals
 from ccd_warp._scene.input.arguments import check_instance
 from ccd_warp._scene.mesh import CollisionMesh
@@ -51,10 +49,6 @@ class StepScene:
         contact_points: Positions of the contacts, float64, shape [m, 3].
         contact_normals: Their unit normals, or 0, float64, shape [m, 3].
         contact_is_first: Contacts that are the earliest, bool, shape [m].
-        first_contact: Index of the earliest contact, -1 without one.
-        first_body_size: Longest side of the smaller body of that contact, 0 without one.
-        first_contact_size: Longest side of the smaller of its primitives, of a vertex with the faces or edges around
-            it, 0 without one.
         names: Name of each body.
         squares: Corners of squares in the planes of those half-spaces that the box reaches, shape [H, 4, 3].
         place: Positions at a time, shape [V, 3], where bodies turn; None where all vertices move straight.
@@ -76,9 +70,6 @@ class StepScene:
     contact_points: NDArray[np.float64]
     contact_normals: NDArray[np.float64]
     contact_is_first: NDArray[np.bool_]
-    first_contact: int
-    first_body_size: float
-    first_contact_size: float
     names: tuple[str, ...]
     squares: NDArray[np.float64]
     place: Callable[[float], NDArray[np.float64]] | None = None
@@ -191,47 +182,33 @@ def make_scene(
         start, end = moving.all_at(0.0), moving.all_at(1.0)
         between = np.concatenate([outermost(moving.all_at(t)) for t in moving.times])
     centre, unit = middle_of(np.concatenate([start, between]), np.concatenate([end, between]))
-    first = -1 if result.first is None else result.first.index
     is_first = np.asarray(contacts.toi) <= result.toi + _SAME_TOI
-    sizes = contact_sizes(mesh, start, contacts, first)
+    squares = (plane_squares(mesh, centre, unit) - centre) / unit
+    is_point = np.ones(mesh.num_vertices, dtype=bool)
+    for covered in (mesh.faces, mesh.edges, mesh.unused_vertices):
+        is_point[covered] = False
     return StepScene(
-        **placed(mesh, start, end, centre, unit),
+        start=(start - centre) / unit,
+        end=(end - centre) / unit,
+        faces=mesh.faces,
+        segments=mesh.edges[mesh.codimensional_edges],
+        points=np.flatnonzero(is_point).astype(np.int32),
+        vertex_body=mesh.vertex_body,
+        static=mesh.static,
+        kinematic=mesh.kinematic,
+        names=mesh.names,
+        # those whose middle is not far from the box of the picture; a plane far below would not be seen
+        squares=squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE],
         vertex_toi=np.asarray(result.vertex_toi),
         toi=float(result.toi),
         contact_points=(points - centre) / unit,
         contact_normals=mesh._in_space(np.asarray(contacts.normal)),
         contact_is_first=is_first,
-        first_contact=first,
-        first_body_size=sizes[0] / unit,
-        first_contact_size=sizes[1] / unit,
         place=None if moving.paths is None else lambda t: (moving.all_at(t) - centre) / unit,
         arcs=[(arc - centre) / unit for arc in arcs_of(moving, _MOST_TRAILS)],
         between=(between - centre) / unit,
         crossing_points=(_crossing_points(mesh, result) - centre) / unit,
     )
-
-
-def placed(
-    mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], centre: NDArray[np.float64], unit: float
-) -> dict[str, Any]:
-    """What a scene has of its mesh and positions, by attribute."""
-    squares = (plane_squares(mesh, centre, unit) - centre) / unit
-    is_point = np.ones(mesh.num_vertices, dtype=bool)
-    for covered in (mesh.faces, mesh.edges, mesh.unused_vertices):
-        is_point[covered] = False
-    return {
-        "start": (start - centre) / unit,
-        "end": (end - centre) / unit,
-        "faces": mesh.faces,
-        "segments": mesh.edges[mesh.codimensional_edges],
-        "points": np.flatnonzero(is_point).astype(np.int32),
-        "vertex_body": mesh.vertex_body,
-        "static": mesh.static,
-        "kinematic": mesh.kinematic,
-        "names": mesh.names,
-        # those whose middle is not far from the box of the picture; a plane far below would not be seen
-        "squares": squares[np.linalg.norm(squares.mean(axis=1), axis=1) < 2.0 * _SQUARE],
-    }
 
 
 def plane_squares(mesh: CollisionMesh, centre: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
@@ -257,23 +234,6 @@ def middle_of(start: NDArray[np.float64], end: NDArray[np.float64]) -> tuple[NDA
     upper = np.maximum(start.max(axis=0), end.max(axis=0))
     half_sides = 0.5 * upper - 0.5 * lower  # also for the largest coordinates, whose difference overflows
     return lower + half_sides, float(half_sides.max()) or 1.0
-
-
-def contact_sizes(mesh: CollisionMesh, start: NDArray[np.float64], contacts: Contacts, k: int) -> tuple[float, float]:
-    """Longest side of the smaller body of a contact, and of its smaller primitive; 0 where there is none.
-
-    A vertex has the size of the faces and edges around it.
-    """
-    if k < 0:
-        return 0.0, 0.0
-    sides = pair_corners(mesh, PairKind(int(contacts.kind[k])), contacts.primitives[k : k + 1])
-    vertices: tuple[list[NDArray[Any]], list[NDArray[Any]]] = [], []
-    for corners in (side.ravel() for side in sides if side.size):
-        vertices[0].append(np.flatnonzero(mesh.vertex_body == mesh.vertex_body[corners[0]]))
-        around = [primitives[(primitives == corners[0]).any(axis=1)].ravel() for primitives in (mesh.faces, mesh.edges)]
-        vertices[1].append(np.concatenate([corners, *(around if len(corners) == 1 else [])]))
-    body, primitive = ([float(np.ptp(start[rows], axis=0).max()) for rows in of_sides] for of_sides in vertices)
-    return min(body), min((size for size in primitive if size > 0.0), default=0.0)
 
 
 def _crossing_points(mesh: CollisionMesh, result: MeshResult | HostLaunchResult) -> NDArray[np.float64]:

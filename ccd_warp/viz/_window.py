@@ -38,16 +38,6 @@ def import_pyvista() -> Any:
         raise ImportError("ccd_warp.viz needs pyvista; install with: pip install 'ccd-warp[viz]'") from error
 
 
-def check_display(pyvista: Any) -> None:
-    """Raise an error if there is no display for a window; VTK would continue without one, or crash.
-
-    Raises:
-        RuntimeError: If there is no display.
-    """
-    if sys.platform.startswith("linux") and not os.environ.get("DISPLAY") and not pyvista.OFF_SCREEN:
-        raise RuntimeError("show_step found no display (DISPLAY is not set); render_step writes a picture without one")
-
-
 @contextmanager
 def drawing_without_display() -> Iterator[Any]:
     """PyVista, set up to draw without a display and without messages on stderr.

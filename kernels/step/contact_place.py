@@ -1,4 +1,4 @@
-"""Where contacts in a list on a device are, and which come first: what is computed from the list when it is asked for.
+"""Where contacts in a list on a device are: what is computed from the list when it is asked for.
 
 The kernels run over the capacity of the list and read the number of contacts on the device, so that a graph can hold
 them. Rows beyond that number are left as they are.
@@ -7,13 +7,10 @@ them. Rows beyond that number are left as they are.
 import warp as wp
 
 from ..pair_kind import EDGE_EDGE, POINT_POINT, POINT_SEGMENT, VERTEX_FACE, VERTEX_PLANE
-from .contacts import contact_key
 from .step import ContactList
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
-# Key of a row without a contact, which sorts last.
-_NO_KEY = wp.constant(wp.int64(0x7FFFFFFFFFFFFFFF))
 _ONE = wp.constant(wp.float64(1.0))
 _MINUS_ONE = wp.constant(wp.float64(-1.0))
 
@@ -97,42 +94,6 @@ def fill_world(
             v = vertices_of(contacts, n, edge_corners, face_corners)
             w = vertex_world[v[0]]
         world[n] = w
-
-
-@wp.kernel
-def fill_pair_keys(
-    begin: int,
-    # in
-    contacts: ContactList,
-    # out
-    keys: wp.array[wp.int64],
-    order: wp.array[wp.int32],
-):
-    """Keys that order contacts by kind and pair, and the order before they are sorted."""
-    n = begin + wp.tid()
-    key = _NO_KEY
-    if n < contacts.count[0]:
-        key = contact_key(contacts, n)
-    keys[n] = key
-    order[n] = n
-
-
-@wp.kernel
-def fill_toi_keys(
-    begin: int,
-    # in
-    contacts: ContactList,
-    order: wp.array[wp.int32],
-    # out
-    keys: wp.array[wp.int64],
-):
-    """Keys that order contacts by toi, the bits of a number that is not negative, each at its place in an order."""
-    n = begin + wp.tid()
-    k = order[n]
-    key = _NO_KEY
-    if k < contacts.count[0]:
-        key = wp.cast(contacts.toi[k], wp.int64)
-    keys[n] = key
 
 
 @wp.kernel

@@ -11,9 +11,7 @@ from laws.outputs import different, outputs_of
 import ccd_warp as ccd
 from ccd_warp._engine.host import oddities
 from ccd_warp._rigid import motion_worlds
-from ccd_warp._rigid.parts import mesh as parts_mesh
 from ccd_warp._rigid.parts import whole_bodies
-from ccd_warp._rigid.parts import worlds as parts_worlds
 from ccd_warp._rigid.parts.trees import PartTrees
 
 WORLDS, NO_FACES, BOX = 7, np.zeros((0, 3), dtype=int), trimesh.creation.box((1, 1, 1))
@@ -26,11 +24,13 @@ def poses_of(places, count=WORLDS):
     return poses
 
 
-def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
+@pytest.mark.parametrize("count", [1, WORLDS])
+def test_parts_stay_as_long_as_bodies_stand_where_they_did(count, monkeypatch):
     """A wall that stands elsewhere in a later call is met there."""
-    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
+    for name, value in (("_LARGE_ALONE", 0), ("_FEW", 9.0)):
+        monkeypatch.setattr(motion_worlds, name, value)
     mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX], rigid=[0], static=[1])
-    motion = ccd.RigidMotion(poses_of([[0, 0, 0]]), twist=np.tile([4.0, 0, 0, 0, 0, 0.1], (WORLDS, 1, 1)))
+    motion = ccd.RigidMotion(poses_of([[0, 0, 0]], count), twist=np.tile([4.0, 0, 0, 0, 0, 0.1], (count, 1, 1)))
     for place in (2.0, 3.0, 2.0, 9.0):
         x = mesh.vertices + np.where(mesh.vertex_body[:, None] == 1, [place, 0, 0], 0.0)
         toi = ccd.mesh_ccd(mesh, x, x, motion=motion).world_toi
@@ -38,8 +38,7 @@ def test_parts_stay_as_long_as_bodies_stand_where_they_did(monkeypatch):
 
 
 @pytest.mark.parametrize("limit", [1 << 21, 1 << 24])
-def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
-    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
+def test_worlds_keep_to_a_memory_limit(limit):
     mesh = ccd.CollisionMesh.from_trimesh([trimesh.creation.icosphere(3)] * 2, rigid=[0, 1])
     poses = poses_of([[0, 0, 0], [2.3, 0, 0]], 60)
     poses[..., 3:] = np.random.default_rng(3).normal(size=(60, 2, 4))
@@ -50,12 +49,8 @@ def test_parts_that_may_touch_keep_to_a_memory_limit(limit, monkeypatch):
     assert different(free, kept) == [] and np.isfinite(free[".toi"])
 
 
-def test_worlds_are_searched_in_no_larger_parts_than_fit_and_all_of_them_count(monkeypatch):
-    """Pairs of bodies take a byte each, so their number grows with the square of the worlds."""
-    made, of = [], parts_mesh.PartMesh.of.__func__
-    for module, name, value in ((motion_worlds, "_LARGE", 0), (parts_worlds, "MOST_BODIES", 5)):
-        monkeypatch.setattr(module, name, value)
-    monkeypatch.setattr(parts_mesh.PartMesh, "of", classmethod(lambda *given: made.append(of(*given)) or made[-1]))
+def test_worlds_are_searched_some_at_a_time_and_all_of_them_count(monkeypatch):
+    monkeypatch.setattr(motion_worlds, "_PRIMITIVES", 300)  # of two worlds
     mesh, twist = ccd.CollisionMesh.from_trimesh([BOX] * 3, rigid=[0, 1, 2]), np.zeros((WORLDS, 3, 6))
     twist[:, 0, 0] = np.linspace(0.1, 0.5, WORLDS)
     motion = ccd.RigidMotion(poses_of([[-1.2, 0, 0], [0, 0, 0], [1.2, 0, 0]]), twist=twist)
@@ -65,7 +60,6 @@ def test_worlds_are_searched_in_no_larger_parts_than_fit_and_all_of_them_count(m
     assert result.counts.num_candidates[ccd.PairKind.EDGE_EDGE] > 0 and pipeline.counts is result.counts
     assert pipeline.collision_free_step(x, x, motion=motion) == result.toi and pipeline.counts is not result.counts
     assert pipeline.counts.num_faces == WORLDS * 36 and pipeline.timings["total"] > 0.0
-    assert len(made) > 2 and max(parts.mesh.num_bodies for parts in made) <= 5
 
 
 @pytest.mark.parametrize("kind", ["beside a ball", "beside a ball, as asked", "alone"])

@@ -291,7 +291,7 @@ def test_nothing_is_recorded_where_no_gradient_is_asked_for():
     pipeline, (x, y) = pipeline_of(mesh), (array(values, requires_grad=False) for values in (start, end))
     points = array(np.random.default_rng(0).standard_normal((3, 4, 3)), requires_grad=False)
     for call in (
-        lambda: pipeline.launch(x, y).contacts.order_by_toi(),
+        lambda: pipeline.launch(x, y).contacts.points,
         lambda: pipeline.launch_proximity(x, 0.1).to_host(),
         lambda: pipeline.launch_displacement_bounds(x, 0.1),
         lambda: pipeline.launch_line_search(x, wp.clone(y)),

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import trimesh
 from expected_warnings import OF_ROUNDING
-from laws.outputs import different, outputs_of
 
 import ccd_warp as ccd
 from ccd_warp._rigid import motion_worlds
@@ -141,22 +140,10 @@ def test_square_in_the_plane_and_cube_in_space_land_on_a_corner(turn):
             assert pipeline.mesh_ccd(x, x, motion=worlds).world_toi.tolist() == [result.toi, np.inf]
 
 
-def test_bodies_that_stretch_move_straight_between_the_places_of_their_maps():
-    bodies = [(BOX.vertices + [1.5 * k, 0, 0], BOX.faces) for k in range(3)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, rigid=[0, 1], self_collision=False)
-    affine = ccd.AffineMotion(*np.eye(3, 4) + 0.3 * np.random.default_rng(4).standard_normal((2, 2, 3, 4)))
-    x, rigid, ends = mesh.vertices, mesh.rigid[mesh.vertex_body], (mesh.vertices, mesh.vertices - [1.0, 0, 0])
-    placed = [end.copy() for end in ends]
-    for end, places in zip(placed, (affine.positions_t0, affine.positions_t1), strict=True):
-        end[rigid] = places(x[rigid], mesh.vertex_body[rigid])
-    expected, found = ccd.mesh_ccd(mesh, *placed), ccd.mesh_ccd(mesh, *ends, motion=affine)
-    assert len(found.contacts) > 5 and different(outputs_of(expected), outputs_of(found)) == []
-    assert ccd.line_search(mesh, *ends, motion=affine).fraction == ccd.line_search(mesh, *placed).fraction
-
-
 def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
     """Of a body, and of its sphere in a tree of parts."""
-    monkeypatch.setattr(motion_worlds, "_LARGE", 0)
+    for name, value in (("_LARGE_ALONE", 0), ("_FEW", 9.0)):
+        monkeypatch.setattr(motion_worlds, name, value)
     ball, tois = trimesh.creation.icosphere(subdivisions=2), []
     strays = [(np.vstack([[[far] * 3], ball.vertices]), ball.faces + 1) for far in (np.nan, 1e9)]
     for body in ((ball.vertices, ball.faces), *strays):
@@ -380,12 +367,10 @@ def test_plates_that_turn_in_planes_side_by_side_form_no_pair(turn):
 
 def test_motions_that_do_not_fit_are_refused_by_name():
     mesh, poses = fan([0.0], [at_angle(0.5)])
-    x, points, maps = mesh.vertices, {"codimensional_points": True}, np.tile(np.eye(3, 4), (2, 1, 1))
+    points = {"codimensional_points": True}
     split = ccd.CollisionMesh.from_arrays([(BLADE, NO_FACES)], rigid=[0], vertex_world=[0, 0, 1], **points)
     bar = ccd.CollisionMesh.from_arrays([(np.array([[0.0, 0], [1, 0]]), [[0, 1]])] * 2, rigid=[0, 1])
-    one, motion, affine = ccd.RigidMotion(poses[:1], poses[:1]), spins(poses, 1.0), ccd.AffineMotion(maps, maps)
-    pipeline, three, out = ccd.CollisionPipeline(mesh), np.tile(AT_REST, (3, 1)), maps.copy()
-    out[0, 2, 0] = 1.0
+    one, motion, three = ccd.RigidMotion(poses[:1], poses[:1]), spins(poses, 1.0), np.tile(AT_REST, (3, 1))
 
     def moved(mesh, motion, end=0.0, **options):
         return lambda: ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices + end, motion=motion, **options)
@@ -401,8 +386,6 @@ def test_motions_that_do_not_fit_are_refused_by_name():
         (moved(mesh, motion, method="bisection"), "method is 'bisection'"),
         (moved(mesh, motion, start_gap_fraction=0.5), "start_gap_fraction is 0.5"),
         (moved(split, one), "body 0, which is rigid, has .* worlds 0 and 1"),
-        (moved(bar, ccd.AffineMotion(maps, out)), r"affine_t1 takes body 0 out of the plane .* third row"),
-        (lambda: pipeline.launch(x, x.copy(), motion=affine), "at motion.positions_t0"),
         (lambda: ccd.rigid_ccd(mesh, [*three] * 2, [*three] * 2), "6 bodies; .* of several worlds have an axis of"),
         (turned([0, 0, 0, 1, 0, 0, 0], [0] * 6), "x and y of its quaternion at the start are 1.0 and 0.0"),
         (turned(AT_REST, [0, 0, 0, 0, 0.5, 0]), "x and y of its rotation vector are 0.0 and 0.5"),

@@ -30,9 +30,8 @@ def throws(count, turn):
         ({"_FEW_PRIMITIVES": 1}, {"t_max": 0.8}),
         ({"_PRIMITIVES": 300}, {"minimum_distance": 0.05}),
         ({"_MOST_BODIES_OF_WORLDS": 0}, {}),
-        ({"_LARGE": 0}, {}),
     ],
-    ids=["at once", "by turns", "some worlds at a time", "all slices", "by parts"],
+    ids=["at once", "by turns", "some worlds at a time", "all slices"],
 )
 @pytest.mark.parametrize("count", [1, 150])
 def test_of_each_world_the_first_contact_is_found_and_little_more(count, changed, options, monkeypatch):
@@ -46,7 +45,7 @@ def test_of_each_world_the_first_contact_is_found_and_little_more(count, changed
     np.testing.assert_array_equal(tois.toi, result.world_toi)
     touches = np.isfinite(result.world_toi)
     assert touches.any() and (count == 1 or not touches.all())
-    if count > 1 and "_LARGE" not in changed:
+    if count > 1:
         assert 2 * sum(pipeline.counts.num_contacts.values()) < len(result.contacts)
         assert len(tois._contacts) == touches.sum()
     first = result.contacts[result.world_contact[touches]]

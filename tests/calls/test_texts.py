@@ -17,7 +17,7 @@ from ccd_warp import distributed
 from ccd_warp._runtime.display import point_text
 
 PUBLIC = [getattr(part, name) for part in (ccd, ccd.viz, distributed) for name in part.__all__]
-INDEXED = ("borrowed", "step", "id")  # internal, and by the number of a step or a query alone
+INDEXED = ("step", "id")  # by the number of a step or a query alone
 FUNCTIONS = [each for each in PUBLIC if inspect.isfunction(each)]
 FUNCTIONS += [
     each
@@ -74,12 +74,11 @@ def public():
     result, pipeline = ccd.mesh_ccd(mesh, start, end), ccd.CollisionPipeline(mesh, minimum_separation=1e-3)
     launched = pipeline.launch(start, end)
     points, points_t1 = random_pairs("edge_edge", 5000)
-    poses, affine = np.ones((50, 40, 7)), np.ones((50, 40, 3, 4))
+    poses = np.ones((50, 40, 7))
     objects = [mesh, named_cloth_and_ball()[0].replicate(1000), pipeline, result, result.first, result.contacts]
     objects += [result.counts, launched, launched.contacts, launched.to_host(), ccd.line_search(mesh, start, end)]
     objects += [ccd.find_candidates(mesh, start, end), ccd.edge_edge_ccd(points, points_t1)]
-    objects += [ccd.RigidMotion(poses, poses, path="screw")]
-    return [*objects, ccd.AffineMotion(affine, affine)]
+    return [*objects, ccd.RigidMotion(poses, poses, path="screw")]
 
 
 def test_every_public_object_shows_itself_in_a_line_or_two_and_tables_are_short_and_well_formed(public):

@@ -38,11 +38,11 @@ def gradients_of(motion, contacts):
     return gradient.start, gradient.end, gradient.distance, *of_motion
 
 
-@pytest.mark.parametrize("large", [10**9, 0], ids=["in batches", "by parts"])
+@pytest.mark.parametrize("large", [10**9, 0], ids=["alone as they are", "alone by parts"])
 def test_worlds_of_one_mesh_have_the_gradients_of_each_alone(large, monkeypatch):
     """Also where positions of the call, which belong to the caller, are overwritten before anything is asked for."""
-    monkeypatch.setattr(motion_worlds, "_LARGE", large)
-    monkeypatch.setattr(motion_worlds, "_PRIMITIVES", 150)  # two worlds at a time
+    for name, value in (("_LARGE_ALONE", large), ("_FEW", 9.0), ("_PRIMITIVES", 150)):  # two worlds at a time
+        monkeypatch.setattr(motion_worlds, name, value)
     mesh, *ends = step(is_still=large == 0)  # what deforms is in no part
     pipeline = ccd.CollisionPipeline(mesh, tolerance=1e-13, minimum_distance=0.05)
     poses = np.stack([thrown(seed) for seed in (0, 1, 6)], axis=1)

@@ -33,11 +33,11 @@ for vertices in ccd.read_sequence(["a.pvd"], static=[ccd.HalfSpace([0, 0, 0], [0
     inside: int = len(ccd.CollisionMesh.from_volume(vertices, {"tetra": [[0, 1, 2, 3]]}, static=[0]).inner_vertices)
 contacts = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1).contacts
 launched = ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts
-places = [launched.points, launched.points_at(x[0], x[0]), launched.order_by_toi()]
+places = [launched.points, launched.points_at(x[0], x[0]), launched.weights]
 motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw")
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
-moved = ccd.AffineMotion(x, x).positions_t1(x[0], [0, 0, 0, 0]) * motion.num_bodies
+bodies: int = motion.num_bodies + motion.num_worlds
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
 WRONG = """

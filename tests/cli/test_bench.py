@@ -26,14 +26,13 @@ def test_missed_late_phantom_and_early_answers_are_counted_apart():
     assert [found[name] for name in ("queries", "missed", "late", "phantom", "early_most")] == [5, 1, 1, 1, 0.25]
 
 
-def test_a_quick_run_writes_a_table_and_a_picture(tmp_path, capsys, monkeypatch):
-    pytest.importorskip("matplotlib")
+def test_a_quick_run_writes_a_table(tmp_path, capsys, monkeypatch):
     of_peer = bench.peer  # which has seconds for each row, and takes all of them
     monkeypatch.setattr(bench, "peer", lambda queries, tolerance, _, name: of_peer(queries, tolerance, 0.005, name))
     assert main(["bench", "--quick", "--output", str(tmp_path)]) == 0
     out, num_devices = capsys.readouterr().out, len(wp.get_devices())
     assert f"{36_000 * num_devices:,} answers of ours: 0 missed, 0 late" in out
-    assert "mesh_ccd, cpu" in out and (tmp_path / "bench.png").stat().st_size > 10_000
+    assert "mesh_ccd, cpu" in out
     assert (tmp_path / "bench.csv").read_text().count("ours float32") == 6 * 3 * num_devices
 
 
@@ -45,6 +44,6 @@ def test_without_the_extra_there_is_a_table_and_a_missed_collision_is_the_exit_s
     monkeypatch.setattr(bench, "find_spec", lambda name: None)
     assert main(["bench", "--output", str(tmp_path)]) == 1
     out = capsys.readouterr().out
-    assert "2 answers of ours: 1 missed, 1 late" in out and not (tmp_path / "bench.png").exists()
-    assert out.count("install with: pip install 'ccd-warp[bench]'") == 2
+    assert "2 answers of ours: 1 missed, 1 late" in out
+    assert out.count("install with: pip install 'ccd-warp[bench]'") == 1
     assert main(["bench", "--devices", "none", "--output", str(tmp_path)]) == 2

@@ -3,7 +3,6 @@
 import csv
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,10 +10,8 @@ import trimesh
 from mesh_files import ply
 
 import ccd_warp as ccd
-from ccd_warp._cli import pictures
 from ccd_warp._cli import solve as solve_module
 from ccd_warp._cli.command import main
-from ccd_warp._results.contact_place import MovingVertices
 
 SHAPE, FLOOR = trimesh.creation.icosphere(subdivisions=1, radius=0.5), trimesh.creation.box(extents=(4.0, 4.0, 1.0))
 FALL = [SHAPE.vertices + [0.1, 0.2, 3.25 - 0.5 * k] for k in range(11)]
@@ -129,7 +126,7 @@ def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):
         assert "steps with contacts  2 of 7: 5-6\n" in (shown.err if output == "-" else shown.out)
         assert output == "out" or shown.out == "".join([header, *lines[:7]])
     assert seen == ["".join([header, *lines[:k]]) for k in range(8)]
-    assert sorted(path.name for path in Path("out").iterdir()) == ["steps.csv", "steps.png"]
+    assert sorted(path.name for path in Path("out").iterdir()) == ["steps.csv"]
     run(*(f"ball_{k}.ply" for k in range(7, 11)), *ON, "--length-scale", "1", "--output", "rest", "--quiet")
     tois = [[row["toi"] for row in rows(name)] for name in ("out", "rest", "whole")]
     assert tois[0] + tois[1] == tois[2]
@@ -148,39 +145,3 @@ def test_report_names_the_steps_with_contacts_and_the_first(capfd):
     shown = capfd.readouterr()  # standard output takes the CSV alone
     assert len([*csv.DictReader(shown.out.splitlines())]) == 2
     assert "none of 2   (certain for the pairs looked at: edge-edge, in [0, 1])" in shown.err
-
-
-def test_a_sequence_of_poses_has_the_motions_of_the_library(folder):
-    poses = [f"{t},ball_0.ply,0,{t},{-t},{np.sin(0.5 * t)},0,0,{np.cos(0.5 * t)}\n" for t in range(3)]
-    (folder / "all.csv").write_text("".join(poses))
-    found = []
-    for path in ("linear", "screw"):
-        run("ball_0.ply", "--poses", "all.csv", *ON, "--output", "out", "--path", path, "--length-scale", "1")
-        found.append([float(row["toi"]) for row in rows("out")])
-        sequence = ccd.read_poses("ball_0.ply", "all.csv", path=path, static=["floor.ply"])
-        x = sequence.mesh.vertices
-        motions = sequence.steps()
-        assert found[-1] == [ccd.mesh_ccd(sequence.mesh, x, x, motion=each, length_scale=1.0).toi for each in motions]
-    assert found[0][0] == found[1][0] == np.inf > found[0][1] > found[1][1], found
-
-
-def test_an_animation_shows_each_start_each_toi_and_the_end_of_the_last_step(monkeypatch):
-    pytest.importorskip("pyvista")
-    mesh = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])])
-    steps = [MovingVertices(mesh, mesh.vertices + k, mesh.vertices + k + 1) for k in range(2)]
-    row = SimpleNamespace(start="a", end="b", crossing=False, crossing_points=[], points=[], sizes=[])
-    rows = [SimpleNamespace(**vars(row), step=k, hit=k == 0, toi=0.25) for k in range(2)]
-    monkeypatch.setattr("ccd_warp.viz._animation.draw_frame", lambda mesh, x, *_, **__: x)
-    shown = [x[0, 0] for x, _ in pictures._images(steps.__getitem__, rows, lambda: None)]
-    assert shown == [1.0, 1.25, 2.0, 3.0]
-
-
-def test_an_animation_is_held_at_each_toi_and_marks_its_first_contact(folder):
-    reader, animation = pytest.importorskip("PIL.Image"), pytest.importorskip("ccd_warp.viz._animation")
-    images = [(np.full((9, 9, 3), 60 * k, dtype=np.uint8), k == 1) for k in range(3)]
-    animation.write_animation(folder / "out.gif", images)
-    with reader.open(folder / "out.gif") as shown:
-        assert [(shown.seek(k), shown.info["duration"])[1] for k in range(3)] == [100, 400, 100]
-    mesh, x = ccd.CollisionMesh.from_arrays([(np.eye(3), [[0, 1, 2]])]), np.eye(3)
-    scene = animation._scene(mesh, x, x[:2], animation.FrameView.of(x, np.ones((1, 3))))
-    assert scene.contact_is_first.tolist() == [True, False]

@@ -100,13 +100,10 @@ def terminal(monkeypatch):
     "line, words",
     [
         ("sequence {} {} --output out", ["steps  [", " 33%"]),
-        ("sequence {} --output out --picture out.gif", ["pictures  [", "100%"]),
         ("run {} --quiet", None),
     ],
 )
 def test_progress_is_shown_and_the_terminal_is_left_as_it_was(tmp_path, terminal, monkeypatch, line, words):
-    if "picture" in line:
-        pytest.importorskip("pyvista", reason="the extra viz is not installed")
     terminal.open()
     monkeypatch.chdir(tmp_path)
     main(line.replace("{}", " ".join(frames(40))).split())

@@ -158,9 +158,10 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
     {"one.xdmf": "h5py meshio", "text.vtp": "vtk", "scene.dae": "collada", "scene.3mf": "lxml networkx"}.items(),
 )
 def test_the_extra_that_brings_a_package_is_named_where_it_is_not_installed(tmp_path, monkeypatch, name, packages):
+    content = whole(name)  # before a package of those that write it is missing
     for package in packages.split():
         with monkeypatch.context() as patch:
             patch.setitem(sys.modules, package.replace("vtk", "vtkmodules"), None)
             patch.setattr("ccd_warp._files.vtk._PROCESS", _Process())
             message = rf"{package} reads it; install with: pip install 'ccd-warp\[formats\]'"
-            refused(tmp_path / name, whole(name), message)
+            refused(tmp_path / name, content, message)

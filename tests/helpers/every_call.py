@@ -26,8 +26,7 @@ POINTS_T1 = POINTS_T0 + [[[0.0, 0, 0], [0, 0, 8], [0, 0, 8], [0, 0, 8]]]
 RESULT = ccd.mesh_ccd(MESH, START, END)
 PIPELINE = ccd.CollisionPipeline(MESH)
 POSES = np.array([[[0.0, 0, 0, 0, 0, 0, 1], [1, 2, 3, 0, 1, 0, 1]], [[0, 0, 4, 0, 0, 1, 1], [1, 2, 3, 1, 1, 0, 2]]])
-AFFINE = np.array([np.eye(3, 4), np.eye(3, 4) + 3])
-MOTION, MAPS = ccd.RigidMotion(*POSES), ccd.AffineMotion(AFFINE, 2.0 * AFFINE)
+MOTION = ccd.RigidMotion(*POSES)
 
 # What a parameter of a name is given, wherever a call takes it and says nothing else.
 VALUES = {
@@ -50,9 +49,8 @@ VALUES = {
     **{"body_pairs": None, "exclusion_rings": 1, "exclude_pairs": {"bodies": [(0, 1)]}, "names": ["face", "cable"]},
     **{"vertex_world": np.zeros(6, dtype=int), "radius": np.full(6, 0.125), "point": np.zeros(3)},
     **{"normal": np.array([0.0, 0, 1]), "poses_t0": POSES[0], "poses_t1": POSES[1], "path": "linear", "pivot": None},
-    **{"twist": None, "within": np.zeros(2), "t": 0.5, "affine_t0": AFFINE, "affine_t1": 2.0 * AFFINE, "points": CABLE},
+    **{"twist": None, "within": np.zeros(2), "t": 0.5},
     **{
-        "body": np.array([0, 1, 1]),
         "gradient": ccd.ToiGradient(*np.zeros((2, 0, 4, 3)), np.zeros(0), np.zeros(0, bool)),
     },
     **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "progress": False},
@@ -107,10 +105,9 @@ def run(function, arguments, changed=()):
 
 def _every_call(folder):
     """Each public call by its name: the function, and arguments that it takes."""
-    start, end, poses = folder / "0.ply", folder / "1.ply", folder / "poses.csv"
+    start, end = folder / "0.ply", folder / "1.ply"
     write_ply(start, START, FACE)
     write_ply(end, END, FACE)
-    poses.write_text("0,0,0,0,0,0,0,0,1\n1,0,1,0,0,0,0,0,1\n")
     launched = ccd.CollisionPipeline(MESH).launch(START, END)
     of_files = {"start_path": start, "end_path": end, "paths": [start, end], "static": [start]}
     solids = [trimesh.Trimesh(TRIANGLE, FACE), trimesh.PointCloud(CABLE)]
@@ -133,11 +130,11 @@ def _every_call(folder):
     add(ccd.CollisionMesh.from_instances, shape=solids[0], count=1, others=solids[1:])
     body = {"vertices of body 0": START, "faces of body 0": FACE, "edges of body 0": np.array([[3, 4], [4, 5]])}
     calls["arrays of a body"] = _arrays_of_a_body, body
-    add(_half_space, _reserve, MESH.replicate, MESH.frame, MESH.frames, MAPS.positions_t0, MAPS.positions_t1)
+    add(_half_space, _reserve, MESH.replicate, MESH.frame, MESH.frames)
     add(MESH.excluding, exclude_pairs={"edge_edge": [[0, 1]]})
     add(ccd.RigidMotion, pivot=np.array([[0.0, 5, 0], [1, 0, 2]]))
     add(ccd.RigidMotion, title="RigidMotion of a twist", poses_t1=None, twist=np.arange(12.0).reshape(2, 6))
-    add(ccd.RigidMotion.from_scalar_first, MOTION.shortened, MOTION.at, ccd.AffineMotion)
+    add(ccd.RigidMotion.from_scalar_first, MOTION.shortened, MOTION.at)
     add(MOTION.gradient_by_poses, MOTION.gradient_by_twist)
     add(PIPELINE.launch, PIPELINE.launch_proximity, PIPELINE.launch_displacement_bounds)
     add(PIPELINE.launch, title="launch of displacements", vertices_t1=None, displacements=END - START)
@@ -146,8 +143,7 @@ def _every_call(folder):
     add(PIPELINE.find_proximity, PIPELINE.displacement_bounds)
     add(launched.to_host, launched.contacts.to_host, launched.contacts.points_at)
     add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
-    add(viz.draw_step, viz.show_step, viz.to_pyvista, viz.contact_points)
-    add(ccd.read_poses, mesh_path=start, poses_path=poses, static=[])
+    add(viz.draw_step, viz.to_pyvista, viz.contact_points)
     add(ccd.read_frames, ccd.read_sequence, **of_files)
     return calls
 

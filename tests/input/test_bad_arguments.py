@@ -34,7 +34,7 @@ LENGTH, COUNT = "a finite length of at least 0", "a positive integer"
 DEVICE = r"an array of Warp|float32|vec3f|one of them|an array that can be written to|cuda:\d, where"
 ROWS = r"(shape )?\(6, 3\) one row a vertex of the mesh|both vertices_t0 and vertices_t1, or neither|" + DEVICE
 POINTS = r"(float64 of )?(shape )?\(n, [234], [23]\)|a NumPy array"
-WITH_PATHS = ("rigid_ccd", "RigidMotion", "RigidMotion of a twist", "RigidMotion.from_scalar_first", "read_poses")
+WITH_PATHS = ("rigid_ccd", "RigidMotion", "RigidMotion of a twist", "RigidMotion.from_scalar_first")
 FRACTION = r"a fraction in \[0, 1\], or such fractions of shape \(2,\)"
 
 # What is expected of an argument, or of one of a call; values that are wrong beside those of `hostile`, and those of
@@ -102,25 +102,24 @@ ARGUMENTS = {
     **dict.fromkeys(["vertices_t0", "positions", "vertices"], (ROWS, [], ())),
     **dict.fromkeys(["t_max of draw_step", "t_max of render_step"], (r"a number in \(0, 1\]", [1.5, 0.0], REAL)),
     **dict.fromkeys(["point", "normal"], (r"\(3,\)|3 numbers", [], ())),
-    **dict.fromkeys(["affine_t0", "affine_t1"], (r"shape \(B, 3, 4\)", [np.zeros((2, 4, 4))], ())),
     **dict.fromkeys(["points_t0", "points_t1"], (POINTS, [np.zeros((2, 3, 5))], ())),
     **dict.fromkeys(["progress", "surface", "split"], ("True or False", [], FLAG)),
     **{f"path of {call}": ("'linear' or 'screw'", ["arc"], ()) for call in WITH_PATHS},
     "name": ("a text", [], (*TEXTS, "empty text")),
     "displacement": ("the name of a field", [], (*NONE, *TEXTS, "empty text")),
     "paths": (rf"{PATH}|a path, or a list of paths", [], ()),
-    **dict.fromkeys(["path", "mesh_path", "poses_path", "start_path", "end_path"], (PATH, [], ())),
+    **dict.fromkeys(["path", "start_path", "end_path"], (PATH, [], ())),
 }
 
 
 @pytest.fixture(autouse=True)
 def no_drawing(monkeypatch):
-    """Nothing is drawn, no window opened, and what is written to a name alone goes where the calls' files are."""
+    """Nothing is drawn, and what is written to a name alone goes where the calls' files are."""
 
     def draw(*_):
         raise of.Drawn
 
-    for module, name in ((viz, "drawn"), (viz, "import_pyvista"), (viz._export, "import_pyvista")):
+    for module, name in ((viz, "drawn"), (viz._export, "import_pyvista")):
         monkeypatch.setattr(module, name, draw)
     monkeypatch.chdir(of.FOLDER.name)
 
@@ -138,14 +137,14 @@ def leaves(result, name=""):
     result = result.numpy() if isinstance(result, wp.array) else result
     if isinstance(result, (ccd.CollisionMesh, ccd.Proximities)):
         parts = result.__getstate__()
-    elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion, ccd.AffineMotion)):
+    elif isinstance(result, (ccd.DeviceContacts, ccd.RigidMotion)):
         parts = vars(result.to_host() if isinstance(result, ccd.DeviceContacts) else result)
         parts = {key: value for key, value in parts.items() if not key.startswith("_")}
     elif is_dataclass(result):
         left_out = ("timings", "counts", "_step", "_find_shortening")
         parts = {key: value for key, value in vars(result).items() if key not in left_out}
         parts |= {"shortened_by": result.shortened_by} if isinstance(result, ccd.LineSearchResult) else {}
-    elif isinstance(result, (tuple, list, ccd.FrameSequence, ccd.PoseSequence)):
+    elif isinstance(result, (tuple, list, ccd.FrameSequence)):
         parts = dict(enumerate(result))
     elif isinstance(result, dict):
         parts = result
@@ -172,7 +171,7 @@ EVERY = [(call, argument) for call, (_, arguments) in EVERY_CALL.items() for arg
 NAMES = {"bodies": "bod", "others": "", "vertices of body 0": "of body 0", "vertices": ""}
 OPTIONS = ccd.MeshOptions.__optional_keys__ | {"inflation", "distance", "search_radius", "unique", "per"}
 OPTIONS |= {"safety", "max_rounds"}
-IS_PATH = {"mesh_path", "poses_path", "path", "start_path", "end_path", "paths", "faces", "static"}
+IS_PATH = {"path", "start_path", "end_path", "paths", "faces", "static"}
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # of NumPy, of values that are about to be refused
@@ -206,11 +205,11 @@ ARRAYS = [
     for call, (_, arguments) in EVERY_CALL.items()
     for name, value in arguments.items()
     if type(value) is np.ndarray and (value.ndim > 1 or value.dtype.kind == "i")
-    if call not in ("render_step", "draw_step", "show_step")  # which read what `to_pyvista` does
+    if call not in ("render_step", "draw_step")  # which read what `to_pyvista` does
 ]
 ON_DEVICE = ("launch", "points_at")  # which read arrays where they are
 ANY_LENGTH = {f"{name} of body 0" for name in ("vertices", "faces", "edges")} | {"points_t0", "points", "faces"}
-ANY_LENGTH |= {"affine_t0", "poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
+ANY_LENGTH |= {"poses_t0", "poses_t1", "twist", "vertices of CollisionMesh.from_volume"}
 
 
 @pytest.mark.parametrize(("call", "argument"), ARRAYS)
@@ -317,7 +316,6 @@ TOGETHER = {
         ({"mesh": COPIES, "poses_t0": [REST] * 2, "poses_t1": [REST] * 2}, "poses_t0 is of 2 bodies; expected 6"),
         ({"mesh": BARS, "poses_t0": [REST] * 2, "poses_t1": [REST, LIFTED]}, "takes body 1 out of the plane of the"),
     ],
-    "AffineMotion.positions_t0": [({"body": [0, 2, 0]}, r"body holds index 2; expected indices in \[0, 2\)")],
     "RigidMotion": [
         ({"path": "screw", "pivot": [0, 0, 0]}, r"pivot is \[0, 0, 0\]; expected none with path='screw'"),
         ({"poses_t1": POSES[1] * [[1] * 7, [1, 1, 1, 0, 0, 0, 0]]}, "quaternion of length 0 for body 1"),
@@ -545,10 +543,10 @@ def test_every_public_function_is_among_those_tried():
     tried = {}
     for function, arguments in EVERY_CALL.values():
         tried.setdefault(function.__qualname__, set()).update(arguments)
-    left_out = (ccd.FrameSequence, ccd.PoseSequence, ccd.LaunchResult)
+    left_out = (ccd.FrameSequence, ccd.LaunchResult)
     for public in (getattr(part, name) for part in (ccd, viz) for name in part.__all__):
         members = vars(public) if isinstance(public, type) and public not in left_out else {}
-        names = [name for name in members if not name.startswith("_") and name != "borrowed"]
+        names = [name for name in members if not name.startswith("_")]
         functions = [getattr(public, name) for name in names] + [public] * inspect.isfunction(public)
         for function in filter(callable, functions):
             if parameters := of.parameters_of(function):

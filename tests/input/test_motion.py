@@ -129,20 +129,18 @@ def test_arrays_of_other_libraries_are_the_same_poses():
 
 
 def test_a_motion_can_be_copied_and_does_not_change():
-    (start, end), affine = ENDS.copy(), np.ones((2, 3, 4))
-    motions = [RIGID(start, end, pivot=[1, 2, 3]), ccd.AffineMotion(affine, affine)]
-    before = motions[0].at(0.5)
-    start[...] = end[...] = affine[...] = 0.0
-    for motion in motions:
-        for same in (motion, copy.copy(motion), copy.deepcopy(motion), pickle.loads(pickle.dumps(motion))):
-            arrays = [vars(x) for x in (same, getattr(same, "_body_paths", None)) if x is not None]
-            arrays = [x for each in arrays for x in each.values() if isinstance(x, np.ndarray)]
-            assert repr(same) == repr(motion) and arrays and not any(x.flags.writeable for x in arrays)
-            for name in ("poses_t0", "poses_t1", "turns", "affine_t0", "affine_t1"):
-                np.testing.assert_array_equal(getattr(same, name, None), getattr(motion, name, None))
-            with pytest.raises(AttributeError):
-                same.num_worlds = 2
-    np.testing.assert_array_equal(pickle.loads(pickle.dumps(motions[0])).at(0.5), before)
+    start, end = ENDS.copy()
+    motion = RIGID(start, end, pivot=[1, 2, 3])
+    before = motion.at(0.5)
+    start[...] = end[...] = 0.0
+    for same in (motion, copy.copy(motion), copy.deepcopy(motion), pickle.loads(pickle.dumps(motion))):
+        arrays = [x for of in (same, same._body_paths) for x in vars(of).values() if isinstance(x, np.ndarray)]
+        assert repr(same) == repr(motion) and arrays and not any(x.flags.writeable for x in arrays)
+        for name in ("poses_t0", "poses_t1", "turns"):
+            np.testing.assert_array_equal(getattr(same, name), getattr(motion, name))
+        np.testing.assert_array_equal(same.at(0.5), before)
+        with pytest.raises(AttributeError):
+            same.num_worlds = 2
 
 
 def test_a_motion_shows_itself_in_a_line():
@@ -154,18 +152,5 @@ def test_a_motion_shows_itself_in_a_line():
             "RigidMotion(1 body, path='linear', turns up to 0 rad, within 0.1)",
         ),
         (RIGID(np.zeros((0, 7)), np.zeros((0, 4, 4))), "RigidMotion(0 bodies, path='linear')"),
-        (ccd.AffineMotion(*np.zeros((2, 1, 2, 3, 4))), "AffineMotion(2 bodies in each of 1 world)"),
     ):
         assert repr(shown) == expected
-
-
-def test_affine_bodies_are_where_their_maps_put_them():
-    start = np.array([np.eye(3, 4), [[0, 2, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]])
-    motion = ccd.AffineMotion(start, start + [0, 0, 0, 1])
-    points, body = np.array([[1.0, 2, 3], [4, 5, 6], [4, 5, 6]]), [0, 1, 0]
-    np.testing.assert_array_equal(motion.positions_t0(points, body), [[1, 2, 3], [11, 6, 9], [4, 5, 6]])
-    np.testing.assert_array_equal(motion.positions_t1(points, body), [[2, 3, 4], [12, 7, 10], [5, 6, 7]])
-    worlds = ccd.AffineMotion([start, 2 * start], [start, start])
-    assert (worlds.num_worlds, worlds.num_bodies) == (2, 2) and worlds.affine_t0.shape == (2, 2, 3, 4)
-    single = motion.positions_t0(points, body)
-    np.testing.assert_array_equal(worlds.positions_t0(points, body), [single, 2 * single])

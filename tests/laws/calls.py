@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 
 import ccd_warp as ccd
-from laws.outputs import Outputs, outputs_of
+from laws.outputs import Outputs, outputs_of, rows_in_order
 
 Made = tuple[ccd.CollisionMesh, np.ndarray, np.ndarray]
 
@@ -230,10 +230,9 @@ def replays(case: StepCase, precision: str, *, is_captured: bool = True) -> Outp
         result = pipeline.launch(t0, t1)
         of_contacts = {name: getattr(result.contacts, name) for name in ("points", "vertices", "bodies", "world")}
         of_contacts["points at"] = result.contacts.points_at(t0, shortened)
-        order = result.contacts.order_by_toi()
         near, bounds = finder.launch_proximity(t1, distance), finder.launch_displacement_bounds(t1, distance)
         searched = searcher.launch_line_search(t0, shortened, per="world")
-        return result, of_contacts, order, near, bounds, searched
+        return result, of_contacts, near, bounds, searched
 
     launched = launch()
     if is_captured:
@@ -247,8 +246,8 @@ def replays(case: StepCase, precision: str, *, is_captured: bool = True) -> Outp
             wp.capture_launch(capture.graph)
         else:
             launched = launch()
-        result, of_contacts, order, near, bounds, searched = launched
-        first = order.numpy()[: result.contacts.count.numpy()[0]]
+        result, of_contacts, near, bounds, searched = launched
+        first = rows_in_order(result.contacts)
         found |= {f"replay {k} {name}": array.numpy()[first] for name, array in of_contacts.items()}
         found |= outputs_of(result, f"replay {k}") | outputs_of(searched, f"replay {k} of a line search")
         found |= outputs_of(near.to_host(), f"replay {k} near") | outputs_of(bounds.bounds, f"replay {k} bounds")

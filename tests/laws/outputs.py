@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 import ccd_warp as ccd
 
@@ -68,19 +69,22 @@ def _of_launch(result: ccd.LaunchResult, name: str) -> Outputs:
     return found | outputs_of(result.contacts, f"{name}.contacts")
 
 
+def rows_in_order(contacts: ccd.DeviceContacts) -> NDArray[np.intp]:
+    """Rows of the contacts that are stored, in the order of `Contacts`, for on a device they come in any."""
+    num_stored = min(int(contacts.count.numpy()[0]), len(contacts.kind))
+    pairs = np.column_stack([contacts.kind.numpy(), contacts.primitives.numpy()])[:num_stored]
+    return np.lexsort(pairs.T[::-1])
+
+
 def _of_device_contacts(contacts: ccd.DeviceContacts, name: str) -> Outputs:
-    """Contacts that are stored, in the order of `Contacts`, for on a device they come in any."""
-    count = contacts.count.numpy()
-    num_stored = min(int(count[0]), len(contacts.kind))
-    stored = {key: array.numpy()[:num_stored] for key, array in vars(contacts).items() if key != "count"}
+    """Contacts that are stored, in the order of `Contacts`."""
+    stored = {key: array.numpy() for key, array in vars(contacts).items() if key != "count"}
     for key in _OF_CONTACTS:
         with suppress(ValueError):  # points that a launch with a motion does not know
-            stored[key] = getattr(contacts, key).numpy()[:num_stored]
-    pairs = np.column_stack([stored["kind"], stored["primitives"]])
-    by_toi = pairs[contacts.order_by_toi().numpy()[:num_stored]]
-    order = np.lexsort(pairs.T[::-1])
+            stored[key] = getattr(contacts, key).numpy()
+    order = rows_in_order(contacts)
     found = {f"{name}.{key}": values[order] for key, values in stored.items()}
-    return found | {f"{name}.count": count.copy(), f"{name}.order_by_toi": by_toi}
+    return found | {f"{name}.count": contacts.count.numpy().copy()}
 
 
 def rows_of(found):

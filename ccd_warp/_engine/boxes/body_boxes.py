@@ -148,7 +148,7 @@ def _levels(lower: NDArray[np.float32], upper: NDArray[np.float32]) -> list[NDAr
 
 
 def _tree(
-    lower: NDArray[np.float64], upper: NDArray[np.float64], body: NDArray[np.intp], device: Any
+    lower: NDArray[np.float64], upper: NDArray[np.float64], body: NDArray[np.intp], device: wp.Device
 ) -> tuple[Any, NDArray[np.intp]]:
     """The tree over the boxes of bodies, and its order."""
     low, high = _mapped(lower, upper)

@@ -13,7 +13,7 @@ from ccd_warp.kernels.boxes import box_tree
 
 if TYPE_CHECKING:
     from ccd_warp._engine.mesh.topology import PrimitiveSet
-    from ccd_warp._runtime.launch import Execution, Recording
+    from ccd_warp._runtime.launch import Execution, Recording, Slot
 
 BLOCK_FLOATS, WIDTH = int(box_tree.BLOCK_FLOATS), int(box_tree.WIDTH)
 _MOST_AABBS = 2
@@ -104,7 +104,7 @@ class BoxSet(ABC):
     @abstractmethod
     def fill(
         sets: Iterable[Any],
-        vertex_aabbs: Any,
+        vertex_aabbs: "wp.array | Slot",
         launcher: "Execution | Recording",
         structs_of: Callable[[Any], tuple[Any, ...]] = lambda box_set: box_set.structs,
         only_if: wp.array | None = None,

@@ -10,7 +10,7 @@ import warp as wp
 from ccd_warp._engine.boxes.box_sets import BoxSet, Layout
 from ccd_warp._engine.boxes.trees import fill_in_half_warps
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
-from ccd_warp._runtime.launch import Execution, Recording
+from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp.kernels.boxes import box_groups, box_tree, hash_grid
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
@@ -88,7 +88,7 @@ class Grid(BoxSet):
     @staticmethod
     def fill(
         sets: Iterable["Grid"],
-        vertex_aabbs: Any,
+        vertex_aabbs: wp.array | Slot,
         launcher: Execution | Recording,
         structs_of: Callable[["Grid"], tuple[Any, ...]] = lambda grid: grid.structs,
         only_if: wp.array | None = None,
@@ -147,7 +147,11 @@ _StructsOf = Callable[[Grid], tuple[Any, ...]]
 
 
 def _sort_and_fill_blocks(
-    grids: list[Grid], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+    grids: list[Grid],
+    vertex_aabbs: wp.array | Slot,
+    launcher: Execution | Recording,
+    structs_of: _StructsOf,
+    only_if: wp.array,
 ) -> None:
     """Sort the boxes by bucket and fill their blocks on the CPU, an item for each block."""
     with launcher.at_once():
@@ -165,7 +169,11 @@ def _sort_and_fill_blocks(
 
 
 def _sort_and_fill_places(
-    grids: list[Grid], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+    grids: list[Grid],
+    vertex_aabbs: wp.array | Slot,
+    launcher: Execution | Recording,
+    structs_of: _StructsOf,
+    only_if: wp.array,
 ) -> None:
     """Sort the boxes by bucket and fill their blocks on CUDA, a thread for each place and half a warp for its boxes."""
     for grid in grids:

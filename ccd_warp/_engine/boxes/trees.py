@@ -13,7 +13,7 @@ from ccd_warp._engine.boxes.box_sets import BLOCK_FLOATS, BoxSet, Layout, Order,
 from ccd_warp._engine.mesh.lengths import next_above
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.topology import WIDTH, PrimitiveSet, Role, Topology
-from ccd_warp._runtime.launch import Execution, Recording, fields_of
+from ccd_warp._runtime.launch import Execution, Recording, Slot, fields_of
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import StopFlag
@@ -103,7 +103,7 @@ class Tree(BoxSet):
     @staticmethod
     def fill(
         sets: Iterable["Tree"],
-        vertex_aabbs: Any,
+        vertex_aabbs: wp.array | Slot,
         launcher: Execution | Recording,
         structs_of: Callable[["Tree"], tuple[Any, ...]] = lambda tree: tree.structs,
         only_if: wp.array | None = None,
@@ -122,7 +122,7 @@ _StructsOf = Callable[[Tree], tuple[Any, ...]]
 
 
 def _fill_in_blocks(
-    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf
+    trees: list[Tree], vertex_aabbs: wp.array | Slot, launcher: Execution | Recording, structs_of: _StructsOf
 ) -> None:
     """Compute the boxes on the CPU: a launch fills the lowest two levels, and one each of the large ones above."""
     next_level = dict.fromkeys(trees, 2)
@@ -152,7 +152,11 @@ def _fill_in_blocks(
 
 
 def _refresh(
-    trees: list[Tree], vertex_aabbs: Any, launcher: Execution | Recording, structs_of: _StructsOf, only_if: wp.array
+    trees: list[Tree],
+    vertex_aabbs: wp.array | Slot,
+    launcher: Execution | Recording,
+    structs_of: _StructsOf,
+    only_if: wp.array,
 ) -> None:
     """Compute the boxes on the CPU where a flag on the device is set."""
     for tree in trees:
@@ -168,7 +172,7 @@ _TreeToFill = fields_of(half_warp_tree.TreeToFill)
 
 def fill_in_half_warps(
     trees: Sequence[BoxSet],
-    vertex_aabbs: Any,
+    vertex_aabbs: wp.array | Slot,
     launcher: Execution | Recording,
     structs_of: Callable[[Any], tuple[Any, ...]],
     only_if: wp.array | None,

@@ -78,20 +78,6 @@ class ContactArrays:
             name, wp.vec3d, specialised("step.contact_points", real=real, dimension=dimension).fill_points, *inputs
         )
 
-    def order_by_toi(self) -> wp.array:
-        """Rows of the contacts by ascending toi, those with one toi by kind and pair; then all rows without a contact.
-
-        Two stable sorts of the whole capacity, as the number of contacts is known on the device alone.
-        """
-        name, capacity = "order_by_toi", self._capacity
-        keys = self._array(name, "keys", wp.int64, 2 * capacity)  # the sort needs twice the size
-        order = self._array(name, "order", wp.int32, 2 * capacity)
-        self._execution.launch(kernels.fill_pair_keys, capacity, inputs=[self._list], outputs=[keys, order])
-        wp.utils.radix_sort_pairs(keys, order, capacity)
-        self._execution.launch(kernels.fill_toi_keys, capacity, inputs=[self._list, order], outputs=[keys])
-        wp.utils.radix_sort_pairs(keys, order, capacity)
-        return order[: self._capacity]
-
     def unique(self, features: wp.array) -> wp.array:
         """Which pairs are the first, by kind and pair, that have their closest features, bool."""
         return self._shared_features("unique", features).is_unique
@@ -117,7 +103,7 @@ class ContactArrays:
         shared.find(self._execution, struct_of(FeaturePairs, columns), num_vertices, count, sort)
         return shared
 
-    def _filled(self, name: str, dtype: Any, kernel: Any, *inputs: Any) -> wp.array:
+    def _filled(self, name: str, dtype: type, kernel: wp.Kernel, *inputs: Any) -> wp.array:
         """The array of this name, filled by a kernel that takes the contacts and these inputs."""
         array = self._array(name, name, dtype, self._capacity)
         corners = [self._topology.corners[kind] for kind in ("edge", "face")]
@@ -137,7 +123,7 @@ class ContactArrays:
 
         return self._kept(name, "moving row", rows)
 
-    def _array(self, name: str, key: str, dtype: Any, size: int) -> wp.array:
+    def _array(self, name: str, key: str, dtype: type, size: int) -> wp.array:
         return self._kept(name, key, lambda: wp.empty(size, dtype=dtype, device=self._topology.device))
 
     def _kept(self, name: str, key: str, make: Callable[[], wp.array]) -> wp.array:

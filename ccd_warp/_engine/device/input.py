@@ -38,7 +38,7 @@ class LineSearch:
 class Form(NamedTuple):
     """What a recording depends on besides the arrays."""
 
-    real: Any
+    real: type
     t0_by_vertex: bool
     t1_by_vertex: bool
     is_displacement: bool = False

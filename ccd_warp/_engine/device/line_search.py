@@ -180,6 +180,7 @@ class DeviceLineSearch(DeviceStep):
 
     def _record_checked(self, recording: Recording, form: Form, **options: Any) -> Stages:
         """Record a pass over the bodies that the one before has touched; returns its stages."""
+        assert self._touched is not None
         return self._record_pass(recording, form, self._touched, adapt=self._parting, only_moving=True, **options)
 
     def _record_start(self, recording: Recording, form: Form) -> None:

@@ -178,10 +178,10 @@ class DeviceStep(Plan):
         length_scale = length_scale_of(self._mesh, self._options)
         return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), lets_part=lets_part)
 
-    def _empty(self, count: int, dtype: Any) -> wp.array:
+    def _empty(self, count: int, dtype: type) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
 
-    def _full(self, count: int, value: Any, dtype: Any) -> wp.array:
+    def _full(self, count: int, value: Any, dtype: type) -> wp.array:
         return wp.full(count, value=value, dtype=dtype, device=self.topology.device)
 
     def static_positions(self) -> NDArray[np.float64]:
@@ -327,7 +327,7 @@ class DeviceStep(Plan):
         self,
         recording: Recording,
         form: Form,
-        active: Any,
+        active: wp.array,
         *,
         is_first: bool = True,
         adapt: Callable[[Stages], Stages] = lambda stages: stages,
@@ -359,7 +359,7 @@ class DeviceStep(Plan):
         self,
         recording: Recording,
         form: Form,
-        active: Any,
+        active: wp.array,
         is_first: bool = True,
         near: NearBodies | None = None,
     ) -> Stages:
@@ -388,7 +388,7 @@ class DeviceStep(Plan):
             if self.static_trees:
                 self._input.record_refresh(recording, self._stages, self.static_trees)
 
-    def _record_search(self, recording: Recording, stages: Stages, active: Any) -> None:
+    def _record_search(self, recording: Recording, stages: Stages, active: wp.array) -> None:
         """Record the boxes of the bodies that are active, and the search."""
         self.record_boxes(recording, stages, active)
         stages.find_pairs(recording, self.tree_pairs, is_any_unlisted=self._is_any_unlisted)

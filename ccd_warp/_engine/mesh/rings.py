@@ -1,16 +1,19 @@
 """The vertices within a few edges of each vertex, or paired with it, for the pairs of primitives that these exclude."""
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from ccd_warp._scene.mesh import CollisionMesh
 
 # Vertices whose rings are computed at a time, and the most vertices in all rings: half a gigabyte on the device.
 _SOURCES = 256
 _MOST_VERTICES = 1 << 27
 
 
-def excluded_vertices(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def excluded_vertices(mesh: "CollisionMesh") -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The begin of each vertex's row, and the rows: the vertices that must not meet it, ascending.
 
     They are those of ``exclusion_rings``, and the other vertices of its pairs in ``exclude_pairs``.
@@ -31,7 +34,7 @@ def excluded_vertices(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return begin, rows
 
 
-def vertex_rings(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def vertex_rings(mesh: "CollisionMesh") -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """The begin of each vertex's row, and the rows: vertices within ``exclusion_rings - 1`` edges, ascending.
 
     Raises:
@@ -45,7 +48,7 @@ def vertex_rings(mesh: Any) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     return begin.astype(np.int32), rows
 
 
-def _walked_rings(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _walked_rings(mesh: "CollisionMesh") -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The length of each row, and the rows, ring by ring."""
     count = mesh.num_vertices
     a, b = mesh.edges.T.astype(np.int64)
@@ -81,7 +84,7 @@ def _walked_rings(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return np.concatenate(lengths), np.concatenate(rows)
 
 
-def _whole_components(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _whole_components(mesh: "CollisionMesh") -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The length of each row, and the rows, each of which is a whole connected component."""
     label = _components(mesh)
     order = np.argsort(label, kind="stable")
@@ -92,7 +95,7 @@ def _whole_components(mesh: Any) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     return lengths, np.concatenate([np.zeros(0, dtype=np.int32), *(members[k] for k in label)])
 
 
-def _components(mesh: Any) -> NDArray[np.int64]:
+def _components(mesh: "CollisionMesh") -> NDArray[np.int64]:
     """The lowest vertex of the connected component of each vertex."""
     label = np.arange(mesh.num_vertices)
     a, b = mesh.edges.T
@@ -108,7 +111,7 @@ def _components(mesh: Any) -> NDArray[np.int64]:
         label = lower
 
 
-def _check_total(mesh: Any, total: int) -> None:
+def _check_total(mesh: "CollisionMesh", total: int) -> None:
     if total > _MOST_VERTICES:
         raise ValueError(
             f"exclusion_rings is {mesh.exclusion_rings}, which leaves out more than {_MOST_VERTICES} pairs of vertices "

@@ -122,7 +122,7 @@ class Topology:
     is_whole = True  # whether the positions that it is given are those of the whole mesh
     fewer_query = False  # whether the queries of two moving sets are those of the smaller one, not of the first
 
-    def __init__(self, mesh: "CollisionMesh", device: Any) -> None:
+    def __init__(self, mesh: "CollisionMesh", device: wp.Device) -> None:
         self.mesh = mesh
         self.device = device
         self.num_vertices_in_all = mesh.num_vertices  # of the whole mesh, of which this one may be a part
@@ -148,7 +148,7 @@ class Topology:
         self.vertex_rank: NDArray[np.integer] | None = None  # by which primitives are in order from the beginning
 
     @staticmethod
-    def of(mesh: "CollisionMesh", device: Any) -> "Topology":
+    def of(mesh: "CollisionMesh", device: wp.Device) -> "Topology":
         """The topology of a mesh on a device."""
         cache = MeshCache.of(mesh).topologies
         key = str(device)
@@ -186,11 +186,11 @@ class Topology:
         worlds.inner = inner_part(num_worlds)
         return worlds
 
-    def empty(self, count: int, dtype: Any) -> wp.array:
+    def empty(self, count: int, dtype: type) -> wp.array:
         """An array on the device with arbitrary contents."""
         return wp.empty(count, dtype=dtype, device=self.device)
 
-    def array(self, values: NDArray[Any], dtype: Any = wp.int32) -> wp.array:
+    def array(self, values: NDArray[Any], dtype: type = wp.int32) -> wp.array:
         """Values on the device."""
         if self.device.is_capturing:  # the copy would be part of the graph, and not made now
             raise RuntimeError("a graph is being captured; build pipelines, and call reserve(), before the capture")

@@ -1,4 +1,4 @@
-"""Meshes of parts of a mesh of one world, those that may touch in a world of a motion a world of their own."""
+"""Meshes of parts of a mesh of one world: of those that may touch in a step."""
 
 from __future__ import annotations
 
@@ -9,18 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._rigid.parts.overlap import BodyParts
+from ccd_warp._rigid.parts.trees import ranges
 from ccd_warp._scene.half_space import Planes
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs
 from ccd_warp._scene.mesh import CollisionMesh
-
-# Bodies of a mesh of parts at most, or one world's: pairs of them that may collide take a byte each.
-MOST_BODIES = 1 << 13
-_BYTES_OF_A_ROW = 1024  # of a primitive with its boxes and pairs, about
-
-
-def rows_within(memory_limit: int | None, most: int) -> int:
-    """How many primitives a mesh may have, and no more than that."""
-    return most if memory_limit is None else min(most, memory_limit // _BYTES_OF_A_ROW)
 
 
 def parts_of(mesh: CollisionMesh, positions: NDArray[np.float64]) -> BodyParts | None:
@@ -91,15 +83,15 @@ def _mesh(
 
 @dataclass(frozen=True, eq=False)
 class PartMesh:
-    """Some primitives of a mesh of one world in each of several worlds.
+    """Some primitives of a mesh of one world.
 
     Attributes:
-        mesh: The mesh; its rigid bodies are those that have a primitive in some world, those of a world in their order.
+        mesh: The mesh; its bodies are those that have a primitive, in their order, and the half-spaces.
         vertex: The vertex of the one world that each vertex is, shape [V].
         face: The face of the one world that each face is.
-        is_used: Which rigid bodies of each world are bodies of the mesh, bool, shape [W, B].
+        is_used: Which rigid bodies are bodies of the mesh, bool, shape [B].
         rank: The first row in which each vertex is: primitives in this order are near each other, shape [V].
-        body: The numbers of the bodies with primitives, those of one world after those of another, ascending.
+        body: The bodies with primitives, ascending.
     """
 
     mesh: CollisionMesh
@@ -110,30 +102,24 @@ class PartMesh:
     body: NDArray[np.intp]
 
     @classmethod
-    def of(cls, parts: BodyParts, count: int, world_of_row: NDArray[np.intp], row: NDArray[np.intp]) -> PartMesh:
-        """The mesh of primitives, as ``BodyParts.primitives`` has them, in so many worlds, ascending."""
-        one = parts.mesh
-        size = one.num_vertices
-        corners, kind, number = parts.primitives(row)
-        keys = world_of_row[:, None] * size + corners
-        unique, first, corners = np.unique(keys, return_index=True, return_inverse=True)
-        corners = corners.reshape(keys.shape)
-        world, vertex = np.divmod(unique, size)
-        body = one.vertex_body[vertex]
-        body_keys, sizes = np.unique(world * one.num_bodies + body, return_counts=True)
-        world_of_body, body = np.divmod(body_keys, one.num_bodies)
+    def of(cls, parts: BodyParts, part: NDArray[np.intp]) -> PartMesh:
+        """The mesh of the primitives of some parts, ascending."""
+        one, first = parts.mesh, parts.begins
+        corners, kind, number = parts.primitives(ranges(first[part], np.diff(first)[part]))
+        vertex, first, of_rows = np.unique(corners, return_index=True, return_inverse=True)
+        corners = of_rows.reshape(corners.shape)
+        of_parts, sizes = np.unique(one.vertex_body[vertex], return_counts=True)
         planes = one.planes  # their bodies come last
-        first_plane = len(body)
-        body, sizes = np.append(body, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
-        world_of_body = np.append(world_of_body, np.zeros(len(planes), dtype=world_of_body.dtype))
-        planes = replace(planes, bodies=(first_plane + np.arange(len(planes))).astype(np.int32))
+        body, sizes = np.append(of_parts, planes.bodies), np.append(sizes, np.zeros(len(planes), dtype=sizes.dtype))
+        planes = replace(planes, bodies=(len(of_parts) + np.arange(len(planes))).astype(np.int32))
         rigid = one.rigid[body]
-        is_used = np.zeros((count, int(one.rigid.sum())), dtype=bool)
-        is_used[world_of_body[rigid], parts.row_of[body[rigid]]] = True
+        is_used = np.zeros(int(one.rigid.sum()), dtype=bool)
+        is_used[parts.row_of[body[rigid]]] = True
         faces = kind == 0
         mesh = _mesh(
             one.vertices[vertex], corners[faces], corners[kind == 1][:, :2], sizes, one.static[body], rigid,
             np.ones(len(body), dtype=bool), None if one.body_pairs is None else one.body_pairs[np.ix_(body, body)],
-            world, [one.names[b] for b in body.tolist()], None if one.radius is None else one.radius[vertex], planes,
+            np.zeros(len(vertex)), [one.names[b] for b in body.tolist()],
+            None if one.radius is None else one.radius[vertex], planes,
         )  # fmt: skip
-        return cls(mesh, vertex, number[faces], is_used, first // 3, body_keys)
+        return cls(mesh, vertex, number[faces], is_used, first // 3, body[: len(body) - len(planes)].astype(np.intp))

@@ -12,7 +12,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._rigid.parts.trees import PartTrees, distinct
+from ccd_warp._rigid.parts.trees import PartTrees
 from ccd_warp._rigid.parts.whole_bodies import pairs_of
 from ccd_warp._rigid.rotations import in_space
 from ccd_warp._scene.half_space import unit_normals
@@ -60,12 +60,7 @@ class BodyParts:
         body = np.searchsorted(self._first_row, row, side="right") - 1
         return self._trees.primitives(body, row - self._first_row[body])
 
-    def num_bodies(self, group: NDArray[np.intp], part: NDArray[np.intp], count: int) -> NDArray[np.intp]:
-        """Of how many bodies the parts of each of so many groups are."""
-        keys = distinct(group * self.mesh.num_bodies + self.body[part])
-        return np.bincount(keys // self.mesh.num_bodies, minlength=count)
-
-    def on_device(self, device: Any) -> tuple[Any, wp.array]:
+    def on_device(self, device: wp.Device) -> tuple[Any, wp.array]:
         """The trees and the pairs of bodies on a device, as the kernels read them."""
         if str(device) not in self._on_device:
             from ccd_warp.kernels.rigid import part_overlap as kernels

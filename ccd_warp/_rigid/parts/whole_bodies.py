@@ -101,14 +101,14 @@ class WholeBodies:
         return trees
 
     @staticmethod
-    def new_marks(num_bodies: int, num_slices: int, device: Any) -> Any:
+    def new_marks(num_bodies: int, num_slices: int, device: wp.Device) -> Any:
         """Marks of what may touch in each slice, as the struct of the kernels."""
         near = kernels.NearMarks()
         near.bodies = wp.zeros((num_slices, num_bodies), dtype=wp.int32, device=device)
         near.is_any = wp.zeros(num_slices, dtype=wp.int32, device=device)
         return near
 
-    def record_bounds(self, recording: Recording, start: Any, end: Any) -> None:
+    def record_bounds(self, recording: Recording, start: wp.array | Slot, end: wp.array | Slot) -> None:
         """Record the launches that bound the bodies, given the rows of both ends."""
         inputs = [*self._runs, self._links, start, end, self._radius]
         count = len(self._runs[2])

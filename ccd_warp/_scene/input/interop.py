@@ -131,7 +131,7 @@ def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]],
     return array.reshape(rows if is_vector else (rows, dimension))
 
 
-def as_positions(value: Any, name: str, device: Any, expected: dict[int, str], dimension: int) -> wp.array:
+def as_positions(value: Any, name: str, device: wp.Device, expected: dict[int, str], dimension: int) -> wp.array:
     """Positions as vec3f or vec3d of shape [n], or vec2f or vec2d, sharing the memory of the given array.
 
     Args:

@@ -64,7 +64,7 @@ class Options:
     broad_phase: BroadPhase = "tree"
     pair_kinds: Iterable[PairKind | PairKindName] | None = None
     memory_limit: int | None = None
-    device: Any = None
+    device: wp.DeviceLike = None
     num_threads: int | None = None
 
     def __post_init__(self) -> None:
@@ -285,7 +285,7 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
     return f"{function}() got an unexpected option {shown(name)}; {hint}"
 
 
-def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
+def _packed(real: type, values: tuple[Any, ...], stop: wp.array | None) -> Any:
     """The struct of the kernels, from the values of its fields in order."""
     options = specialised("pair.query", real=real).Options()
     for name, value in zip(_FIELDS, values, strict=True):
@@ -296,12 +296,12 @@ def _packed(real: Any, values: tuple[Any, ...], stop: wp.array | None) -> Any:
 
 
 @lru_cache(maxsize=64)
-def _packed_once(real: Any, values: tuple[Any, ...]) -> Any:
+def _packed_once(real: type, values: tuple[Any, ...]) -> Any:
     """Options without a flag as a struct, cached: packing takes a tenth of a call with one pair."""
     return _packed(real, values, None)
 
 
-def resolve_device(device: Any, of_arrays: Any = None) -> Any:
+def resolve_device(device: wp.DeviceLike, of_arrays: wp.Device | None = None) -> wp.Device:
     """The Warp device to run on: the requested one, that of the arrays, or Warp's current one.
 
     Raises:
