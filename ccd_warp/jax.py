@@ -17,6 +17,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._calls.rigid_tois import RigidTois, checked_end
@@ -32,7 +33,9 @@ except ImportError as error:
 __all__ = ["collision_free_step", "line_search", "line_search_is_regular", "rigid_toi", "toi", "toi_is_regular"]
 
 
-def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+def toi(
+    pipeline: CollisionPipeline, vertices_t0: jax.Array, vertices_t1: jax.Array, *, per: Per = "scene"
+) -> jax.Array:
     """Earliest times of impact of a step, as :meth:`ccd_warp.CollisionPipeline.launch` finds them.
 
     Args:
@@ -57,7 +60,7 @@ def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per:
     return found[0] if per == "scene" else found
 
 
-def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any) -> Any:
+def collision_free_step(pipeline: CollisionPipeline, vertices_t0: jax.Array, vertices_t1: jax.Array) -> jax.Array:
     """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
 
     Args:
@@ -78,13 +81,13 @@ def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_
 
 def line_search(
     pipeline: CollisionPipeline,
-    vertices_t0: Any,
-    vertices_t1: Any,
+    vertices_t0: jax.Array,
+    vertices_t1: jax.Array,
     *,
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     num_rounds: int = DEFAULT_NUM_ROUNDS,
-) -> Any:
+) -> jax.Array:
     """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
 
     Args:
@@ -108,7 +111,9 @@ def line_search(
     return _line_search(pipeline, (per, safety, num_rounds), start, end).reshape(vertices_t1.shape)
 
 
-def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+def toi_is_regular(
+    pipeline: CollisionPipeline, vertices_t0: jax.Array, vertices_t1: jax.Array, *, per: Per = "scene"
+) -> jax.Array:
     """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
 
     Args:
@@ -132,13 +137,13 @@ def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: A
 
 def line_search_is_regular(
     pipeline: CollisionPipeline,
-    vertices_t0: Any,
-    vertices_t1: Any,
+    vertices_t0: jax.Array,
+    vertices_t1: jax.Array,
     *,
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     num_rounds: int = DEFAULT_NUM_ROUNDS,
-) -> Any:
+) -> jax.Array:
     """Which positions of :func:`line_search` have a derivative. It makes the launch again.
 
     Args:
@@ -162,8 +167,13 @@ def line_search_is_regular(
 
 
 def rigid_toi(
-    pipeline: CollisionPipeline, poses_t0: Any, poses_t1: Any = None, *, twist: Any = None, pivot: Any = None
-) -> Any:
+    pipeline: CollisionPipeline,
+    poses_t0: jax.Array,
+    poses_t1: jax.Array | None = None,
+    *,
+    twist: jax.Array | None = None,
+    pivot: ArrayLike | None = None,
+) -> jax.Array:
     """Earliest time of impact of rigid bodies that turn, in each world: what ``mesh_ccd`` finds with a ``motion``.
 
     The vertices of the mesh stand in the frames of its rigid bodies, and all others rest. Bodies move on the linear
@@ -205,7 +215,7 @@ def _check_precision() -> None:
         raise ValueError("tois are float64; expected jax.config.update('jax_enable_x64', True)")
 
 
-def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
+def _checked(pipeline: CollisionPipeline, *vertices: jax.Array) -> list[jax.Array]:
     """Positions with one axis of rows, as they can be handed over."""
     check_instance("pipeline", pipeline, CollisionPipeline)
     _check_precision()
@@ -231,22 +241,22 @@ def _checked(pipeline: CollisionPipeline, *vertices: Any) -> list[Any]:
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
-def _toi(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
+def _toi(pipeline: CollisionPipeline, per: str, start: jax.Array, end: jax.Array) -> jax.Array:
     call = calls.callable_of(pipeline, calls.write_toi, (per,), start, 1)
     return call(start, end, output_dims=_num_tois(pipeline, per, start))[0]
 
 
-def _num_tois(pipeline: CollisionPipeline, per: str, start: Any) -> int:
+def _num_tois(pipeline: CollisionPipeline, per: str, start: jax.Array) -> int:
     mesh = pipeline.mesh
     count = {"scene": 1, "world": mesh.num_worlds, "body": mesh.num_bodies, "vertex": mesh.num_vertices}[per]
     return count // mesh.num_worlds if len(start) < mesh.num_vertices and per != "scene" else count
 
 
-def _toi_forward(pipeline: CollisionPipeline, per: str, start: Any, end: Any) -> Any:
+def _toi_forward(pipeline: CollisionPipeline, per: str, start: jax.Array, end: jax.Array) -> Any:
     return _toi(pipeline, per, start, end), (start, end)
 
 
-def _toi_backward(pipeline: CollisionPipeline, per: str, ends: Any, of_toi: Any) -> Any:
+def _toi_backward(pipeline: CollisionPipeline, per: str, ends: tuple[jax.Array, ...], of_toi: jax.Array) -> Any:
     call = calls.callable_of(pipeline, calls.write_gradient_of_toi, (per,), ends[0], 2)
     return tuple(call(*ends, of_toi, output_dims=len(ends[0])))
 
@@ -255,15 +265,19 @@ _toi.defvjp(_toi_forward, _toi_backward)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1))
-def _line_search(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
+def _line_search(pipeline: CollisionPipeline, options: tuple[Any, ...], start: jax.Array, end: jax.Array) -> jax.Array:
     return calls.callable_of(pipeline, calls.write_shortened, options, start, 1)(start, end, output_dims=len(end))[0]
 
 
-def _line_search_forward(pipeline: CollisionPipeline, options: tuple[Any, ...], start: Any, end: Any) -> Any:
+def _line_search_forward(
+    pipeline: CollisionPipeline, options: tuple[Any, ...], start: jax.Array, end: jax.Array
+) -> Any:
     return _line_search(pipeline, options, start, end), (start, end)
 
 
-def _line_search_backward(pipeline: CollisionPipeline, options: tuple[Any, ...], ends: Any, gradient: Any) -> Any:
+def _line_search_backward(
+    pipeline: CollisionPipeline, options: tuple[Any, ...], ends: tuple[jax.Array, ...], gradient: jax.Array
+) -> Any:
     call = calls.callable_of(pipeline, calls.write_gradient_of_shortened, options, ends[0], 2)
     return tuple(call(*ends, gradient, output_dims=len(ends[0])))
 
@@ -272,19 +286,23 @@ _line_search.defvjp(_line_search_forward, _line_search_backward)
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
-def _rigid_toi(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, start: Any, end: Any) -> Any:
-    def on_host(*ends: Any) -> Any:
+def _rigid_toi(
+    pipeline: CollisionPipeline, pivot: NDArray[np.float64] | None, is_twist: bool, start: jax.Array, end: jax.Array
+) -> jax.Array:
+    def on_host(*ends: jax.Array) -> Any:
         return RigidTois(pipeline, pivot, is_twist, *map(np.asarray, ends)).toi
 
     return jax.pure_callback(on_host, _tois_of_worlds(start), start, end, vmap_method="broadcast_all")
 
 
-def _tois_of_worlds(start: Any) -> Any:
+def _tois_of_worlds(start: jax.Array) -> Any:
     return jax.ShapeDtypeStruct(start.shape[:-2], "float64")
 
 
-def _rigid_toi_forward(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, start: Any, end: Any) -> Any:
-    def on_host(*ends: Any) -> Any:
+def _rigid_toi_forward(
+    pipeline: CollisionPipeline, pivot: NDArray[np.float64] | None, is_twist: bool, start: jax.Array, end: jax.Array
+) -> Any:
+    def on_host(*ends: jax.Array) -> Any:
         tois = RigidTois(pipeline, pivot, is_twist, *map(np.asarray, ends))
         return tois.toi, *(x.astype(end.dtype) for x, end in zip(tois.gradients, ends, strict=True))
 
@@ -293,7 +311,13 @@ def _rigid_toi_forward(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, 
     return toi, gradients
 
 
-def _rigid_toi_backward(pipeline: CollisionPipeline, pivot: Any, is_twist: bool, gradients: Any, of_toi: Any) -> Any:
+def _rigid_toi_backward(
+    pipeline: CollisionPipeline,
+    pivot: NDArray[np.float64] | None,
+    is_twist: bool,
+    gradients: list[jax.Array],
+    of_toi: jax.Array,
+) -> Any:
     of_worlds = of_toi[..., None, None]
     return tuple(jax.numpy.where(x == 0.0, x, (of_worlds * x).astype(x.dtype)) for x in gradients)
 

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any
 
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._calls.rigid_tois import RigidTois, checked_end
@@ -35,7 +36,9 @@ __all__ = ["collision_free_step", "line_search", "line_search_is_regular", "rigi
 
 
 @torch.compiler.disable
-def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+def toi(
+    pipeline: CollisionPipeline, vertices_t0: torch.Tensor, vertices_t1: torch.Tensor, *, per: Per = "scene"
+) -> torch.Tensor:
     """Earliest times of impact of a step, as :meth:`ccd_warp.CollisionPipeline.launch` finds them.
 
     Args:
@@ -60,7 +63,9 @@ def toi(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per:
     return found[0] if per == "scene" else found
 
 
-def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any) -> Any:
+def collision_free_step(
+    pipeline: CollisionPipeline, vertices_t0: torch.Tensor, vertices_t1: torch.Tensor
+) -> torch.Tensor:
     """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
 
     Args:
@@ -83,13 +88,13 @@ def collision_free_step(pipeline: CollisionPipeline, vertices_t0: Any, vertices_
 @torch.compiler.disable
 def line_search(
     pipeline: CollisionPipeline,
-    vertices_t0: Any,
-    vertices_t1: Any,
+    vertices_t0: torch.Tensor,
+    vertices_t1: torch.Tensor,
     *,
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     num_rounds: int = DEFAULT_NUM_ROUNDS,
-) -> Any:
+) -> torch.Tensor:
     """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
 
     Args:
@@ -115,7 +120,9 @@ def line_search(
     )
 
 
-def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: Any, *, per: Per = "scene") -> Any:
+def toi_is_regular(
+    pipeline: CollisionPipeline, vertices_t0: torch.Tensor, vertices_t1: torch.Tensor, *, per: Per = "scene"
+) -> torch.Tensor:
     """Which of the tois of :func:`toi` have a gradient; the others, as those of inf, give 0. It makes the launch again.
 
     Args:
@@ -138,13 +145,13 @@ def toi_is_regular(pipeline: CollisionPipeline, vertices_t0: Any, vertices_t1: A
 
 def line_search_is_regular(
     pipeline: CollisionPipeline,
-    vertices_t0: Any,
-    vertices_t1: Any,
+    vertices_t0: torch.Tensor,
+    vertices_t1: torch.Tensor,
     *,
     per: Per = "scene",
     safety: float = DEFAULT_SAFETY,
     num_rounds: int = DEFAULT_NUM_ROUNDS,
-) -> Any:
+) -> torch.Tensor:
     """Which positions of :func:`line_search` have a derivative. It makes the launch again.
 
     Args:
@@ -170,8 +177,13 @@ def line_search_is_regular(
 
 @torch.compiler.disable
 def rigid_toi(
-    pipeline: CollisionPipeline, poses_t0: Any, poses_t1: Any = None, *, twist: Any = None, pivot: Any = None
-) -> Any:
+    pipeline: CollisionPipeline,
+    poses_t0: torch.Tensor,
+    poses_t1: torch.Tensor | None = None,
+    *,
+    twist: torch.Tensor | None = None,
+    pivot: ArrayLike | None = None,
+) -> torch.Tensor:
     """Earliest time of impact of rigid bodies that turn, in each world: what ``mesh_ccd`` finds with a ``motion``.
 
     The vertices of the mesh stand in the frames of its rigid bodies, and all others rest. Bodies move on the linear
@@ -212,7 +224,7 @@ def rigid_toi(
 
 
 @torch.compiler.disable
-def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: Any) -> Any:
+def _regular(launch: Any, per: Per, pipeline: CollisionPipeline, *vertices: torch.Tensor) -> torch.Tensor:
     """The flags of a launch on a tape."""
     with _in_order(pipeline._topology.device):
         arrays = _arrays(vertices)
@@ -226,7 +238,7 @@ class _Toi(torch.autograd.Function):
     """Tois of a launch."""
 
     @staticmethod
-    def forward(ctx: Any, pipeline: CollisionPipeline, per: str, *vertices: Any) -> Any:
+    def forward(ctx: Any, pipeline: CollisionPipeline, per: str, *vertices: torch.Tensor) -> torch.Tensor:
         """Launch, on a tape where a gradient is asked for."""
         with _in_order(pipeline._topology.device):
             ctx.arrays, needs = _arrays(vertices), ctx.needs_input_grad[2:]
@@ -240,7 +252,7 @@ class _Toi(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, of_toi: Any) -> Any:
+    def backward(ctx: Any, of_toi: torch.Tensor) -> Any:
         """Play the tape backwards."""
         return None, None, *_played_back(ctx, ctx.toi, of_toi.contiguous())
 
@@ -249,7 +261,9 @@ class _LineSearch(torch.autograd.Function):
     """Shortened positions of a line search."""
 
     @staticmethod
-    def forward(ctx: Any, pipeline: CollisionPipeline, options: dict[str, Any], start: Any, end: Any) -> Any:
+    def forward(
+        ctx: Any, pipeline: CollisionPipeline, options: dict[str, Any], start: torch.Tensor, end: torch.Tensor
+    ) -> torch.Tensor:
         """Launch, on a tape where a gradient is asked for."""
         shortened = end.detach().clone()
         with _in_order(pipeline._topology.device):
@@ -262,7 +276,7 @@ class _LineSearch(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, of_shortened: Any) -> Any:
+    def backward(ctx: Any, of_shortened: torch.Tensor) -> Any:
         """Play the tape backwards, which turns the gradient of the shortened positions into that of the wished ones."""
         own_gradient = of_shortened.clone(memory_format=torch.contiguous_format)
         return None, None, *_played_back(ctx, ctx.arrays[1], own_gradient)
@@ -272,7 +286,9 @@ class _RigidToi(torch.autograd.Function):
     """Tois of worlds of rigid bodies."""
 
     @staticmethod
-    def forward(ctx: Any, pipeline: CollisionPipeline, pivot: Any, is_twist: bool, *ends: Any) -> Any:
+    def forward(
+        ctx: Any, pipeline: CollisionPipeline, pivot: ArrayLike | None, is_twist: bool, *ends: torch.Tensor
+    ) -> torch.Tensor:
         """Search, and keep the contacts."""
         ctx.like = [(end.dtype, end.device) for end in ends]
         ctx.tois = RigidTois(pipeline, pivot, is_twist, *(end.detach().cpu().numpy() for end in ends))
@@ -280,7 +296,7 @@ class _RigidToi(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, of_toi: Any) -> Any:
+    def backward(ctx: Any, of_toi: torch.Tensor) -> Any:
         """The gradients of the contacts, once; 0 of worlds without one, whatever the gradient by their tois."""
         found: list[Any] = [None, None]
         for k in range(2):
@@ -297,7 +313,7 @@ def _in_order(device: Any) -> AbstractContextManager[Any]:
     return beside(device, torch.cuda.current_stream(device.ordinal).cuda_stream) if device.is_cuda else nullcontext()
 
 
-def _arrays(vertices: Sequence[Any]) -> list[Any]:
+def _arrays(vertices: Sequence[torch.Tensor]) -> list[Any]:
     """Tensors as arrays of Warp in the same memory."""
     for k, tensor in enumerate(vertices):
         if not isinstance(tensor, torch.Tensor):
@@ -320,7 +336,7 @@ def _handed_over(array: Any) -> Any:
     return tensor
 
 
-def _played_back(ctx: Any, result: wp.array, gradient: Any) -> list[Any]:
+def _played_back(ctx: Any, result: wp.array, gradient: torch.Tensor) -> list[Any]:
     """The gradients of the arrays of a launch from that of its result, in tensors that no later call writes to."""
     with _in_order(result.device):
         of_result: Any = wp.from_torch(gradient, dtype=result.dtype)
