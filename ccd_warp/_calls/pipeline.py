@@ -44,7 +44,7 @@ from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
-from ccd_warp._scene.input.interop import check_writable
+from ccd_warp._scene.input.interop import DeviceArray, check_writable
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
 from ccd_warp._scene.mesh import CollisionMesh
@@ -266,10 +266,10 @@ class CollisionPipeline:
 
     def launch(
         self,
-        vertices_t0: Any,
-        vertices_t1: Any = None,
+        vertices_t0: DeviceArray,
+        vertices_t1: DeviceArray | None = None,
         *,
-        displacements: Any = None,
+        displacements: DeviceArray | None = None,
         motion: RigidMotion | None = None,
     ) -> LaunchResult:
         """Check a step for collisions on the device, without waiting for the result.
@@ -329,8 +329,8 @@ class CollisionPipeline:
 
     def launch_line_search(
         self,
-        vertices_t0: Any,
-        vertices_t1: Any,
+        vertices_t0: DeviceArray,
+        vertices_t1: DeviceArray,
         *,
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
@@ -405,13 +405,17 @@ class CollisionPipeline:
         return self._launch(vertices_t0, vertices_t1, motion, line_search=search, safety=safety)
 
     def _launch(
-        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None = None, **arguments: Any
+        self,
+        vertices_t0: DeviceArray,
+        vertices_t1: DeviceArray | None,
+        motion: RigidMotion | None = None,
+        **arguments: Any,
     ) -> LaunchResult:
         with self._lock:
             self._warn_of_straight_motion(motion)
             return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_once, **arguments)
 
-    def launch_proximity(self, positions: Any, distance: float) -> DeviceProximities:
+    def launch_proximity(self, positions: DeviceArray, distance: float) -> DeviceProximities:
         """Find what is near at one time on the device, without waiting for the result.
 
         As :meth:`launch`, for loops on the device: a call allocates nothing after the first, does not wait, and can be
@@ -439,7 +443,7 @@ class CollisionPipeline:
         with self._lock:
             return self._launches.launch_at_one_time(DeviceProximityStep, positions, distance, self._warn_once)
 
-    def launch_displacement_bounds(self, positions: Any, search_radius: float) -> DeviceDisplacements:
+    def launch_displacement_bounds(self, positions: DeviceArray, search_radius: float) -> DeviceDisplacements:
         """For each vertex a length by which it may move, on the device, without waiting for the result.
 
         Args:

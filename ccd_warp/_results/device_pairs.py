@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.pairs import PairTable
 from ccd_warp._results.placed import Placed
+from ccd_warp._scene.input.interop import DeviceArray
 
 
 class OnDevice:
@@ -119,7 +120,7 @@ class DeviceContacts(DevicePairs):
         """
         return self._known_step().contact_points()
 
-    def points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
+    def points_at(self, vertices_t0: DeviceArray, vertices_t1: DeviceArray) -> wp.array:
         """Position of each contact at its toi in a step between given positions.
 
         Args:

@@ -1,10 +1,11 @@
 """Arrays of other libraries as Warp arrays, in the same memory."""
 
 from collections.abc import Collection
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._scene.input.arguments import check_unmasked, shown
@@ -18,6 +19,16 @@ _VECTORS = {
     3: {wp.float32: wp.vec3f, wp.float64: wp.vec3d},
     2: {wp.float32: wp.vec2f, wp.float64: wp.vec2d},
 }
+
+
+class SupportsDLPack(Protocol):
+    """An array of a library that shares its memory by DLPack."""
+
+    def __dlpack__(self, *, stream: Any = ...) -> Any: ...
+
+
+# An array that a launch reads where it is.
+DeviceArray = wp.array | NDArray[np.floating[Any]] | SupportsDLPack
 
 
 def as_warp(value: Any, name: str) -> wp.array:
