@@ -16,7 +16,7 @@ from ..interrupts import is_stopped
 from ..narrow_phase.lane_rows import points_of_vertices, rows_from, vertices_of_pairs
 from ..narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
 from ..pair.norm import is_ball
-from ..pair.simd import fingerprint
+from ..pair.simd import build_options, fingerprint
 from ..pair.single_points import points_of
 from ..pair.start_distance import share_of
 from ..pair_kind import EDGE_EDGE, POINT_POINT
@@ -37,7 +37,8 @@ simd = specialised("pair.simd", width=width)
 lanes = wp.constant(width)
 of_width = f".{width}.{fingerprint()}" if is_euclidean else ""
 module = wp.get_module(f"ccd_warp.measure_pairs.{'ball' if is_euclidean else 'box'}{of_width}")
-wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "extra_build_options": build_options}
+wp.set_module_options(options, module=module)
 
 
 @wp.func
