@@ -28,7 +28,13 @@ from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._scene.input.arrays import as_array, as_float64, check_both_finite, is_device_array
+from ccd_warp._scene.input.arrays import (
+    are_few_and_finite,
+    as_array,
+    as_float64,
+    check_both_finite,
+    is_device_array,
+)
 from ccd_warp._scene.input.interop import as_warp
 from ccd_warp._scene.input.option_types import PairOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
@@ -195,7 +201,7 @@ def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpac
 
 
 _STATUS = 1  # position of the status among the outputs
-_LIMIT = int(CCDStatus.ITERATION_LIMIT)
+_LIMIT, _INVALID = int(CCDStatus.ITERATION_LIMIT), int(CCDStatus.INVALID)
 # A thread with more pairs than this may take long: some 0.4 s if all of them reach the limit of the first round.
 _LONG_PART = 1 << 11
 _WORTH_A_THREAD = 1000
@@ -228,7 +234,7 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, keywords: PairOp
     b = _validated_points(kind, points_t1, "points_t1")
     if b.shape != a.shape:
         raise ValueError(f"points_t1 has shape {b.shape}; expected {a.shape} like points_t0")
-    check_both_finite(a, b, ("points_t0", "points_t1"), row_name="pair")
+    is_finite = are_few_and_finite(a, b)  # of many pairs the solver finds out
     a, b = _in_3d(a), _in_3d(b)
     if device.is_cpu and 0 < len(a) <= CAPACITY:
         results = _solve_few(kind, a, b, options, device)
@@ -237,6 +243,8 @@ def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, keywords: PairOp
             wp.array(x, dtype=wp.vec3d, shape=x.shape[:2], device=device, copy=False) for x in (a, b)
         ]
         results = [array.numpy() for array in vars(_solve(kind, arrays[0], arrays[1], options, device)).values()]
+    if not is_finite and np.count_nonzero(results[_STATUS] == _INVALID):
+        check_both_finite(a, b, ("points_t0", "points_t1"), row_name="pair")
     return PairResult(*results)._of((kind, options))
 
 

@@ -332,6 +332,10 @@ PLANTED = [
     Fault("a list of what is near that the next call fills", "ccd_warp/_at_one_time/proximities.py",
           'self._buffers.release(f"pair {name}")', "pass",
           ("kernels/at_one_time/test_proximity.py::test_columns_that_are_read_late_are_those_of_their_call",)),
+    Fault("of many pairs coordinates of the first alone are looked at", "ccd_warp/_calls/pair_ccd.py",
+          "np.count_nonzero(results[_STATUS] == _INVALID)", "results[_STATUS][0] == _INVALID",
+          ("kernels/narrow_phase/test_narrow_phase.py::"
+           "test_a_coordinate_that_is_not_finite_is_named_among_few_and_many_pairs",)),
     Fault("the first pair of a block in all lanes", "kernels/at_one_time/measure_pairs.py",
           "vertices = vertices_of_pair(pairs, block + lane)", "vertices = vertices_of_pair(pairs, block)",
           ("laws/test_searches.py::test_what_is_near_and_how_far_vertices_may_move",)),
