@@ -2,7 +2,9 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
+import ctypes
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -259,7 +261,7 @@ def _device_arrays_ccd(function: str, kind: PairKind, points_t0: Any, points_t1:
     if points_t1.shape != points_t0.shape:
         raise ValueError(f"points_t1 has shape {points_t1.shape}; expected {points_t0.shape} like points_t0")
     if device.is_cpu and not device.is_capturing and 0 < a.shape[0] <= CAPACITY:
-        results = _solve_few(kind, a.numpy(), b.numpy(), options, device)
+        results = _solve_few(kind, np.asarray(a), np.asarray(b), options, device)
         out = PairResult(*map(_shared, results, OUTPUTS.values()))
     else:
         out = _solve(kind, a, b, options, device)
@@ -373,10 +375,18 @@ def _launch(
 
 
 def _shared(array: np.ndarray, dtype: Any) -> wp.array:
-    """A Warp array on the CPU in the memory of a NumPy array; from the array itself it takes twice as long to make."""
-    shared: wp.array = wp.array(ptr=array.ctypes.data, dtype=dtype, shape=array.shape[:1], device="cpu", copy=False)
-    shared._ref = array  # type: ignore[assignment]  # keeps the memory alive
-    return shared
+    """A Warp array on the CPU in the memory of a NumPy array, in a fifth of the time of the constructor."""
+    shared: Any = object.__new__(wp.array)
+    shared.__dict__.update(_like(dtype, len(array)))
+    shared.ptr = ctypes.addressof(ctypes.c_char.from_buffer(array.data))
+    shared._ref = array  # keeps the memory alive
+    return shared  # type: ignore[no-any-return]
+
+
+@lru_cache(maxsize=32)
+def _like(dtype: Any, count: int) -> dict[str, Any]:
+    """What a Warp array on the CPU says of itself, but for its memory."""
+    return vars(wp.array(ptr=1, dtype=dtype, shape=(count,), device="cpu", copy=False))
 
 
 def _in_3d(points: np.ndarray) -> np.ndarray:

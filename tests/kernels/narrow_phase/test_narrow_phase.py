@@ -308,6 +308,15 @@ def test_non_finite_warp_array_is_marked_and_conservative():
     assert result.toi.numpy()[1:].tolist() == [0, 0]
 
 
+def test_arrays_of_few_pairs_are_such_as_warp_makes():
+    """They are made without its constructor."""
+    result = ccd.vertex_face_ccd(*(wp.array(np.repeat(p, 3, axis=0), dtype=wp.vec3d) for p in FALL))
+    for array in vars(result).values():
+        made = wp.array(ptr=array.ptr, dtype=array.dtype, shape=(3,), device="cpu", copy=False)
+        assert vars(array) == vars(made) | {"_ref": array._ref} and wp.clone(array).numpy().tolist() == array.list()
+        assert array._ref.ctypes.data == array.ptr and array[1:].numpy().tolist() == array.list()[1:]
+
+
 @every_kind
 @pytest.mark.parametrize("method", ["clipping", "bisection"])
 @pytest.mark.parametrize("num_threads", [1, 2])
