@@ -16,17 +16,17 @@ from ..interrupts import is_stopped
 from ..narrow_phase.lane_rows import points_of_vertices, rows_from, vertices_of_pairs
 from ..narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
 from ..pair.norm import is_ball
-from ..pair.simd import fingerprint
+from ..pair.simd import build_options, fingerprint
 from ..pair.single_points import points_of
 from ..pair.start_distance import share_of
 from ..pair_kind import EDGE_EDGE, POINT_POINT
 from ..parameters import norm, width
-from ..step.minima import Minima
+from ..step.minima import CONTACTS_OVERFLOW, Minima, flag_world
 from ..step.pair_list import PairList, num_found, vertices_of_pair
 from ..template import specialised
 from .box_distance import box_distance
 from .pair_distance import PairDistance, measured
-from .proximity import Proximity, ProximityList, Reach, bound_pair, record_proximity
+from .proximity import ProximityList, Reach, bound_pair
 
 _ZERO = wp.constant(wp.float64(0.0))
 _NONE = wp.constant(wp.uint32(0))
@@ -37,7 +37,8 @@ simd = specialised("pair.simd", width=width)
 lanes = wp.constant(width)
 of_width = f".{width}.{fingerprint()}" if is_euclidean else ""
 module = wp.get_module(f"ccd_warp.measure_pairs.{'ball' if is_euclidean else 'box'}{of_width}")
-wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "extra_build_options": build_options}
+wp.set_module_options(options, module=module)
 
 
 @wp.func
@@ -61,16 +62,46 @@ def lower_start_distances(
             atomic_min_int64(start_distances, 2 * b[k] + 1, length)
 
 
+of_lane = "distances.{0}" if width == 1 else "distances.{0}[k]"
+direction = ", ".join(of_lane.format(f"direction.{axis}") for axis in "xyz")
+next_lane = "0; left = 0" if width == 1 else "__builtin_ctz(left); left &= left - 1"
+put_snippet = f"""
+    unsigned left = which;
+    for (int n = place; left != 0 && n < list.kind.shape[0]; ++n) {{
+        const int k = {next_lane};
+        const long long written = pairs.keys.data[block + k], key = written < 0 ? ~written : written;
+        list.kind.data[n] = pairs.kind;
+        list.primitives.data[n] = wp::vec_t<2, wp::int32>((int)(key >> 32), (int)(key & 0xFFFFFFFFLL));
+        list.parameters.data[n] = wp::vec_t<2, double>({of_lane.format("u")}, {of_lane.format("v")});
+        list.distance.data[n] = {of_lane.format("distance")};
+        list.direction.data[n] = {"distances.direction" if width == 1 else f"wp::vec_t<3, double>({direction})"};
+        list.features.data[n] = (int){of_lane.format("features")};
+    }}
+"""
+
+
+@wp.func_native(put_snippet)
+def put(place: int, pairs: PairList, block: int, which: wp.uint32, distances: PairDistance, list: ProximityList):
+    """Write the pairs of some lanes of a block from a place on, as many as the list takes."""
+    ...
+
+
 @wp.func
-def of_lane(distances: PairDistance, lane: int) -> Proximity:
-    """What is listed of the pair in a lane."""
-    r = Proximity()
-    r.parameters = wp.vec2d(simd.lane_of(distances.u, lane), simd.lane_of(distances.v, lane))
-    r.distance = simd.lane_of(distances.distance, lane)
-    d = distances.direction
-    r.direction = wp.vec3d(simd.lane_of(d.x, lane), simd.lane_of(d.y, lane), simd.lane_of(d.z, lane))
-    r.features = wp.int32(simd.lane_of(distances.features, lane))
-    return r
+def list_lanes(
+    pairs: PairList, block: int, which: wp.uint32, distances: PairDistance, minima: Minima, proximities: ProximityList
+):
+    """List the pairs of some lanes of a block; if the list is full, flag the worlds of those that are left out."""
+    place = claim_int(proximities.count, 0, number_of_bits(which))
+    put(place, pairs, block, which, distances, proximities)
+    left = which
+    listed = proximities.kind.shape[0] - place
+    if listed < number_of_bits(which):
+        while left != _NONE:
+            lane = lowest_bit(left)
+            left = left & (left - _ONE)
+            if listed <= 0:
+                flag_world(minima, vertices_of_pair(pairs, block + lane).first[0], CONTACTS_OVERFLOW)
+            listed -= 1
 
 
 @wp.kernel(module=module)
@@ -100,7 +131,6 @@ def measure_pairs(
         while block < end:
             num = wp.min(lanes, end - block)
             distances = PairDistance()
-            place = int(0)  # in the list
             if wp.static(is_euclidean):
                 i = vertices_of_pairs(pairs, rows_from(block, num))
                 distances = measured(kind, points_of_vertices(pairs.vertices_t0, i.i0, i.i1, i.i2, i.i3), sink != NEAR)
@@ -110,7 +140,8 @@ def measure_pairs(
                 if sink == NEAR and reach.radius.shape[0] == 0:
                     left = left & simd.bits_of(simd.is_at_most(distances.least, reach.distance))
                     if left != _NONE:
-                        place = claim_int(proximities.count, 0, number_of_bits(left))
+                        list_lanes(pairs, block, left, distances, minima, proximities)
+                        left = _NONE
                 elif sink == START_DISTANCE and reach.radius.shape[0] == 0:
                     left = left & ~simd.bits_of(simd.is_less(reach.distance, distances.least))
             while left != _NONE:
@@ -133,13 +164,8 @@ def measure_pairs(
                     if not (least > add_rounded_up(reach.distance, thickness)):
                         kept = add_rounded_up(reach.kept, thickness)
                         lower_start_distances(kind, a, b, least, kept, start_distances)
-                else:
-                    if reach.radius.shape[0] > 0:
-                        if not (least <= distance_of(reach.distance, reach.radius, a, b)):
-                            continue
-                        place = claim_int(proximities.count, 0, 1)
-                    record_proximity(place, kind, vertices.pair, a[0], of_lane(distances, lane), minima, proximities)
-                    place += 1
+                elif least <= distance_of(reach.distance, reach.radius, a, b):
+                    list_lanes(pairs, block, _ONE << wp.uint32(lane), distances, minima, proximities)
             block += lanes
         if first > 2147483647 - num_solvers * chunk:
             return

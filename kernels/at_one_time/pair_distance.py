@@ -93,6 +93,15 @@ class Closest:
 
 
 @wp.struct
+class Side:
+    """A side, and its square with the reciprocal of that, which is infinite where the square underflows."""
+
+    vector: Vec3
+    squared: Lanes
+    inverse: Lanes
+
+
+@wp.struct
 class OnSide:
     """The closest point of a side, with the weights of its ends; of an end the other weight is exactly 0."""
 
@@ -110,21 +119,29 @@ class Foot:
     squared: Lanes
     x: Lanes
     y: Lanes
-    exists: Mask
 
 
 @simd.func
-def on_side(a: Vec3, b: Vec3, side: Vec3) -> OnSide:
+def side_of(vector: Vec3) -> Side:
+    """A side and what others need of it."""
+    r = Side()
+    r.vector = vector
+    r.squared = dot(vector, vector)
+    r.inverse = one / r.squared
+    return r
+
+
+@simd.func
+def on_side(a: Vec3, b: Vec3, side: Side) -> OnSide:
     """Closest point to the origin of the segment from a to b = a + side, reckoned from its nearer end."""
     is_from_b = is_less(dot(b, b), dot(a, a))
     near = select(is_from_b, b, a)
     far = select(is_from_b, a, b)
-    e = select(is_from_b, minus(side), side)
-    squared = dot(e, e)
-    t = least(greatest(minus(dot(near, e)) / squared, zero), one)
-    t = select(is_less(zero, squared), t, zero)
+    e = select(is_from_b, minus(side.vector), side.vector)
+    # 0 or 1 where the reciprocal is infinite, 0 if the product with it is NaN
+    t = least(greatest(minus(dot(near, e)) * side.inverse, zero), one)
     d = near + t * e
-    d = d - (dot(d, e) / squared) * e
+    d = d - (dot(d, e) * side.inverse) * e
     r = OnSide()
     # the far end only if rounding hides which end is nearer
     r.d = select(is_less(zero, t), select(is_less(t, one), d, far), near)
@@ -136,25 +153,24 @@ def on_side(a: Vec3, b: Vec3, side: Vec3) -> OnSide:
 
 
 @simd.func
-def foot(w: Vec3, q: Vec3, r: Vec3) -> Foot:
-    """The foot of the perpendicular; there is none where the sides are parallel."""
-    is_swapped = is_less(dot(q, q), dot(r, r))
-    longer = select(is_swapped, r, q)
-    shorter = select(is_swapped, q, r)
-    length_squared = dot(longer, longer)
-    lean = dot(shorter, longer) / length_squared
+def foot(w: Vec3, q: Side, r: Side) -> Foot:
+    """The foot of the perpendicular; where the sides are parallel its weights are infinite or NaN, so not inside."""
+    is_swapped = is_less(q.squared, r.squared)
+    longer = select(is_swapped, r.vector, q.vector)
+    shorter = select(is_swapped, q.vector, r.vector)
+    inverse = select(is_swapped, r.inverse, q.inverse)
+    lean = dot(shorter, longer) * inverse
     across = shorter - lean * longer
-    across = across - (dot(across, longer) / length_squared) * longer
-    width_squared = dot(across, across)
-    along = minus(dot(w, longer)) / length_squared
+    width = side_of(across - (dot(across, longer) * inverse) * longer)
+    across = width.vector
+    along = minus(dot(w, longer)) * inverse
     d = w + along * longer
-    y = minus(dot(d, across)) / width_squared
+    y = minus(dot(d, across)) * width.inverse
     d = d + y * across
-    d = d - (dot(d, longer) / length_squared) * longer
+    d = d - (dot(d, longer) * inverse) * longer
     x = along - lean * y
     f = Foot()
-    f.exists = is_less(zero, length_squared) & is_less(zero, width_squared)
-    f.d = d - (dot(d, across) / width_squared) * across
+    f.d = d - (dot(d, across) * width.inverse) * across
     f.squared = dot(f.d, f.d)
     f.x = select(is_swapped, y, x)
     f.y = select(is_swapped, x, y)
@@ -200,7 +216,7 @@ def of_side(side: OnSide, u: Lanes, v: Lanes, features: Lanes) -> Closest:
 
 
 @simd.func
-def closest_of_face(w0: Vec3, w1: Vec3, w2: Vec3, q: Vec3, r: Vec3, side: Vec3) -> Closest:
+def closest_of_face(w0: Vec3, w1: Vec3, w2: Vec3, q: Side, r: Side, side: Side) -> Closest:
     """Closest point of the triangle w0, w1 = w0 + q, w2 = w0 + r = w1 + side, whose corners are v less f0, f1, f2."""
     none = spread(zero)
     every = is_at_most(none, none)
@@ -211,12 +227,12 @@ def closest_of_face(w0: Vec3, w1: Vec3, w2: Vec3, q: Vec3, r: Vec3, side: Vec3) 
     s = on_side(w1, w2, side)
     c = nearer(c, s.d, s.squared, s.of_a, s.of_b, first + span(s, third, fourth), every)
     f = foot(w0, q, r)
-    among = f.exists & is_less(zero, f.x) & is_less(zero, f.y) & is_less(f.x + f.y, one)
+    among = is_less(zero, f.x) & is_less(zero, f.y) & is_less(f.x + f.y, one)
     return nearer(c, f.d, f.squared, f.x, f.y, spread(all_four), among)
 
 
 @simd.func
-def closest_of_edges(w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3, q: Vec3, r: Vec3) -> Closest:
+def closest_of_edges(w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3, q: Side, r: Side) -> Closest:
     """Closest point of the parallelogram w00 + u·r + v·q, whose corners are the ends of one edge less the other's."""
     none = spread(zero)
     whole = spread(one)
@@ -230,7 +246,7 @@ def closest_of_edges(w00: Vec3, w01: Vec3, w10: Vec3, w11: Vec3, q: Vec3, r: Vec
     s = on_side(w01, w11, r)
     c = nearer(c, s.d, s.squared, s.of_b, whole, fourth + span(s, first, second), every)
     f = foot(w00, q, r)
-    among = f.exists & is_inside(f.x) & is_inside(f.y)
+    among = is_inside(f.x) & is_inside(f.y)
     return nearer(c, f.d, f.squared, f.y, f.x, spread(all_four), among)
 
 
@@ -313,11 +329,11 @@ def measured(kind: int, points: Points, only_least: bool) -> PairDistance:
     closest.v = none
     closest.features = spread(first_and_third)
     if kind == VERTEX_FACE:
-        closest = closest_of_face(w00, w01, w10, s * c.q, s * c.r, s * (p.p2 - p.p3))
+        closest = closest_of_face(w00, w01, w10, side_of(s * c.q), side_of(s * c.r), side_of(s * (p.p2 - p.p3)))
     elif kind == EDGE_EDGE:
-        closest = closest_of_edges(w00, w01, w10, w11, s * c.q, s * c.r)
+        closest = closest_of_edges(w00, w01, w10, w11, side_of(s * c.q), side_of(s * c.r))
     elif kind == POINT_SEGMENT:
-        side = on_side(w00, w01, s * c.q)
+        side = on_side(w00, w01, side_of(s * c.q))
         closest = of_side(side, side.of_b, none, first + span(side, third, fourth))
     # corners that repeat do no harm
     n = to_unit_size(closest.d)
@@ -340,16 +356,17 @@ def measured(kind: int, points: Points, only_least: bool) -> PairDistance:
     r.u = closest.u
     r.v = closest.v
     r.features = closest.features
-    bound = greatest(least(along / length * down / s * restored, largest_finite) - spread(UNDERFLOW), zero)
+    of_scale = one / s  # exact
+    bound = greatest(least(along / length * down * of_scale * restored, largest_finite) - spread(UNDERFLOW), zero)
     bound = select(is_less(zero, along), bound, none)
     r.distance = none
     r.direction = vec(none, none, none)
     if not only_least:
         has_length = is_less(zero, length)
-        r.direction = select(has_length, vec(n.x / length, n.y / length, n.z / length), r.direction)
+        r.direction = select(has_length, (one / length) * n, r.direction)
         unit = inverse_power_of_two(greatest_of(magnitude(closest.d)))
         of_unit_size = unit * closest.d
-        r.distance = select(has_length, square_root(dot(of_unit_size, of_unit_size)) / unit / s * restored, none)
+        r.distance = select(has_length, square_root(dot(of_unit_size, of_unit_size)) / unit * of_scale * restored, none)
     is_finite = is_at_most(sizes, sizes) & is_at_most(greatest_of(size), largest_finite)
     r.least = select(is_finite, bound, spread(not_a_number))
     return r

@@ -22,6 +22,8 @@ _KEY_BITS = wp.constant(63)
 _MIX = wp.constant(wp.uint64(0xBF58476D1CE4E5B9))
 _MIX_MORE = wp.constant(wp.uint64(0x94D049BB133111EB))
 _NO_VERTEX = wp.constant(2147483647)
+# So many places before they are needed rows are fetched from memory, in which they lie at random.
+_AHEAD = wp.constant(16)
 
 
 @wp.struct
@@ -38,10 +40,11 @@ class FeaturePairs:
 
 
 @wp.func
-def features_of(pairs: FeaturePairs, n: int) -> wp.vec3i:
+def features_of(pairs: FeaturePairs, n: int):
     """The two closest features of a pair: a vertex, and both ends of an edge, or twice the larger of two vertices.
 
-    Of a face with copies -1, and the first of these. Of a pair whose features no other has: -1.
+    Of a face with copies -1, and the first of these. Of a pair whose features no other has: -1. Three numbers, as a
+    vector would go through memory.
     """
     bits = pairs.features[n]
     kind = pairs.kind[n]
@@ -49,8 +52,8 @@ def features_of(pairs: FeaturePairs, n: int) -> wp.vec3i:
     if bits == _INSIDE or kind == VERTEX_PLANE:
         if kind == VERTEX_FACE and pairs.face_copies.shape[0] > 0:
             if pairs.face_copies[pair[1]] >= 0:
-                return wp.vec3i(pair[0], -1, pairs.face_copies[pair[1]])
-        return wp.vec3i(-1, -1, -1)
+                return pair[0], -1, pairs.face_copies[pair[1]]
+        return -1, -1, -1
     first = wp.vec3i(pair[0], pair[0], 0)
     second = wp.vec3i(pair[1], pair[1], 0)
     shift = int(2)
@@ -73,8 +76,8 @@ def features_of(pairs: FeaturePairs, n: int) -> wp.vec3i:
             low_b = wp.min(low_b, second[k])
             high_b = wp.max(high_b, second[k])
     if low_a != high_a or (low_b == high_b and low_b < low_a):
-        return wp.vec3i(low_b, low_a, high_a)
-    return wp.vec3i(low_a, low_b, high_b)
+        return low_b, low_a, high_a
+    return low_a, low_b, high_b
 
 
 @wp.func
@@ -106,15 +109,28 @@ def fill_feature_keys(
     if n < pairs.count[0]:
         if pair_keys.shape[0] > 0:
             pair_keys[n] = sort_key(pairs.kind[n], pairs.primitives[n])
-        f = features_of(pairs, n)
-        if f[0] < 0:
+        vertex, second, third = features_of(pairs, n)
+        if vertex < 0:
             is_unique[n] = True
             shared_by[n] = 1
         else:
-            others[n] = wp.vec2i(f[1], f[2])
+            others[n] = wp.vec2i(second, third)
             hash_bits = _KEY_BITS - vertex_bits - row_bits
-            h = wp.int64(mixed((wp.uint64(f[1]) << wp.uint64(32)) | wp.uint64(f[2])) >> wp.uint64(64 - hash_bits))
-            keys[n] = (((wp.int64(f[0]) << wp.int64(hash_bits)) | h) << wp.int64(row_bits)) | wp.int64(n)
+            h = wp.int64(mixed((wp.uint64(second) << wp.uint64(32)) | wp.uint64(third)) >> wp.uint64(64 - hash_bits))
+            keys[n] = (((wp.int64(vertex) << wp.int64(hash_bits)) | h) << wp.int64(row_bits)) | wp.int64(n)
+
+
+@wp.func_native(
+    """
+#if !defined(__CUDA_ARCH__)
+    __builtin_prefetch(others.data + row);
+    __builtin_prefetch(pair_keys.data + row);
+#endif
+"""
+)
+def fetch_row(others: wp.array[wp.vec2i], pair_keys: wp.array[wp.int64], row: int):
+    """Have the processor load a row that is needed soon; on the CPU, and of an empty array nothing."""
+    ...
 
 
 @wp.kernel
@@ -134,11 +150,12 @@ def mark_unique(
     key = keys[i]
     if key == _NO_KEY:
         return
+    mask = (wp.int64(1) << wp.int64(row_bits)) - wp.int64(1)
+    fetch_row(others, pair_keys, wp.int32(keys[wp.min(i + _AHEAD, keys.shape[0] - 1)] & mask))
     h = key >> wp.int64(row_bits)
     if i > 0:
         if (keys[i - 1] >> wp.int64(row_bits)) == h:
             return
-    mask = (wp.int64(1) << wp.int64(row_bits)) - wp.int64(1)
     first = wp.int32(key & mask)
     end = int(i + 1)
     while end < keys.shape[0] and (keys[end] >> wp.int64(row_bits)) == h:

@@ -2,7 +2,8 @@
 
 Most functions have two versions: a scalar one, which CUDA uses and which serves as the definition, and one in Clang's
 portable vector extension, which Clang lowers to the instructions of the processor. The overlap tests have a third for
-AVX-512, because Clang by itself uses only half of those registers, which costs 15 % of a search.
+AVX-512, because Clang by itself uses only half of those registers, which costs 15 % of a search, and so has what
+collects candidates, for an instruction that packs the numbers of some lanes, which saves a tenth.
 `tests/kernels/boxes/test_lanes.py` compiles every version that the processor can run and compares it with NumPy.
 
 A block is laid out as in `box_tree`: six rows of sixteen numbers for each AABB, three rows of sixteen vertices.

@@ -169,13 +169,39 @@ def append_keys(
     ...
 
 
-@wp.func_native(
-    """
+_PAIRS = """
     const int i = query_primitive.data[query];
     const int* targets = target_primitive.data + 16LL * block;
     const int* q = query_corners.data + (long long)(query / 16) * 48 + query % 16;
     const int* t = target_corners.data + 48LL * block;
     const int q0 = q[0], q1 = q[16], q2 = q[32];
+"""
+
+COLLECT = {
+    "avx512": _PAIRS
+    + """
+    typedef int Row __attribute__((vector_size(64)));
+    const Row nothing = {};
+    const auto load = [=](const int* x) { return (Row)__builtin_ia32_loaddqusi512_mask(x, nothing, mask); };
+    const auto put = [=](int row, Row x) {
+        const Row packed = (Row)__builtin_ia32_compresssi512_mask(x, nothing, mask);
+        // all of it: a row has a place for each lane beyond those that wait
+        __builtin_memcpy(collected.data + row * capacity + count, &packed, sizeof(packed));
+    };
+    const Row j = load(targets), t0 = load(t), t1 = load(t + 16), t2 = load(t + 32);
+    const Row turned = order == 2 ? (Row)(j < nothing + i) : nothing - (order == 1);
+    const auto first_of = [=](int of_query, Row of_target) { return turned ? of_target : nothing + of_query; };
+    const auto second_of = [=](int of_query, Row of_target) { return turned ? nothing + of_query : of_target; };
+    put(0, first_of(q0, t0));
+    put(1, of_first == 2 ? first_of(q1, t1) : second_of(q0, t0));
+    put(2, of_first == 2 ? second_of(q0, t0) : second_of(q1, t1));
+    put(3, of_first == 2 ? second_of(q1, t1) : second_of(q2, t2));
+    put(4, first_of(i, j));
+    put(5, second_of(i, j));
+    return count + __builtin_popcount(mask);
+""",
+    "vector": _PAIRS
+    + """
     for (; mask != 0; mask &= mask - 1, ++count) {
         const int lane = __builtin_ctz(mask);
         const int j = targets[lane], t0 = t[lane], t1 = t[lane + 16], t2 = t[lane + 32];
@@ -190,8 +216,12 @@ def append_keys(
         c[5 * capacity] = turned ? i : j;
     }
     return count;
-"""
-)
+""",
+}
+COLLECT["scalar"] = COLLECT["vector"]
+
+
+@wp.func_native(chosen(COLLECT))
 def collect_pairs(
     query_primitive: wp.array[wp.int32],
     query_corners: wp.array[wp.int32],
@@ -209,6 +239,7 @@ def collect_pairs(
     """Add the pairs of a query and the boxes of a block in a mask to ``count`` others; returns their number.
 
     Each fills a place of six rows of ``capacity`` numbers: four vertices, of which one or two, ``of_first``, belong to
-    the first primitive, and the two primitives. The order is that of `append_keys`. Only the CPU collects pairs.
+    the first primitive, and the two primitives. The order is that of `append_keys`. Sixteen places from ``count`` on
+    may be written. Only the CPU collects pairs.
     """
     ...

@@ -14,7 +14,7 @@ from ..pair.norm import MAXIMUM_NORM
 from ..pair.pair_options import row_in
 from ..pair.points import Points
 from ..pair.query import Options
-from ..pair.simd import fingerprint
+from ..pair.simd import build_options, fingerprint
 from ..pair.single_points import points_of, row_points
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION
 from ..parameters import norm, real, width
@@ -135,7 +135,8 @@ def settle_pair(
 # a Warp module for each precision, number of lanes and norm
 of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
 module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{of_norm}.{fingerprint()}")
-wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
+options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "extra_build_options": build_options}
+wp.set_module_options(options, module=module)
 
 
 @wp.kernel(module=module)

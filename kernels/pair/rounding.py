@@ -89,11 +89,15 @@ below are in the normalised units of step 2.
    was found, whatever it is worth, every corner has d·W ≥ a - Σ|d_k|·E_k, a the least computed projection and E_k that
    of step 4 for the root; the patch is the hull of its corners, so (a - Σ|d_k|·E_k)/|d| bounds its distance from below.
    d has its largest component in [1/2, 1), so √(d·d) is within 3.1u; with the difference, the quotient and their
-   product that is less than 8u, by which the quotient is lowered. Dividing by the power of two is exact but for a
-   result below 2^-1022, from which 2^-1070 is subtracted. The distance that is reported is |d|. d is a point of the
-   patch: its weights are computed, and its products and sums round by at most 4u·M_k on each axis, of which those along
-   the feature are taken out again; and no other point is nearer by more, since a foot off by a rounding of M moves the
-   distance by less.
+   product that is less than 8u, by which the quotient is lowered. The reciprocal of a power of two is exact, and the
+   product with it but for a result below 2^-1022, from which 2^-1070 is subtracted. The distance that is reported is
+   |d|. d is a point of the patch: its weights are computed, and its products and sums round by at most 4u·M_k on each
+   axis, of which those along the feature are taken out again; and no other point is nearer by more, since a foot off by
+   a rounding of M moves the distance by less. A weight is a product with the reciprocal of the square of a side, which
+   its uses share: two roundings in place of the one of a quotient move d along the side alone, by u of its length, and
+   what is taken out again is a few u, of which that is u². Where the reciprocal of a square is infinite, so is a
+   product with it, or NaN: the weight of such a side, shorter than 2^-511, is 0 or 1, either of which is right, and a
+   foot on it is not inside. A direction is d times the reciprocal of its length, a rounding more on each axis.
 16. **Bounds of displacements.** A pair that is at least L apart is to stay farther apart than m. A vertex that moves by
    less than b moves every point of a primitive by less than the largest b of its vertices, so two sides with b ≤
    (L-m)/2 each, or one with b ≤ L-m beside a static one, leave more than m. m is rounded up and L down; L - m rounds

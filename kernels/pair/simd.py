@@ -62,7 +62,23 @@ def fingerprint() -> str:
     return f"{zlib.crc32(inspect.getsource(sys.modules[__name__]).encode()):08x}"
 
 
+# Warp aligns vectors to their numbers: a load or store of 64 bytes then often touches two lines of the cache. In the
+# modules that are built so no array is made of such vectors, and no kernel takes one from the host.
+_ALIGNED = """
+template <> struct alignas(sizeof({1}) * {0} < 64 ? sizeof({1}) * {0} : 64) wp::vec_t<{0}, {1}> {{
+    {1} c[{0}];
+    vec_t() : c() {{}}
+    vec_t({1} s) {{ for (auto& x : c) x = s; }}
+    vec_t(const wp::initializer_array<{0}, {1}>& l) {{ for (int i = 0; i < {0}; ++i) c[i] = l[i]; }}
+    {1} operator[](int i) const {{ return c[i]; }}
+    {1}& operator[](int i) {{ return c[i]; }}
+}};
+"""
+_NUMBERS = {wp.float64: ("double", "long long"), wp.float32: ("float", "int", "double", "long long")}
+
 head = header(real, width)
+aligned = "".join(_ALIGNED.format(width, number) for number in _NUMBERS[real]) if width > 1 else ""
+build_options = wp.ModuleBuildOptions(extra_cpu_preamble=aligned)
 is_vector = width > 1
 Lanes: Any = wp.types.vector(length=width, dtype=real) if is_vector else real
 Mask: Any = wp.types.vector(length=width, dtype=_MASK[real]) if is_vector else wp.bool

@@ -21,7 +21,7 @@ from ..boxes.lanes import (
     shared_vertex_mask,
 )
 from ..boxes.pair_lanes import append_keys
-from ..pair.simd import fingerprint
+from ..pair.simd import build_options, fingerprint
 from ..parameters import end, is_thick, width, with_lists
 from ..step.minima import CANDIDATES, FOUND
 from .collected import collect, cull_rest
@@ -42,7 +42,8 @@ def module_of(walk: str):
     """The module of the kernel of a walk."""
     lists, thick = ".lists" if with_lists else "", ".thick" if is_thick else ""
     module = wp.get_module(f"ccd_warp.{walk}.{end}{lists}{thick}.{width}.{fingerprint()}")
-    wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
+    options = {"enable_backward": False, "fuse_fp": False, "extra_build_options": build_options}
+    wp.set_module_options(options, module=module)
     return module
 
 

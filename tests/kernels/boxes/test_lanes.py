@@ -62,6 +62,20 @@ def of_vertices(f):
     return run
 
 
+def of_candidates(f):
+    def run(ids: INTS, corners: INTS, order: int, of_first: int, collected: INTS, out: wp.array2d[wp.int32]):
+        i, j = wp.tid()
+        capacity = collected.shape[0] / 6
+        begin = (i * 10 + j) * (capacity / 640)
+        mask = wp.uint32((i * 40503 + j * 30011) & 0xFFFF)
+        end = f(ids, corners, i, ids, corners, j, mask, order, of_first, begin, capacity, collected)
+        for k in range(6):
+            for n in range(begin, end):
+                out[i, j] += collected[k * capacity + n] * (24 * k + n - begin + 1)
+
+    return run
+
+
 def blocks(rng, count, num_aabbs=1):
     """Boxes on a coarse lattice, so that ties abound, some infinite and some empty."""
     lower = rng.integers(-4, 4, (count, num_aabbs, 3, 16)).astype(np.float32)
@@ -109,6 +123,14 @@ FUNCTIONS = {
             + (rng.integers(0, 40, (12, 3, 16)), n, rng.integers(0, 40, (12, 3, 16)), m)
             for n, m in SIDES
             for inflation in (0.0, 0.25, 5e-324)
+        ],
+    ),
+    "candidates": (pair_lanes.collect_pairs, pair_lanes.COLLECT, of_candidates, (64, 10), wp.int32)
+    + (
+        lambda rng: [
+            (rng.permutation(160), rng.integers(0, 40, (10, 3, 16)), order, n, np.zeros(6 * 640 * 16, dtype=int))
+            for order in (0, 1, 2)
+            for n in (1, 2)
         ],
     ),
     "leaves": (lanes.write_leaves, lanes.LEAVES, of_leaves, (1, 4 * 2 * 96), wp.float32)

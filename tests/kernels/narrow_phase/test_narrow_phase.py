@@ -306,3 +306,37 @@ def test_non_finite_warp_array_is_marked_and_conservative():
     result = ccd.vertex_face_ccd(*(wp.array(p, dtype=wp.vec3d) for p in points))
     assert result.status.numpy().tolist() == [ccd.CCDStatus.COLLISION, invalid, invalid]
     assert result.toi.numpy()[1:].tolist() == [0, 0]
+
+
+def test_arrays_of_few_pairs_are_such_as_warp_makes():
+    """They are made without its constructor."""
+    result = ccd.vertex_face_ccd(*(wp.array(np.repeat(p, 3, axis=0), dtype=wp.vec3d) for p in FALL))
+    for array in vars(result).values():
+        made = wp.array(ptr=array.ptr, dtype=array.dtype, shape=(3,), device="cpu", copy=False)
+        assert vars(array) == vars(made) | {"_ref": array._ref} and wp.clone(array).numpy().tolist() == array.list()
+        assert array._ref.ctypes.data == array.ptr and array[1:].numpy().tolist() == array.list()[1:]
+
+
+@every_kind
+@pytest.mark.parametrize("method", ["clipping", "bisection"])
+@pytest.mark.parametrize("num_threads", [1, 2])
+def test_a_coordinate_that_is_not_finite_is_named_among_few_and_many_pairs(
+    kind, dimension, precision, method, num_threads
+):
+    """The host looks at the coordinates of few pairs, of many only where the solver has found one."""
+    options = {"precision": precision, "method": method, "num_threads": num_threads}
+    drawn_once, bad = drawn(kind, ["random"], 10, 25, dimension), (np.nan, np.inf, -np.inf)
+    for count in (1, 2061, 8197):  # checked before, and solved in one part and in several
+        ends = [np.resize(x, (count, *x.shape[1:])) for x in drawn_once]
+        for scale in (1.0, 1.7e308 / max(np.abs(x).max() for x in ends), 5e-324):  # finite all
+            assert (SOLVE[kind](*(x * scale for x in ends), **options).status != ccd.CCDStatus.INVALID).all()
+        places = [(end, (row, *place)) for end in (0, 1) for place in np.ndindex(ends[0].shape[1:]) for row in (0, -1)]
+        for k, (end, place) in enumerate(places):
+            points = [x.copy() for x in ends]
+            points[end][place] = bad[k % 3]
+            message = f"points_t{end} holds {bad[k % 3]} in pair {place[0] % count}; expected finite values"
+            with pytest.raises(ValueError, match=message):
+                SOLVE[kind](*points, **options)
+        points[end][-1] = np.inf  # whose differences are NaN
+        with pytest.raises(ValueError, match=f"points_t{end} holds .* in pair {place[0] % count}"):
+            SOLVE[kind](*points, **options)
