@@ -80,7 +80,6 @@ class Pipeline(Protocol):
     def borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
         """A pipeline for one call."""
 
-    @property
     def _start_distances(self) -> StartDistances | None: ...
 
     def _check_no_capture(self) -> None: ...
@@ -230,7 +229,7 @@ class MotionWorlds:
                 found.append((worlds, of_parts, pairs))
             if least <= 0.0:
                 return least, True
-        near = self._pipeline._start_distances
+        near = self._pipeline._start_distances()
         for worlds, of_parts, pairs in found:
             if pairs is None or near is None:
                 return least, True

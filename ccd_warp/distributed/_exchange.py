@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,13 +38,21 @@ class Exchange:
     def _move(self, arrays: _Arrays, sent_rows: _Rows, results: _Arrays, rows_of: _Rows, *, is_back: bool) -> None:
         ranks, widths = self._ranks, [math.prod(result.shape[1:]) for result in results]
         others = [r for r in range(ranks.size) if r != ranks.rank]
-        sent = {r: np.concatenate([a[sent_rows[r]].ravel() for a in arrays]) for r in others}
+        items = [_items(array) for array in arrays]
+        sent = {r: np.concatenate([of[sent_rows[r]].view(np.float64).ravel() for of in items]) for r in others}
         received = {r: np.empty(sum(widths) * len(rows_of[r])) for r in others}
         ranks.exchange(sent, received)
         for r, rows in enumerate(rows_of):
-            parts: _Arrays = [array[sent_rows[r]] for array in arrays]
-            if r != ranks.rank:
-                parts = np.split(received[r], np.cumsum([width * len(rows) for width in widths])[:-1])
+            parts = [of[sent_rows[r]].view(np.float64) for of in items] if r == ranks.rank else None
+            parts = parts or np.split(received[r], np.cumsum([width * len(rows) for width in widths])[:-1])
             for part, result in zip(parts, results, strict=True):
                 values = part.reshape(len(rows), *result.shape[1:])
-                result[rows] = np.minimum(result[rows], values) if is_back else values
+                if is_back:
+                    result[rows] = np.minimum(result[rows], values)
+                else:
+                    _items(result)[rows] = _items(values)
+
+
+def _items(array: NDArray[np.float64]) -> NDArray[Any]:
+    """The rows of a contiguous array as single items, which NumPy picks in less than half the time."""
+    return array if array.ndim == 1 else array.view(np.dtype((np.void, array.itemsize * array.shape[1])))[:, 0]

@@ -24,6 +24,8 @@ from ccd_warp._scene.input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._ranks import Ranks, mpi
 
+_Floats = NDArray[np.float64]
+
 
 class DistributedMesh:
     """A mesh whose parts lie on the ranks of a communicator; no rank ever has all of it.
@@ -113,7 +115,7 @@ class DistributedMesh:
         with ranks.together("DistributedMesh"):
             if exclusion_rings != 1:
                 raise ValueError(
-                    f"exclusion_rings is {shown(exclusion_rings)}; expected 1: more rings are for one process"
+                    f"exclusion_rings is {shown(exclusion_rings)}; expected 1, as more are for one process"
                 )
             columns = as_any_array(vertices, "vertices", "positions").shape[1:]
             self.dimension = int(ranks.most(np.array(columns[0] if len(columns) == 1 else 0))) or 3
@@ -125,25 +127,19 @@ class DistributedMesh:
             self.radius = validated_radius(radius, [0, count], self._where, {})
             planes = half_spaces_by_body({} if half_spaces is None else half_spaces)
             self._count_bodies(planes)
-            self.primitives = {
-                "face": self._corners("faces", faces, 3),
-                "edge": self._corners("edges", edges, 2),
-            }
+            self.primitives = {"face": self._corners("faces", faces, 3), "edge": self._corners("edges", edges, 2)}
             self._agree_on_vertices(owned)
-            self._take_tables(static, kinematic, self_collision, body_pairs, exclude_pairs, planes)
+            self._take_tables(planes, static, kinematic, self_collision, body_pairs, exclude_pairs)
             self._find_unused(validated_flags(codimensional_points, self.num_bodies, "codimensional_points"))
             check_finite(positions, "vertices", where=self._where, but=np.flatnonzero(self.is_unused))
             self._measure(positions)
 
     def __repr__(self) -> str:
-        sizes = f"{self.num_vertices:,} vertices"
-        sizes += f", {counted(len(self.planes), 'half-space', 'half-spaces')}" if len(self.planes) else ""
-        sizes += ", in the plane" if self.dimension == 2 else ""
+        sizes = f"{self.num_bodies} bodies, {self.num_vertices:,} vertices" + ", in the plane" * (self.dimension == 2)
         if self.num_unused:
             sizes += f", {counted(self.num_unused, 'vertex takes no part', 'vertices take no part')}"
-        ranks = self.ranks
-        here = f"rank {ranks.rank} of {ranks.size} has {len(self.vertex_ids):,} vertices"
-        return f"DistributedMesh({self.num_bodies} bodies, {sizes}; {here})"
+        here = f"rank {self.ranks.rank} of {self.ranks.size} has {len(self.vertex_ids):,} vertices"
+        return f"DistributedMesh({sizes}; {here})"
 
     def _where(self, row: int) -> str:
         return f" (vertex id {self.vertex_ids[row]})"
@@ -178,21 +174,19 @@ class DistributedMesh:
         return corners if columns == 3 else corners[corners[:, 0] != corners[:, 1]]
 
     def _agree_on_vertices(self, owned: ArrayLike | None) -> None:
-        """Find the owner of each vertex, and whether any rank uses it in a primitive.
-
-        What all ranks say of a vertex meets on one of them, which answers all.
-        """
+        """Find the owner of each vertex, and whether any uses it: what all say of it meets on one rank."""
         ranks, ids, count = self.ranks, self.vertex_ids, len(self.vertex_ids)
         flags = np.full(count, -1) if owned is None else as_array(owned, "owned", f"bool and shape {(count,)}")
         if owned is not None and (flags.shape != (count,) or (count and flags.dtype != bool)):
             raise ValueError(f"owned has dtype {flags.dtype} and shape {flags.shape}; expected bool and {(count,)}")
         given = [count and owned is not None, count and owned is None]
-        given += [count and self.is_thick, count and not self.is_thick]
+        given += [count and self.radius is not None, count and self.radius is None]
         some = ranks.most(np.array(given, dtype=np.int64))
         for name, of_ranks in (("owned", some[:2]), ("radius", some[2:])):
             if of_ranks.all():
                 raise ValueError(f"{name} is given on some ranks and not on others; expected it on all or on none")
-        if some[2] and count == 0:
+        self.is_thick = bool(some[2])
+        if self.is_thick and count == 0:
             self.radius = np.zeros(0)
         self._order = np.argsort(ids, kind="stable")
         for k in np.flatnonzero(np.diff(ids[self._order]) == 0)[:1]:
@@ -225,21 +219,9 @@ class DistributedMesh:
         sources = [self._order[np.searchsorted(ordered, wanted)] for wanted in requested]
         return Exchange(self.ranks, sources, targets)
 
-    @property
-    def is_thick(self) -> bool:
-        """Whether vertices have radii."""
-        return self.radius is not None
-
-    def _take_tables(
-        self,
-        static: Iterable[int] | None,
-        kinematic: Iterable[int] | None,
-        self_collision: bool | Sequence[bool],
-        body_pairs: ArrayLike | Iterable[Any] | None,
-        exclude_pairs: Mapping[str, Any] | None,
-        half_spaces: Mapping[int, HalfSpace],
-    ) -> None:
+    def _take_tables(self, half_spaces: Mapping[int, HalfSpace], *tables: Any) -> None:
         """Check what is the same on all ranks."""
+        static, kinematic, self_collision, body_pairs, exclude_pairs = tables
         self.names = names = tuple(f"body {b}" for b in range(self.num_bodies))
         self.static, self.kinematic = validated_static(static, kinematic, names)
         for body in filter(half_spaces.__contains__, np.flatnonzero(self.kinematic).tolist()):
@@ -250,11 +232,8 @@ class DistributedMesh:
         self.body_pairs = validated_body_pairs(body_pairs, names)
         given = {} if exclude_pairs is None else exclude_pairs
         if not isinstance(given, Mapping) or not set(given) <= {"bodies", "vertices"}:
-            raise ValueError(
-                f"exclude_pairs is {shown(exclude_pairs)}; expected a mapping with 'bodies' and 'vertices'"
-            )
-        most = np.iinfo(np.int64).max
-        self.excluded_ids = validated_indices(given.get("vertices", ()), 2, most, "exclude_pairs['vertices']")
+            raise ValueError(f"exclude_pairs is {shown(given)}; expected a mapping with 'bodies' and 'vertices'")
+        self.excluded_ids = validated_indices(given.get("vertices", ()), 2, 1 << 63, "exclude_pairs['vertices']")
         of_bodies = validated_indices(given.get("bodies", ()), 2, self.num_bodies, "exclude_pairs['bodies']")
         is_self = of_bodies[:, 0] == of_bodies[:, 1]
         self.self_collision[of_bodies[is_self, 0]] = False
@@ -266,8 +245,7 @@ class DistributedMesh:
         least, negative = self.ranks.agree(digest, -digest)
         if least != -negative:
             raise ValueError(
-                "static, kinematic, self_collision, body_pairs, exclude_pairs or half_spaces differs between ranks; "
-                "expected the same on all"
+                "static, kinematic, self_collision, body_pairs, exclude_pairs or half_spaces differs by rank"
             )
         is_known = self.ranks.most(np.isin(self.excluded_ids, self.vertex_ids).astype(np.int64)) == 1
         for unknown in self.excluded_ids[~is_known][:1]:
@@ -283,6 +261,8 @@ class DistributedMesh:
         self.is_unused = ~self._is_used & ~(self.with_points | consists_of_points)[self.bodies]
         self.num_unused = int(self.ranks.total(np.array((self.is_unused & self.is_owned).sum())))
         self.primitives["point"] = np.flatnonzero(self.is_owned & ~self._is_used & ~self.is_unused)[:, None]
+        radius = np.zeros(0) if self.radius is None else self.radius[~self.is_unused]
+        self.largest_radius = float(self.ranks.most(radius.max(initial=0.0)))
         first, last = worlds_of_bodies(self.bodies, self.worlds, self.num_bodies)
         first, last = self.ranks.least(first), self.ranks.most(last)
         self.moves_alone = move_alone(~self.static, self.self_collision, first, last)
@@ -301,21 +281,8 @@ class DistributedMesh:
         of_points = self.length_scale / max(self.num_vertices, 1) ** (1.0 / 3.0)
         self.mean_extent = float(total / count) if count else of_points
 
-    def frames(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike | None
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Check the positions on this rank: those that it owns and that take part must be finite, ghosts are ignored.
-
-        Args:
-            vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] in the plane.
-            vertices_t1: End positions, in which static bodies are where they start; None at one time.
-
-        Returns:
-            Both as float64, one array where they are one; ghosts hold anything.
-
-        Raises:
-            ValueError: If a shape differs, a value that is read is not finite, or a static body moves.
-        """
+    def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike | None) -> tuple[_Floats, _Floats]:
+        """The positions on this rank as float64, one array at one time, or an error; ghosts may hold anything."""
         start = self._frame(vertices_t0, "positions" if vertices_t1 is None else "vertices_t0")
         if vertices_t1 is None:
             return start, start
@@ -323,10 +290,8 @@ class DistributedMesh:
         is_moved = self.static[self.bodies] & self.is_owned & ~self.is_unused & (start != end).any(axis=1)
         for row in np.flatnonzero(is_moved)[:1]:
             body = int(self.bodies[row])
-            raise ValueError(
-                f"vertices_t1 moves vertex id {self.vertex_ids[row]} of body {body}, which is static; expected its "
-                f"position in vertices_t0, or kinematic=[{body}] for a body that moves as it is told"
-            )
+            moved = f"vertices_t1 moves vertex id {self.vertex_ids[row]} of body {body}, which is static"
+            raise ValueError(f"{moved}; expected its position in vertices_t0, or kinematic=[{body}]")
         return start, end
 
     def _frame(self, vertices: ArrayLike, name: str) -> NDArray[np.float64]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import warp as wp
@@ -24,7 +25,6 @@ from ccd_warp._engine.host.line_search import (
     check_step_is_whole,
     validated_line_search,
 )
-from ccd_warp._engine.host.start_distances import StartDistances
 from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
@@ -49,7 +49,6 @@ from ccd_warp.distributed._results import (
 # Options of a rank alone.
 _OF_RANK = ("device", "num_threads", "memory_limit")
 
-_T = TypeVar("_T")
 _Floats = NDArray[np.float64]
 
 
@@ -72,9 +71,8 @@ class DistributedPipeline:
         Args:
             mesh: The mesh.
             **options: Options of :class:`ccd_warp.MeshOptions`, the same on all ranks but for ``device``,
-                ``num_threads`` and ``memory_limit``, which are those of a rank. By default the ranks of a machine take
-                its CUDA devices in turns, or share its cores where it has none. A ``max_work`` is for one process
-                alone.
+                ``num_threads`` and ``memory_limit``, which are those of a rank; without ``max_work``. By default the
+                ranks of a machine take its CUDA devices in turns, or share its cores where it has none.
 
         Raises:
             ValueError: On all ranks, if an option of one is out of its range, or differs between ranks.
@@ -92,13 +90,17 @@ class DistributedPipeline:
                 raise ValueError("max_work is given; expected none, as the work of all ranks has no limit in common")
             if own.get("device") is None:
                 own["device"] = _device_of(self._ranks.local_rank)
-            own.setdefault("num_threads", self._ranks.default_num_threads)
-            self._given, self._options = own, options_of("DistributedPipeline", MeshOptions, own)  # type: ignore[arg-type]
-            largest = 0.0 if mesh.radius is None else float(mesh.radius[~mesh.is_unused].max(initial=0.0))
-            self._largest_radius = float(self._ranks.most(np.array(largest)))
-            self._device = resolve_device(self._options.device)
-            if mesh.is_thick and (given := self._options.minimum_separation) > 0.0:
-                raise ValueError(f"minimum_separation is {given} and the mesh has radii; expected minimum_distance")
+            # the ranks of a machine share its cores
+            own.setdefault("num_threads", max(1, len(os.sched_getaffinity(0)) // self._ranks.local_size))
+            self._given, self._options = own, (o := options_of("DistributedPipeline", MeshOptions, own))  # type: ignore[arg-type]
+            scale = length_scale_of(mesh, o)  # type: ignore[arg-type]
+            # how near pairs come that a step is to find, radii besides, and where what starts within may part and slide
+            self._distance = add_rounded_up(o.separation(scale), min(o.tolerance * scale, 1e308))
+            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps_start_distances(mesh, o) else 0.0
+            self._parting_distance = max(self._distance, within)
+            self._device = resolve_device(o.device)
+            if mesh.is_thick and o.minimum_separation > 0.0:
+                raise ValueError(f"minimum_separation is {o.minimum_separation} and the mesh has radii; expected none")
 
     def __repr__(self) -> str:
         return f"DistributedPipeline({self.mesh!r}, on {self._device})"
@@ -120,7 +122,7 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the whole mesh.
         """
-        with self._called("mesh_ccd", vertices_t0, vertices_t1, self._distance) as (plan, start, end):
+        with self._called("mesh_ccd", vertices_t0, vertices_t1) as (plan, start, end):
             result = plan.pipeline.mesh_ccd(start, end)
             vertex_toi = self._to_owners(plan, result.vertex_toi)
             least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
@@ -137,17 +139,15 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
-        with self._called("collision_free_step", vertices_t0, vertices_t1, self._parting_distance) as of_part:
+        with self._called("collision_free_step", vertices_t0, vertices_t1, lambda: self._parting_distance) as of_part:
             return min(self._least_toi(*of_part), self._options.t_max)
 
     def _least_toi(self, plan: Plan, start: _Floats, end: _Floats) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close may part."""
 
-        def on_step(work: Callable[[LeastToiStep], _T]) -> _T:
-            return plan.pipeline._on_step(LeastToiStep, start, end, work)
-
+        on_step: Any = partial(plan.pipeline._on_step, LeastToiStep, start, end)
         toi, pairs = on_step(LeastToiStep.earliest)
-        least, near = self._ranks.agree(toi)[0], self._start_distances(plan)
+        least, near = self._ranks.agree(toi)[0], plan.pipeline._start_distances(partial(self._least, plan))
         if near is None or least == np.inf:
             return least
         if near.are_near(start, Ends(start, end), pairs, are_first=toi == least):
@@ -165,7 +165,7 @@ class DistributedPipeline:
 
         Guarantee: True is certain.
         """
-        with self._called("is_step_collision_free", vertices_t0, vertices_t1, self._distance) as (plan, start, end):
+        with self._called("is_step_collision_free", vertices_t0, vertices_t1) as (plan, start, end):
             return self._ranks.agree(float(plan.pipeline.is_step_collision_free(start, end)))[0] == 1.0
 
     @text_completed_by(mesh_ccd)
@@ -186,7 +186,7 @@ class DistributedPipeline:
         with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
             return self._pairs(plan, plan.pipeline.find_candidates(start, end, inflation))
 
-    @text_completed_by(mesh_ccd)
+    @text_completed_by(find_candidates)
     def find_proximity(self, positions: ArrayLike, distance: float) -> DistributedPairs:
         """Find the pairs of the whole mesh within a distance at one time; all ranks call it together.
 
@@ -194,21 +194,17 @@ class DistributedPipeline:
             positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
             distance: Largest Euclidean distance of a pair, a length, the same on all ranks.
 
-        Returns:
-            The pairs that this rank has found.
-
         Guarantee: every pair that passes the filter and is within the distance is found once, on one rank.
         """
         call, check = f"find_proximity(distance={distance})", lambda: validated_distance(distance)
         with self._called(call, positions, None, check) as (plan, x, _):
             return self._pairs(plan, plan.pipeline.find_proximity(x, distance))
 
-    @text_completed_by(mesh_ccd)
+    @text_completed_by(find_proximity)
     def displacement_bounds(self, positions: ArrayLike, search_radius: float) -> NDArray[np.float64]:
         """For each vertex on this rank a length by which it may move; all ranks call it together.
 
         Args:
-            positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
             search_radius: Distance beyond which nothing counts as near, a length, the same on all ranks.
 
         Returns:
@@ -221,28 +217,22 @@ class DistributedPipeline:
         Guarantee: as for :func:`ccd_warp.displacement_bounds`, for the whole mesh.
         """
 
-        def distance() -> float:
+        def reach() -> float:
             return add_rounded_up(validated_search_radius(search_radius, self._options), self._options.minimum_distance)
 
         call = f"displacement_bounds(search_radius={search_radius})"
-        with self._called(call, positions, None, distance) as (plan, x, _):
+        with self._called(call, positions, None, reach) as (plan, x, _):
             return self._to_owners(plan, plan.pipeline.displacement_bounds(x, search_radius))
 
-    @text_completed_by(mesh_ccd)
+    @text_completed_by(find_proximity)
     def find_intersections(self, positions: ArrayLike) -> DistributedPairs:
         """Find the pairs of the whole mesh that touch or cross at one time; all ranks call it together.
-
-        Args:
-            positions: Positions of the vertices on this rank at one time, as in :meth:`mesh_ccd`.
-
-        Returns:
-            The pairs that this rank has found.
 
         Guarantee: every pair that passes the filter and touches or passes through each other is found once, on one
         rank, and no other pair is.
         """
         # boxes need no enlargement here; with that of a step, a plan serves both
-        with self._called("find_intersections", positions, None, self._distance) as (plan, x, _):
+        with self._called("find_intersections", positions) as (plan, x, _):
             return self._pairs(plan, plan.pipeline.find_intersections(x))
 
     @text_completed_by(mesh_ccd)
@@ -258,8 +248,6 @@ class DistributedPipeline:
         """Shorten a step of the whole mesh until it is free of collisions; all ranks call it together.
 
         Args:
-            vertices_t0: Start positions of the vertices on this rank, as in :meth:`mesh_ccd`.
-            vertices_t1: Desired end positions, of the same shape.
             per: ``"scene"``, ``"world"``, ``"body"`` or ``"vertex"``; this and what follows the same on all ranks.
             safety: Fraction of its toi by which a vertex in contact may move.
             max_rounds: Largest number of steps that are checked.
@@ -277,7 +265,7 @@ class DistributedPipeline:
             check_step_is_whole(self._options.t_max)
             validated_line_search(per, safety)
             check_count("max_rounds", max_rounds, 2**31 - 1, least=3)
-            return self._parting_distance()
+            return self._parting_distance
 
         call = f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})"
         with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
@@ -286,9 +274,9 @@ class DistributedPipeline:
                 return plan.pipeline._on_step(ContactStep, ends.start, ends.end, work)
 
             how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-            how["of_parts"] = partial(self._least, plan)
-            course, near = Course(start, end), self._start_distances(plan)
-            result = LineSearchRounds(plan.mesh, course, on_step, near, **how).result()
+            how["of_parts"] = of_parts = partial(self._least, plan)
+            course, near = Course(start, end), plan.pipeline._start_distances(of_parts)
+            result = LineSearchRounds(plan.pipeline.mesh, course, on_step, near, **how).result()
             fraction = self._to_owners(plan, result.vertex_fraction)
             self._follow(fraction, per)
             first, last = self._ends
@@ -338,58 +326,28 @@ class DistributedPipeline:
         self.mesh.copies.forward([result], [result])
         return result
 
-    def _start_distances(self, plan: Plan) -> StartDistances | None:
-        """What finds how near vertices of this part are at the start; None where that does not matter."""
-        if not keeps_start_distances(self.mesh, self._options):
-            return None
-
-        def on_step(work: Callable[[Any], _T], start: _Floats, end: _Floats) -> _T:
-            from ccd_warp._at_one_time.start_distance_step import StartDistanceStep  # few programs need it
-
-            return plan.pipeline._run(StartDistanceStep, lambda: (start, end), work)
-
-        of_parts = partial(self._least, plan)
-        return StartDistances(self._start_distance, plan.mesh.vertex_world, on_step, of_parts)
-
-    @property
-    def _start_distance(self) -> float:
-        return largest_start_distance(self.mesh, self._options, self._largest_radius)
-
-    def _distance(self) -> float:
-        """How near pairs come that a step is to find, radii besides."""
-        scale = length_scale_of(self.mesh, self._options)  # type: ignore[arg-type]
-        return add_rounded_up(self._options.separation(scale), min(self._options.tolerance * scale, 1e308))
-
-    def _parting_distance(self) -> float:
-        """The same of calls that let what starts within its distance part and slide."""
-        keeps = keeps_start_distances(self.mesh, self._options)
-        return max(self._distance(), self._start_distance if keeps else 0.0)
-
     @contextmanager
     def _called(
-        self, call: str, vertices_t0: ArrayLike, vertices_t1: ArrayLike | None, distance: Callable[[], float]
+        self, call: str, start: ArrayLike, end: ArrayLike | None = None, distance: Callable[[], float] | None = None
     ) -> Iterator[tuple[Plan, _Floats, _Floats]]:
         """A call of all ranks: a plan that serves it, and the positions of this rank's part at both ends.
 
-        Args:
-            call: The call, with what must be the same on all ranks.
-            vertices_t0: Start positions of the vertices on this rank, or those at one time.
-            vertices_t1: End positions; None at one time.
-            distance: Checks arguments, and says how near pairs come that are to be found.
+        ``call`` says what must be the same on all ranks. There is no end at one time. ``distance`` checks arguments,
+        and says how near pairs come that are to be found, where that is not what a step asks for.
         """
         ranks, name = self._ranks, call.partition("(")[0]
         begin, seconds, ranks.sent = time.perf_counter(), dict[str, float](), Sent()
         with ranks.together(call if self._number == 1 else f"{call} of pipeline {self._number}"):
             with naming(name):
-                inflation = half_rounded_up(distance())
-            self._ends = start, end = self.mesh.frames(vertices_t0, vertices_t1)
+                inflation = half_rounded_up(self._distance if distance is None else distance())
+            self._ends = ends = self.mesh.frames(start, end)
             plan, self._plan = self._plan, None  # what was half done is not used again, on no rank
-            is_kept = ranks.agree(float(plan is not None and plan.serves(start, end, inflation)))[0] > 0.0
+            is_kept = ranks.agree(float(plan is not None and plan.serves(*ends, inflation)))[0] > 0.0
             if not is_kept or plan is None:
-                plan = make_plan(self.mesh, start, end, inflation, self._given)
+                plan = make_plan(self.mesh, *ends, inflation, self._given)
                 seconds["plan"] = time.perf_counter() - begin
             before = time.perf_counter()
-            positions = plan.brought(start, end)
+            positions = plan.brought(*ends)
             seconds["positions"] = time.perf_counter() - before
             yield plan, *positions
             self._plan = plan

@@ -28,9 +28,14 @@ _STEPS_AHEAD = 3.0
 _MARGIN = 0.5
 # Far more than the rounding of a step in float32 is of the scene, and that of a few lengths of these.
 _RESOLUTION = 2.0**-19
+# What a part has of the whole mesh as it is; its own number of worlds and length scale would be others.
+_OF_WHOLE = ("static", "kinematic", "self_collision", "body_pairs", "names", "planes", "num_worlds", "length_scale")
+
+_Floats = NDArray[np.float64]
+_Ends = tuple[_Floats, _Floats]
 
 
-def _hull(values: NDArray[np.float64], corners: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _hull(values: _Floats, corners: NDArray[np.integer]) -> _Ends:
     """The least and the largest values of the vertices of each primitive."""
     low = high = values[corners[:, 0]]
     for column in corners.T[1:]:
@@ -53,18 +58,18 @@ class Boxes:
         radius: The radius of each vertex; None where there is none.
     """
 
-    limits: tuple[NDArray[np.float64], NDArray[np.float64]]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-    radius: NDArray[np.float64] | None
+    limits: _Ends
+    lower: _Floats
+    upper: _Floats
+    radius: _Floats | None
 
     @staticmethod
     def of(
         whole: DistributedMesh,
-        ends: tuple[NDArray[np.float64], NDArray[np.float64]],
+        ends: _Ends,
         inflation: float,
         worlds: NDArray[np.integer],
-        radius: NDArray[np.float64] | None,
+        radius: _Floats | None,
     ) -> Boxes:
         """The boxes of vertices that go on as in a step, or stay near; every rank gets the same bits."""
         with np.errstate(over="ignore", invalid="ignore"):
@@ -76,7 +81,7 @@ class Boxes:
             lower, upper = _outward(low, high, np.array(more))
         return Boxes((low, high), np.column_stack([lower, worlds]), np.column_stack([upper, worlds]), radius)
 
-    def around(self, corners: NDArray[np.integer]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def around(self, corners: NDArray[np.integer]) -> _Ends:
         """The box of each primitive, given its vertices, shape [m, 1 to 3]: shapes [m, d + 1]."""
         lower, upper = _hull(self.lower, corners)[0], _hull(self.upper, corners)[1]
         if self.radius is not None:
@@ -85,9 +90,7 @@ class Boxes:
         return lower, upper
 
 
-def _outward(
-    lower: NDArray[np.float64], upper: NDArray[np.float64], more: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outward(lower: _Floats, upper: _Floats, more: _Floats) -> _Ends:
     """Corners moved outward by no less than a length."""
     with np.errstate(over="ignore"):
         return np.nextafter(lower - more, -np.inf), np.nextafter(upper + more, np.inf)
@@ -110,7 +113,7 @@ class Plan:
     """
 
     inflation: float
-    limits: tuple[NDArray[np.float64], NDArray[np.float64]]
+    limits: _Ends
     regions: Regions
     rank: int
     ids: NDArray[np.int64]
@@ -119,29 +122,18 @@ class Plan:
     pipeline: CollisionPipeline
     num_ghosts: int
 
-    @property
-    def mesh(self) -> CollisionMesh:
-        """The part."""
-        return self.pipeline.mesh
-
-    def serves(self, start: NDArray[np.float64], end: NDArray[np.float64], inflation: float) -> bool:
+    def serves(self, start: _Floats, end: _Floats, inflation: float) -> bool:
         """Whether the plan holds for a step, as far as this rank can tell."""
         low, high = self.limits
         is_within = not any((x < low).any() or (x > high).any() for x in (start, end))
         return inflation <= self.inflation and is_within
 
-    def brought(
-        self, start: NDArray[np.float64], end: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def brought(self, start: _Floats, end: _Floats) -> _Ends:
         """The positions of the part at both ends of a step, given those of this rank's vertices; collective."""
-        shape = len(self.ids), start.shape[1]
-        first = np.empty(shape)
-        if end is start:
-            self.exchange.forward([start], [first])
-            return first, first
-        last = np.empty(shape)
-        self.exchange.forward([start, end], [first, last])
-        return first, last
+        ends = [start] if end is start else [start, end]
+        brought = [np.empty((len(self.ids), start.shape[1])) for _ in ends]
+        self.exchange.forward(ends, brought)
+        return brought[0], brought[-1]
 
     def are_own(self, kind: PairKind | IntersectionKind, pairs: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which pairs of primitives of the part count on this rank, given their indices, shape [m, 2].
@@ -149,28 +141,18 @@ class Plan:
         Those do whose boxes have an intersection with its lower corner in this region. The corner lies in both boxes,
         so that this rank has both primitives; and it lies in one region, so that no other rank counts them.
         """
-        first, second = pair_corners(self.mesh, kind, pairs)
+        first, second = pair_corners(self.pipeline.mesh, kind, pairs)
         lower = self.boxes.around(first)[0]
         if second.shape[1]:  # a half-space is everywhere
             lower = np.maximum(lower, self.boxes.around(second)[0])
         return self.regions.holds(self.rank, lower)
 
 
-def make_plan(
-    whole: DistributedMesh,
-    start: NDArray[np.float64],
-    end: NDArray[np.float64],
-    inflation: float,
-    options: dict[str, Any],
-) -> Plan:
-    """Choose regions for a step, and send every primitive to the ranks whose regions its box meets; collective.
+def make_plan(whole: DistributedMesh, start: _Floats, end: _Floats, inflation: float, options: dict[str, Any]) -> Plan:
+    """Choose regions, and send every primitive to the ranks whose regions its box meets; collective.
 
-    Args:
-        whole: The mesh.
-        start: Start positions of the vertices on this rank; those of ghosts are ignored.
-        end: End positions.
-        inflation: The least enlargement of the boxes.
-        options: Options of the calls.
+    It is for a step with these positions of the vertices on this rank, of which ghosts are ignored, for boxes that are
+    enlarged by no less, and for calls with these options.
     """
     ranks = whole.ranks
     start, end = start.copy(), end.copy()
@@ -206,7 +188,7 @@ def make_plan(
     return Plan(inflation, boxes.limits, regions, ranks.rank, ids, exchange, part_boxes, pipeline, num_ghosts)
 
 
-def _regions(whole: DistributedMesh, start: NDArray[np.float64]) -> Regions:
+def _regions(whole: DistributedMesh, start: _Floats) -> Regions:
     """Regions of nearly equal work, from samples of the middles of all primitives; collective."""
     ranks = whole.ranks
     kinds = [corners for corners in whole.primitives.values() if len(corners)]
@@ -228,7 +210,7 @@ def _regions(whole: DistributedMesh, start: NDArray[np.float64]) -> Regions:
 def _part(
     whole: DistributedMesh,
     table: NDArray[np.int64],
-    vertices: NDArray[np.float64],
+    vertices: _Floats,
     faces: NDArray[np.integer],
     edges: NDArray[np.integer],
     place: Callable[[NDArray[np.int64]], NDArray[np.integer]],
@@ -245,21 +227,14 @@ def _part(
         vertices=vertices,
         faces=faces.astype(np.int32),
         body_vertex_range=np.searchsorted(table[:, 2], np.arange(whole.num_bodies + 1)).astype(np.int32),
-        static=whole.static,
-        kinematic=whole.kinematic,
         rigid=np.zeros(whole.num_bodies, dtype=bool),
-        self_collision=whole.self_collision,
-        body_pairs=whole.body_pairs,
         exclusion_rings=1,
         vertex_world=table[:, 3].astype(np.int32),
-        names=whole.names,
         exclude_pairs=ExcludedPairs(excluded),
         radius=None if whole.radius is None else table[:, 4].copy().view(np.float64),
-        planes=whole.planes,
-        # properties of the whole mesh, which a part cannot tell
-        num_worlds=whole.num_worlds,
-        length_scale=whole.length_scale,
         _moves_alone=whole.moves_alone,
+        _largest_radius=whole.largest_radius,
+        **{name: getattr(whole, name) for name in _OF_WHOLE},
     )
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
 import signal
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
@@ -56,17 +56,13 @@ class _Duplicate:
 
     def __init__(self, comm: Any) -> None:
         self.comm, self.num_pipelines = comm.Dup(), 0
+        comm.Set_attr(self._key, self)
 
     @classmethod
     def of(cls, comm: Any) -> _Duplicate:
         """That of a communicator, made by its first mesh, collectively."""
-        if cls._key is None:
-            cls._key = comm.Create_keyval()
-        duplicate: _Duplicate | None = comm.Get_attr(cls._key)
-        if duplicate is None:
-            duplicate = cls(comm)
-            comm.Set_attr(cls._key, duplicate)
-        return duplicate
+        cls._key = mpi().Comm.Create_keyval() if cls._key is None else cls._key
+        return comm.Get_attr(cls._key) or cls(comm)
 
 
 class Ranks:
@@ -98,11 +94,6 @@ class Ranks:
         self.local_rank, self.local_size = local.Get_rank(), local.Get_size()
         local.Free()
         self.sent, self._is_interrupted = Sent(), False
-
-    @property
-    def default_num_threads(self) -> int:
-        """Threads for each rank of a machine, so that they share its cores."""
-        return max(1, len(os.sched_getaffinity(0)) // self.local_size)
 
     def next_pipeline(self) -> int:
         """The number of a new pipeline among all of the caller's communicator."""
@@ -172,25 +163,16 @@ class Ranks:
             if is_late:  # after the last agreement, so that the others do not learn of it
                 signal.raise_signal(signal.SIGINT)
 
-    def total(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The sums of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.SUM)
-
-    def least(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The minima of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.MIN)
-
-    def most(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The maxima of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.MAX)
-
-    def _reduced(self, values: NDArray[Any], op: Any) -> NDArray[Any]:
+    def _reduced(self, op: str, values: NDArray[Any]) -> NDArray[Any]:
+        """The sums, minima or maxima of arrays of equal length and type."""
         values = np.asarray(values, order="C")
         result = np.empty_like(values)
         self.agree()
-        self.comm.Allreduce(values, result, op=op)
+        self.comm.Allreduce(values, result, op=getattr(self.mpi, op))
         self.sent.num_reductions += 1
         return result
+
+    total, least, most = partialmethod(_reduced, "SUM"), partialmethod(_reduced, "MIN"), partialmethod(_reduced, "MAX")
 
     def every(self, values: NDArray[Any]) -> NDArray[Any]:
         """The arrays of all ranks, one after the other; they may differ in length but not in type and columns."""

@@ -1,8 +1,7 @@
 """Regions of space, one a rank: recursive bisection of sampled points. Arrays alone, without MPI.
 
 Points and boxes have the coordinates of space and then their world, so that worlds that occupy the same space are
-different places. A cut divides a region into what lies below it and what lies at it or above it. So each region is
-closed below and open above, and the regions tile space: the whole is one region, and a cut of a region into {x < c} and
+different places. A region is closed below and open above, and all of them tile space: a cut of one into {x < c} and
 {x >= c} leaves no point out and puts none into both.
 """
 
@@ -60,8 +59,7 @@ def bisected(points: NDArray[np.float64], weights: NDArray[np.float64], count: i
     Returns:
         The regions. Where there are fewer samples than regions, some are without any, or empty.
     """
-    shape = count, points.shape[1]
-    lower, upper = np.full(shape, -np.inf), np.full(shape, np.inf)
+    lower, upper = (np.full((count, points.shape[1]), end) for end in (-np.inf, np.inf))
     pending = [(np.arange(len(points)), 0, count)]
     while pending:
         items, first, num = pending.pop()

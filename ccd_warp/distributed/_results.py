@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.candidates import Candidates
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections
-from ccd_warp._results.pairs import bodies_of, vertices_of
+from ccd_warp._results.pairs import PairTable, bodies_of, vertices_of
 from ccd_warp._results.proximities import Proximities
 from ccd_warp._results.results import Counts
 from ccd_warp._runtime.display import counted
@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from ccd_warp.distributed._plan import Plan
     from ccd_warp.distributed._ranks import Ranks, Sent
 
-_OF_ALL = ("kind", "vertices", "bodies")
-# What tables of one process have besides.
+# What tables of one process have besides kinds, vertices and bodies.
 _COLUMNS: dict[type, tuple[str, ...]] = {
     Contacts: ("toi", "parameters", "normal", "points", "status", "gap", "width"),
     Proximities: ("parameters", "distance", "direction", "features"),
@@ -48,10 +47,9 @@ class DistributedPairs:
         self.columns, self.total, self._ranks = columns, total, ranks
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        column: NDArray[Any] | None = vars(self).get("columns", {}).get(name)
-        if column is None:
+        if name == "columns" or name not in self.columns:
             raise AttributeError(f"{type(self).__name__} has no column {name!r}")
-        return column
+        return self.columns[name]
 
     def __getstate__(self) -> dict[str, Any]:
         return {**vars(self), "_ranks": None}  # a copy, or what was pickled, belongs to its rank alone
@@ -78,22 +76,19 @@ class DistributedPairs:
 
 def columns_of(plan: Plan, pairs: Any) -> dict[str, NDArray[Any]]:
     """The columns of those pairs of a table of a part that count on this rank, or of candidates."""
-    mesh, kinds = plan.mesh, IntersectionKind if isinstance(pairs, Intersections) else PairKind
     if isinstance(pairs, Candidates):
-        by_kind: dict[Any, Any] = {kind: getattr(pairs, kind.name.lower()) for kind in PairKind}
-        by_kind = {kind: found[plan.are_own(kind, found)] for kind, found in by_kind.items()}
-        kind = np.repeat(np.array(list(PairKind), dtype=np.int32), [len(found) for found in by_kind.values()])
-        primitives = np.concatenate(list(by_kind.values()))
-        vertices = vertices_of(mesh, PairKind, kind, primitives)
-        columns = {"kind": kind, "bodies": bodies_of(mesh, PairKind, kind, primitives, vertices)}
-        return columns | {"vertices": plan.ids[vertices]}
-    is_own = np.zeros(len(pairs), dtype=bool)
+        lists = [getattr(pairs, kind.name.lower()) for kind in PairKind]
+        kind = np.repeat(np.array(list(PairKind), dtype=np.int32), list(map(len, lists)))
+        pairs = PairTable(kind, np.concatenate(lists))
+    kinds, is_own = IntersectionKind if isinstance(pairs, Intersections) else PairKind, np.zeros(len(pairs), dtype=bool)
     for member in kinds:
         rows = np.flatnonzero(pairs.kind == int(member))
         is_own[rows] = plan.are_own(member, pairs.primitives[rows])
-    own = pairs[is_own]
-    columns = {name: getattr(own, name) for name in (*_OF_ALL, *_COLUMNS[type(pairs)])}
-    return columns | {"vertices": plan.ids[own.vertices]}
+    own, width = pairs[is_own], 5 if kinds is IntersectionKind else 4
+    of_pairs = plan.pipeline.mesh, kinds, own.kind, own.primitives
+    vertices = vertices_of(*of_pairs, width)
+    columns = {"kind": own.kind, "vertices": plan.ids[vertices], "bodies": bodies_of(*of_pairs, vertices)}
+    return columns | {name: getattr(own, name) for name in _COLUMNS.get(type(pairs), ())}
 
 
 @dataclass(frozen=True)
@@ -132,11 +127,6 @@ class DistributedResult:
     body_toi: NDArray[np.float64]
     world_toi: NDArray[np.float64]
     contacts: DistributedPairs
-
-    @property
-    def hit(self) -> bool:
-        """Whether any pair of the whole mesh has a finite toi."""
-        return bool(np.isfinite(self.toi))
 
     def __repr__(self) -> str:
         return f"DistributedResult(toi={self.toi!r}, {self.contacts!r})"

@@ -329,7 +329,7 @@ def refused_meshes():
         ("holds id 7; expected ids of the whole", of_vertices(np.array([[7, 1]], np.uint64))),
         ("exclude_pairs['vertices'] has shape (1, 0, 2)", of_vertices(np.zeros((1, 0, 2)))),
         ("exclude_pairs['vertices'] is a masked array", of_vertices(np.ma.array([[0, 1]], mask=True))),
-        ("half_spaces differs between ranks", {"half_spaces": {} if on_first else {1: GROUND}}),
+        ("half_spaces differs by rank", {"half_spaces": {} if on_first else {1: GROUND}}),
         ("half_spaces differs", {"half_spaces": {1: ccd.HalfSpace([0, 0, RANK], [0, 0, 1])}}),
         ("rank 0: bodies gives vertex id 0 body 0, which is a half-space", {"half_spaces": {0: GROUND}}),
         ("rank 0: normal of body 1 is [0.0, 0.0, 0.0]", {"half_spaces": {1: flat}}),
