@@ -6,6 +6,7 @@ All calls are collective. See docs/distributed.md.
 
 from ccd_warp.distributed._mesh import DistributedMesh
 from ccd_warp.distributed._pipeline import DistributedPipeline
+from ccd_warp.distributed._ranks import Sent
 from ccd_warp.distributed._results import DistributedLineSearch, DistributedPairs, DistributedResult, RankWork
 
 __all__ = [
@@ -15,4 +16,5 @@ __all__ = [
     "DistributedPipeline",
     "DistributedResult",
     "RankWork",
+    "Sent",
 ]

@@ -179,9 +179,8 @@ class DistributedMesh:
         flags = np.full(count, -1) if owned is None else as_array(owned, "owned", f"bool and shape {(count,)}")
         if owned is not None and (flags.shape != (count,) or (count and flags.dtype != bool)):
             raise ValueError(f"owned has dtype {flags.dtype} and shape {flags.shape}; expected bool and {(count,)}")
-        given = [count and owned is not None, count and owned is None]
-        given += [count and self.radius is not None, count and self.radius is None]
-        some = ranks.most(np.array(given, dtype=np.int64))
+        given = owned is not None, owned is None, self.radius is not None, self.radius is None
+        some = ranks.most(np.array([count and flag for flag in given], dtype=np.int64))
         for name, of_ranks in (("owned", some[:2]), ("radius", some[2:])):
             if of_ranks.all():
                 raise ValueError(f"{name} is given on some ranks and not on others; expected it on all or on none")
@@ -204,7 +203,7 @@ class DistributedMesh:
         self.owner, self._is_used = result[:, 0].copy(), result[:, 1] > 0
         self.is_owned = self.owner == ranks.rank
         self.num_vertices = int(ranks.total(np.array(self.is_owned.sum())))
-        self.copies = self.exchange_to(ids, self.owner)
+        self.copies = self._exchange_to(ids, self.owner)
         none = np.zeros(0, dtype=np.intp)
         self.copies.sources[ranks.rank] = self.copies.targets[ranks.rank] = none  # owners have their own rows
         radius = np.zeros(count) if self.radius is None else self.radius
@@ -212,7 +211,7 @@ class DistributedMesh:
         # of each vertex, as it is sent with a plan
         self.table = np.stack([ids, self.owner, self.bodies, self.worlds, radius.view(np.int64)], axis=1)
 
-    def exchange_to(self, ids: NDArray[np.int64], owner: NDArray[np.int64]) -> Exchange:
+    def _exchange_to(self, ids: NDArray[np.int64], owner: NDArray[np.int64]) -> Exchange:
         """The exchange that brings rows of the owners to an array of vertices with these ids; collective."""
         targets = _by_rank(owner, self.ranks.size)
         requested, ordered = self.ranks.swap([ids[rows] for rows in targets]), self.vertex_ids[self._order]
@@ -281,7 +280,7 @@ class DistributedMesh:
         of_points = self.length_scale / max(self.num_vertices, 1) ** (1.0 / 3.0)
         self.mean_extent = float(total / count) if count else of_points
 
-    def frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike | None) -> tuple[_Floats, _Floats]:
+    def _frames(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike | None) -> tuple[_Floats, _Floats]:
         """The positions on this rank as float64, one array at one time, or an error; ghosts may hold anything."""
         start = self._frame(vertices_t0, "positions" if vertices_t1 is None else "vertices_t0")
         if vertices_t1 is None:

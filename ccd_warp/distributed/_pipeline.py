@@ -46,8 +46,7 @@ from ccd_warp.distributed._results import (
     columns_of,
 )
 
-# Options of a rank alone.
-_OF_RANK = ("device", "num_threads", "memory_limit")
+_OF_RANK = ("device", "num_threads", "memory_limit")  # options of a rank alone
 
 _Floats = NDArray[np.float64]
 
@@ -340,7 +339,7 @@ class DistributedPipeline:
         with ranks.together(call if self._number == 1 else f"{call} of pipeline {self._number}"):
             with naming(name):
                 inflation = half_rounded_up(self._distance if distance is None else distance())
-            self._ends = ends = self.mesh.frames(start, end)
+            self._ends = ends = self.mesh._frames(start, end)
             plan, self._plan = self._plan, None  # what was half done is not used again, on no rank
             is_kept = ranks.agree(float(plan is not None and plan.serves(*ends, inflation)))[0] > 0.0
             if not is_kept or plan is None:

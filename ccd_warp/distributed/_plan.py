@@ -174,7 +174,7 @@ def make_plan(whole: DistributedMesh, start: _Floats, end: _Floats, inflation: f
     table = table[np.argsort(table[:, 2], kind="stable")]
     ids, by_id = table[:, 0], np.argsort(table[:, 0])
     place = lambda wanted: by_id[np.searchsorted(ids, wanted, sorter=by_id)]  # noqa: E731
-    exchange = whole.exchange_to(ids, table[:, 1])
+    exchange = whole._exchange_to(ids, table[:, 1])
     first, last = (np.empty((len(ids), whole.dimension)) for _ in range(2))
     exchange.forward([start, end], [first, last])
     mesh = _part(whole, table, first, _each_once(place(received["face"])), place(received["edge"]), place)

@@ -83,10 +83,9 @@ class Ranks:
     """
 
     def __init__(self, comm: Any) -> None:
-        MPI = mpi()
+        self.mpi = MPI = mpi()
         if not isinstance(comm, MPI.Intracomm):
             raise TypeError(f"comm is {type(comm).__name__}; expected an intracommunicator of mpi4py")
-        self.mpi = MPI
         self._duplicate = _Duplicate.of(comm)
         self.comm = self._duplicate.comm
         self.rank, self.size = comm.Get_rank(), comm.Get_size()

@@ -39,11 +39,13 @@ class Regions:
 
     def assigned(self, held: NDArray[np.float64]) -> "Regions":
         """The regions in an order such that each rank gets one of which it holds much, shape [ranks, regions]."""
-        count, rank_of_region = len(held), np.full(len(held), -1)
-        for place in np.argsort(-held.ravel(), kind="stable"):
-            rank, region = divmod(int(place), count)
-            if rank_of_region[region] < 0 and rank not in rank_of_region:
-                rank_of_region[region] = rank
+        count, rank_of_region, is_free = len(held), np.full(len(held), -1), np.ones(len(held), dtype=bool)
+        places = np.flatnonzero(held)  # which are far fewer than the square of the ranks
+        for place in places[np.argsort(-held.ravel()[places], kind="stable")].tolist():
+            rank, region = divmod(place, count)
+            if rank_of_region[region] < 0 and is_free[rank]:
+                rank_of_region[region], is_free[rank] = rank, False
+        rank_of_region[rank_of_region < 0] = np.flatnonzero(is_free)
         order = np.argsort(rank_of_region)
         return Regions(self.lower[order], self.upper[order])
 
