@@ -137,6 +137,20 @@ def a_sheet_in_blocks():
     check(*wavy_sheets(), lambda mesh: np.full(mesh.num_faces, SIZE - 1), ON_HOST[:2] + SCALARS)
 
 
+def what_one_rank_knows_of_a_vertex_of_another():
+    """Contacts, and what is near at the start, that only one of the ranks has which have a vertex."""
+    rng = np.random.default_rng(0)
+    mesh, start, end = wavy_sheets(16)
+    check(mesh, start, end + 0.15 * rng.standard_normal(end.shape), in_blocks, ["line_search vertex"])
+    lower, faces = sheet(20)
+    for noise, way in ((0.0, 0.0), (0.001, 0.1)):
+        upper = lower + [0, 0, 0.03] + noise * rng.standard_normal(lower.shape)
+        mesh = ccd.CollisionMesh.from_arrays([(lower, faces), (upper, faces)])
+        end = mesh.vertices + [0, 0, way] * (mesh.vertex_body == 1)[:, None]
+        end += (0.002 if way else 0.05) * rng.standard_normal(end.shape)
+        check(mesh, mesh.vertices, end, in_blocks, ["line_search vertex", SCALARS[0]], minimum_distance=0.04)
+
+
 def a_giant_face():
     """A face that is larger than all regions together."""
     giant = TRIANGLE * 50.0 + [0.3, 0.2, -0.2]
@@ -401,7 +415,8 @@ def killed():
         pipeline.collision_free_step(cut.local(start), cut.local(end))
 
 
-CASES = [scenes_that_are_drawn, more_scenes_that_are_drawn, starts_that_are_not_sound, a_sheet_in_blocks, a_giant_face]
+CASES = [scenes_that_are_drawn, more_scenes_that_are_drawn, starts_that_are_not_sound, a_sheet_in_blocks]
+CASES += [what_one_rank_knows_of_a_vertex_of_another, a_giant_face]
 CASES += [nothing_at_all, coordinates_at_the_ends_of_float64, vertices_that_take_no_part]
 CASES += [many_steps, together, the_page]
 
