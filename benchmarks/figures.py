@@ -17,7 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from methods import DEFAULT_TOLERANCE, PEERS, REFERENCE
-from texts import count_text, ratio_text, scene_name, set_name, time_text
+from texts import ratio_text, scene_name, set_name, time_text
 
 # Errors of zero are drawn at the left edge.
 _LEAST_ERROR = 1e-18
@@ -290,20 +290,6 @@ def _growth(rows: pd.DataFrame, _: Path) -> Figure:
     return figure
 
 
-def _ranks(rows: pd.DataFrame, _: Path) -> Figure:
-    """The modelled time of a step against the number of ranks."""
-    figure, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for (name, faces), chosen in rows.groupby(["scene", "faces"], sort=False):
-        (line,) = axes.loglog(chosen.ranks, 1e3 * chosen.step_seconds, "o-", label=f"{name}, {count_text(faces)} faces")
-        alone = 1e3 * chosen.one_core_seconds.iloc[0] / chosen.ranks
-        axes.loglog(chosen.ranks, alone, ":", color=line.get_color())
-    axes.set(xlabel="ranks", ylabel="ms of a step", title="A model, not a measurement; dotted: one core's time / ranks")
-    axes.set_xticks(chosen.ranks, [f"{n:,}" for n in chosen.ranks])
-    axes.minorticks_off()
-    axes.legend(frameon=False)
-    return figure
-
-
 # How each picture is drawn, and of which part.
 _PICTURES: dict[str, tuple[Callable[[pd.DataFrame, Path], Figure], str]] = {
     "bench_speed_error": (_speed_error, "sweep"),
@@ -313,5 +299,4 @@ _PICTURES: dict[str, tuple[Callable[[pd.DataFrame, Path], Figure], str]] = {
     "bench_scaling": (_scaling, "batches"),
     "bench_steps": (_steps, "steps"),
     "bench_growth": (_growth, "growth"),
-    "distributed_model": (_ranks, "ranks_model"),
 }

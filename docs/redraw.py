@@ -74,10 +74,7 @@ MAKERS = [
     Maker(
         "benchmark",
         "benchmarks/report.py --docs {root}",
-        (
-            *(f"bench_{name}" for name in ("speed_error", "pareto", "phantoms", "cases", "scaling", "steps", "growth")),
-            "distributed_model",
-        ),
+        (*(f"bench_{name}" for name in ("speed_error", "pareto", "phantoms", "cases", "scaling", "steps", "growth")),),
         ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))),
     ),
 ]

@@ -16,7 +16,7 @@ from ccd_warp._engine.host.plan import HostPlan
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.planes import vertices_in_half_spaces
-from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._results.intersections import Intersections, located
 from ccd_warp._runtime.status import IntersectionKind, PairKind, primitives_of
 from ccd_warp.kernels.at_one_time import intersections as kernels
@@ -56,7 +56,9 @@ class IntersectionStep(Step):
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the other arguments are those of every step."""
-        of_edges = workspace.at_one_time("intersections", self.with_edge_points)
+        of_edges = workspace.at_one_time(
+            "intersections", lambda topology: EdgePointTopology.of(topology.mesh, topology.device)
+        )
         topology = of_edges.topology
         assert isinstance(topology, EdgePointTopology)
         self.mesh_topology = workspace.topology
@@ -66,10 +68,6 @@ class IntersectionStep(Step):
         super().__init__(of_edges, of_edges.own_positions, *arguments)
         self._decided: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
         self._open: dict[IntersectionKind, list[Keys]] = {kind: [] for kind in IntersectionKind}
-
-    def with_edge_points(self, topology: Topology) -> EdgePointTopology:
-        """The topology of a mesh with a point for each edge, given that of the mesh."""
-        return EdgePointTopology.of(topology.mesh, topology.device)
 
     def _bodies_near(self) -> NDArray[np.bool_] | None:
         """Bodies that may intersect, or None for all."""
@@ -163,9 +161,9 @@ class IntersectionStep(Step):
     def _of_kind(self, kind: IntersectionKind) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
         """The kind, the primitives and the parameters of all intersections of a kind, in lexicographic order."""
         if kind == IntersectionKind.VERTEX_PLANE and len(self.original.planes):
-            pairs = _pairs_of(self.own_keys(kind, _keys_of(vertices_in_half_spaces(self.original, self.x))))
+            pairs = _pairs_of(_keys_of(vertices_in_half_spaces(self.original, self.x)))
             return np.full(len(pairs), int(kind), dtype=np.int32), pairs, np.zeros((len(pairs), 3))
-        decided, is_open = (self.own_keys(kind, _distinct(keys)) for keys in (self._decided[kind], self._open[kind]))
+        decided, is_open = (_distinct(keys) for keys in (self._decided[kind], self._open[kind]))
         if len(decided) + len(is_open) == 0:
             return np.zeros(0, dtype=np.int32), np.zeros((0, 2), dtype=np.int32), np.zeros((0, 3))
         listed = _keys_of(self.original.exclude_pairs.get(kind.name.lower(), np.zeros((0, 2), dtype=np.int32)))
@@ -182,10 +180,6 @@ class IntersectionStep(Step):
         order = np.argsort(keys)
         keys = keys[order]
         return np.full(len(keys), int(kind), dtype=np.int32), _pairs_of(keys), parameters[order]
-
-    def own_keys(self, kind: IntersectionKind, keys: Keys) -> Keys:
-        """The pairs, of some given by keys, that this process is to find; those that share the mesh find the others."""
-        return keys
 
     def _corners(self, kind: IntersectionKind, keys: Keys) -> NDArray[np.int32]:
         """The vertices of both primitives of each pair, side by side."""

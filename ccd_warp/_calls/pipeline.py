@@ -28,7 +28,7 @@ from ccd_warp._engine.host.line_search import (
     validated_line_search,
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
-from ccd_warp._engine.host.start_distances import StartDistances
+from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, of_one_part
 from ccd_warp._engine.host.step import Step
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
@@ -617,7 +617,7 @@ class CollisionPipeline:
         Where any toi suffices, what starts close is a contact.
         """
         on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1, motion=motion)
-        near = None if any_suffices else self._start_distances
+        near = None if any_suffices else self._start_distances()
         if near is None:
             return on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
         toi, pairs = on_step(work=LeastToiStep.earliest)
@@ -633,8 +633,7 @@ class CollisionPipeline:
                 toi = max(toi, on_step(work=lambda step: step.least_toi(distances)))
         return toi
 
-    @property
-    def _start_distances(self) -> StartDistances | None:
+    def _start_distances(self, of_parts: LeastOfParts = of_one_part) -> StartDistances | None:
         """What finds how near vertices are at the start; None where pairs keep no distance within which they may."""
         mesh = self.mesh
         if not keeps_start_distances(mesh, self._options):
@@ -648,9 +647,8 @@ class CollisionPipeline:
             self.counts, self.timings = of_call
             return result
 
-        return StartDistances(
-            largest_start_distance(mesh, self._options, mesh._largest_radius), mesh.vertex_world, on_step
-        )
+        distance = largest_start_distance(mesh, self._options, mesh._largest_radius)
+        return StartDistances(distance, mesh.vertex_world, on_step, of_parts)
 
     def is_step_collision_free(
         self,
@@ -695,7 +693,7 @@ class CollisionPipeline:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
         how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-        search = LineSearchRounds(self.mesh, course, on_step, self._start_distances, **how)
+        search = LineSearchRounds(self.mesh, course, on_step, self._start_distances(), **how)
         result = search.result(begins_at_rest=self._reaches_neighbours(course.start))
         return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
 

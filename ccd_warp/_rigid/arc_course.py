@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.course import Course, Ends
-from ccd_warp._engine.host.one_process import OneProcess
 from ccd_warp._rigid.mesh_paths import MeshPaths
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._scene.mesh import CollisionMesh
@@ -22,13 +21,8 @@ class ArcCourse(Course):
         vertices_t1: NDArray[np.float64],
         paths: MeshPaths,
         motion: RigidMotion,
-        everywhere: OneProcess | None = None,
     ) -> None:
-        """A course between given positions, of rigid bodies in their own frames, which have a motion on paths.
-
-        Bodies may have further vertices ``everywhere``.
-        """
-        self._everywhere = everywhere or OneProcess()
+        """A course between given positions, of rigid bodies in their own frames, which have a motion on paths."""
         self._mesh, self._vertices, self._paths, self._motion = mesh, (vertices_t0, vertices_t1), paths, motion
         super().__init__(paths.at(mesh, vertices_t0, vertices_t1, 0.0), paths.at(mesh, vertices_t0, vertices_t1, 1.0))
         self._is_rigid = paths.is_rigid[mesh.vertex_body]
@@ -70,7 +64,7 @@ class ArcCourse(Course):
         return np.where(self._is_rigid, of_body[self._mesh.vertex_body], least)
 
     def _least_of_bodies(self, values: NDArray[np.float64], start: float) -> NDArray[np.float64]:
-        """The least value of the vertices of each body everywhere, and no more than ``start``."""
+        """The least value of the vertices of each body, and no more than ``start``."""
         least = np.full(self._mesh.num_bodies, start)
         np.minimum.at(least, self._mesh.vertex_body, values)
-        return self._everywhere.least(least)
+        return least

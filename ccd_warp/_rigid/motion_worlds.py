@@ -76,7 +76,6 @@ class Pipeline(Protocol):
     def _borrowed(cls, mesh: CollisionMesh, options: Options) -> AbstractContextManager[Self]:
         """A pipeline for one call."""
 
-    @property
     def _start_distances(self) -> StartDistances | None: ...
 
     def _check_no_capture(self) -> None: ...
@@ -238,7 +237,7 @@ class MotionWorlds:
 
     def _may_part(self, least: float) -> bool:
         """Whether anything starts within its distance in the one world that there is, so that it may part and slide."""
-        near = self._pipeline._start_distances
+        near = self._pipeline._start_distances()
         if near is None:
             return False
         return least <= 0.0 or near.of(self._paths.at(self._mesh, self._ends[0], self._ends[0], 0.0)) is not None

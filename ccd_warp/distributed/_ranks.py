@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import pickle
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partialmethod
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp.distributed._interrupts import Interrupts
-
 # Exceptions that all ranks raise as they are; any other becomes a RuntimeError.
 _KEPT = (ValueError, TypeError, MemoryError, RuntimeError, KeyboardInterrupt)
-# What an agreement reduces: whether a rank has failed, the call twice, and the values.
+# What an agreement reduces: the lowest rank that has failed, the call twice, and the values.
 _NUM_SLOTS, _FIRST_VALUE = 8, 3
-# MPI counts the bytes of a message by a number of 31 bits.
-MOST_BYTES = 1 << 30
 
 
 def mpi() -> Any:
@@ -35,25 +34,35 @@ def mpi() -> Any:
     return MPI
 
 
+@dataclass
+class Sent:
+    """What a rank has sent to others.
+
+    Attributes:
+        num_bytes: Bytes of its messages.
+        num_messages: Messages.
+        num_reductions: Reductions over all ranks; each takes about as many messages as the number of ranks has bits.
+    """
+
+    num_bytes: int = 0
+    num_messages: int = 0
+    num_reductions: int = 0
+
+
 class _Duplicate:
     """The communicator of our own beside one of the caller's: one for all its meshes, as MPI has few to give."""
 
     _key: int | None = None
 
     def __init__(self, comm: Any) -> None:
-        self.comm = comm.Dup()
-        self.num_pipelines = 0
+        self.comm, self.num_pipelines = comm.Dup(), 0
+        comm.Set_attr(self._key, self)
 
     @classmethod
     def of(cls, comm: Any) -> _Duplicate:
         """That of a communicator, made by its first mesh, collectively."""
-        if cls._key is None:
-            cls._key = comm.Create_keyval()
-        duplicate: _Duplicate | None = comm.Get_attr(cls._key)
-        if duplicate is None:
-            duplicate = cls(comm)
-            comm.Set_attr(cls._key, duplicate)
-        return duplicate
+        cls._key = mpi().Comm.Create_keyval() if cls._key is None else cls._key
+        return comm.Get_attr(cls._key) or cls(comm)
 
 
 class Ranks:
@@ -61,65 +70,53 @@ class Ranks:
 
     Every collective call begins with an agreement: one small reduction, which tells whether a rank has failed. A rank
     that fails goes to its next agreement, too, so that all meet there and raise the same error. Between an agreement
-    and the call that it stands before nothing can fail but MPI itself, and Ctrl-C waits. An agreement also compares
-    what the ranks call, so that those that call different functions raise an error and do not wait for each other.
+    and the call that it stands before nothing can fail but MPI itself. Ctrl-C is noted, and is an error of its rank at
+    its next agreement. An agreement also compares what the ranks call, so that those that call different functions
+    raise an error and do not wait for each other.
 
     Attributes:
         rank: Number of this rank.
         size: Number of ranks.
         local_rank: Number of this rank among those of its machine.
         local_size: Number of ranks of its machine.
-        bytes_sent: Bytes that this rank has sent to others since the last reset, reductions left out.
+        sent: What this rank has sent in the present call.
     """
 
-    def __init__(self, comm: Any, interrupts: Interrupts | None = None) -> None:
-        MPI = mpi()
+    def __init__(self, comm: Any) -> None:
+        self.mpi = MPI = mpi()
         if not isinstance(comm, MPI.Intracomm):
             raise TypeError(f"comm is {type(comm).__name__}; expected an intracommunicator of mpi4py")
-        self.mpi = MPI
         self._duplicate = _Duplicate.of(comm)
         self.comm = self._duplicate.comm
         self.rank, self.size = comm.Get_rank(), comm.Get_size()
         local = comm.Split_type(MPI.COMM_TYPE_SHARED)
         self.local_rank, self.local_size = local.Get_rank(), local.Get_size()
         local.Free()
-        self.bytes_sent = 0
-        self._interrupts = interrupts or Interrupts()
-        self.name_call("DistributedMesh")
-
-    @property
-    def default_num_threads(self) -> int:
-        """Threads for each rank of a machine, so that they share its cores."""
-        return max(1, len(os.sched_getaffinity(0)) // self.local_size)
+        self.sent, self._is_interrupted = Sent(), False
 
     def next_pipeline(self) -> int:
-        """The number of a new pipeline among all of the caller's communicator, also where one rank has missed some."""
-        self._duplicate.num_pipelines = int(self.most(np.array(self._duplicate.num_pipelines))) + 1
+        """The number of a new pipeline among all of the caller's communicator."""
+        self._duplicate.num_pipelines += 1
         return self._duplicate.num_pipelines
-
-    def name_call(self, call: str) -> None:
-        """Say which call follows; all ranks must say the same before the next agreement."""
-        self._call = call
-        self._code = float(int.from_bytes(hashlib.sha256(call.encode()).digest()[:6], "big"))
 
     def agree(self, *values: float, error: BaseException | None = None) -> list[float]:
         """The least of each of a few numbers over all ranks, or the error of the lowest rank that has one."""
+        if error is None and self._is_interrupted:
+            error, self._is_interrupted = KeyboardInterrupt("interrupted"), False
         mine = np.full(_NUM_SLOTS, np.inf)
         mine[0] = self.size if error is None else self.rank
         mine[1:_FIRST_VALUE] = self._code, -self._code
         mine[_FIRST_VALUE : _FIRST_VALUE + len(values)] = values
         least = np.empty(_NUM_SLOTS)
-        with self._interrupts.held():
-            self.comm.Allreduce(mine, least, op=self.mpi.MIN)
-            if least[0] < self.size or least[1] != -least[2]:
-                self._interrupts.hold()  # until the end of the call, as no other rank learns of it any more
-            if least[0] < self.size:
-                self._raise(int(least[0]), error)
-            if least[1] != -least[2]:
-                calls = self.comm.allgather(self._call)
-                other = next(r for r, call in enumerate(calls) if call != calls[0])
-                text = f"rank 0 calls {calls[0]} and rank {other} {calls[other]}; expected one call of all ranks"
-                raise _agreed(ValueError(text))
+        self.comm.Allreduce(mine, least, op=self.mpi.MIN)
+        self.sent.num_reductions += 1
+        if least[0] < self.size:
+            self._raise(int(least[0]), error)
+        if least[1] != -least[2]:
+            calls = self.comm.allgather(self._call)
+            other = next(r for r, call in enumerate(calls) if call != calls[0])
+            text = f"rank 0 calls {calls[0]} and rank {other} {calls[other]}; expected one call of all ranks"
+            raise _agreed(ValueError(text))
         return least[_FIRST_VALUE : _FIRST_VALUE + len(values)].tolist()
 
     def _raise(self, rank: int, error: BaseException | None) -> None:
@@ -131,89 +128,58 @@ class Ranks:
             text = pickle.dumps((kind.__name__, f"rank {rank}: {name}{str(error) or type(error).__name__}"))
         name, message = pickle.loads(self.comm.bcast(text, root=rank))
         agreed = _agreed({kind.__name__: kind for kind in _KEPT}[name](message))
-        if rank != self.rank:
-            raise agreed
-        if error is not None and not isinstance(error, (Exception, KeyboardInterrupt)):
+        if rank == self.rank and error is not None and not isinstance(error, (Exception, KeyboardInterrupt)):
             raise _agreed(error)  # the end of the program, which is that of this rank
-        raise agreed from error
+        raise agreed from (error if rank == self.rank else None)
 
     @contextmanager
-    def together(self, call: str | None = None) -> Iterator[None]:
-        """A block of a collective call: where it fails on one rank, it raises the same error on all.
-
-        ``call`` says of which, if it is the outermost block.
-        """
-        with self._interrupts.taken():
-            if call is not None:
-                self.name_call(call)
+    def together(self, call: str) -> Iterator[None]:
+        """A collective call, with what must be the same on all ranks: where one fails, all raise its error."""
+        self._call = call
+        self._code = float(int.from_bytes(hashlib.sha256(call.encode()).digest()[:6], "big"))
+        with self._interrupts_noted():
             try:
-                try:
-                    self._interrupts.allow()
-                    yield
-                    self._interrupts.hold()
-                except BaseException:
-                    self._interrupts.hold()
-                    raise
-            except (
-                BaseException
-            ) as error:  # of the block, or an interrupt before either hold, after which none is raised
+                yield
+            except BaseException as error:
                 if not getattr(error, "_is_agreed", False):
                     self.agree(error=error)
                 raise
             self.agree()
 
     @contextmanager
-    def after_agreement(self) -> Iterator[None]:
-        """A collective operation, which no rank begins where one has failed; Ctrl-C waits for its end."""
-        with self._interrupts.held():
-            self.agree()
+    def _interrupts_noted(self) -> Iterator[None]:
+        """A block in which Ctrl-C waits for an agreement; a handler of the program's own is left as it is."""
+        own, is_main = signal.default_int_handler, threading.current_thread() is threading.main_thread()
+        if not is_main or signal.getsignal(signal.SIGINT) is not own:
             yield
+            return
+        signal.signal(signal.SIGINT, lambda *_: setattr(self, "_is_interrupted", True))
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, own)
+            is_late, self._is_interrupted = self._is_interrupted, False
+            if is_late:  # after the last agreement, so that the others do not learn of it
+                signal.raise_signal(signal.SIGINT)
 
-    def total(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The sums of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.SUM)
-
-    def least(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The minima of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.MIN)
-
-    def most(self, values: NDArray[Any]) -> NDArray[Any]:
-        """The maxima of arrays of equal length and type."""
-        return self._reduced(values, self.mpi.MAX)
-
-    def _reduced(self, values: NDArray[Any], op: Any) -> NDArray[Any]:
+    def _reduced(self, op: str, values: NDArray[Any]) -> NDArray[Any]:
+        """The sums, minima or maxima of arrays of equal length and type."""
         values = np.asarray(values, order="C")
         result = np.empty_like(values)
-        with self.after_agreement():
-            self.comm.Allreduce(values, result, op=op)
+        self.agree()
+        self.comm.Allreduce(values, result, op=getattr(self.mpi, op))
+        self.sent.num_reductions += 1
         return result
 
-    def sum_before(self, value: int) -> int:
-        """The sum of the values of the ranks below this one."""
-        with self.after_agreement():
-            return int(self.comm.exscan(int(value)) or 0)
+    total, least, most = partialmethod(_reduced, "SUM"), partialmethod(_reduced, "MIN"), partialmethod(_reduced, "MAX")
 
     def every(self, values: NDArray[Any]) -> NDArray[Any]:
         """The arrays of all ranks, one after the other; they may differ in length but not in type and columns."""
-        values = np.ascontiguousarray(values)
-        row_bytes = values.itemsize * int(np.prod(values.shape[1:], dtype=np.int64))
-        byte = self.mpi.BYTE
-        with self.after_agreement():
-            rows = np.array(self.comm.allgather(len(values)))
-            result = np.empty((int(rows.sum()), *values.shape[1:]), dtype=values.dtype)
-            counts = rows * row_bytes
-            begins = np.concatenate([[0], np.cumsum(counts)[:-1]])
-            self.comm.Allgatherv([values, counts[self.rank], byte], [result, counts, begins, byte])
-        return result
+        return np.concatenate(self.swap([values] * self.size))
 
-    def at_root(self, values: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]] | None:
-        """Arrays by name, those of all ranks one after the other, on rank 0; None on the others."""
-        sent = np.frombuffer(pickle.dumps(values, protocol=5), dtype=np.uint8)
-        received = self.swap([sent, *[sent[:0]] * (self.size - 1)])
-        if self.rank != 0:
-            return None
-        parts = [pickle.loads(part.data) for part in received]
-        return {name: np.concatenate([part[name] for part in parts]) for name in values}
+    def at_root(self, values: NDArray[Any]) -> NDArray[Any]:
+        """The arrays of all ranks, one after the other, on rank 0; an empty one on the others."""
+        return np.concatenate(self.swap([values, *[values[:0]] * (self.size - 1)]))
 
     def swap(self, arrays: Sequence[NDArray[Any]]) -> list[NDArray[Any]]:
         """Send an array to every rank and get one from each; empty ones are not sent.
@@ -221,30 +187,24 @@ class Ranks:
         All arrays have the type of the first, and as many columns.
         """
         arrays = [np.ascontiguousarray(array) for array in arrays]
-        like = arrays[0]
         lengths, coming = np.array([len(array) for array in arrays]), np.empty(self.size, dtype=np.int64)
-        with self.after_agreement():
-            self.comm.Alltoall(lengths, coming)
+        self.agree()
+        self.comm.Alltoall(lengths, coming)
         # what comes may not fit into memory, and then nothing is sent
-        received = [np.empty((int(n), *like.shape[1:]), dtype=like.dtype) for n in coming]
-        byte, requests = self.mpi.BYTE, []
-        with self.after_agreement():
-            for r in range(self.size):
-                if r != self.rank:
-                    requests += [self.comm.Irecv([part, byte], source=r) for part in _messages(received[r])]
-            for r in range(self.size):
-                if r != self.rank:
-                    requests += [self.comm.Isend([part, byte], dest=r) for part in _messages(arrays[r])]
-                    self.bytes_sent += arrays[r].nbytes
-            self.mpi.Request.Waitall(requests)
+        received = [np.empty((int(n), *arrays[0].shape[1:]), dtype=arrays[0].dtype) for n in coming]
+        self.exchange(dict(enumerate(arrays)), dict(enumerate(received)))
         received[self.rank] = arrays[self.rank]
         return received
 
-
-def _messages(array: NDArray[Any]) -> list[NDArray[np.uint8]]:
-    """The bytes of an array in parts that a message can hold; none of an empty one."""
-    as_bytes = array.reshape(-1).view(np.uint8)
-    return [as_bytes[k : k + MOST_BYTES] for k in range(0, len(as_bytes), MOST_BYTES)]
+    def exchange(self, sent: dict[int, NDArray[Any]], received: dict[int, NDArray[Any]]) -> None:
+        """Send arrays to other ranks, and receive arrays of known sizes from others; empty ones are not sent."""
+        self.agree()
+        to, begun = [r for r, a in sent.items() if r != self.rank and a.size], []
+        begun += [self.comm.Irecv(a, source=r) for r, a in received.items() if r != self.rank and a.size]
+        begun += [self.comm.Isend(sent[r], dest=r) for r in to]
+        self.mpi.Request.Waitall(begun)
+        self.sent.num_bytes += sum(sent[r].nbytes for r in to)
+        self.sent.num_messages += len(to)
 
 
 def _agreed(error: BaseException) -> BaseException:

@@ -4,15 +4,22 @@ import time
 
 import numpy as np
 from laws.calls import SCALARS, on_host
-from laws.outputs import different, outputs_of
+from laws.outputs import different
 
 import ccd_warp as ccd
+from ccd_warp._results.pairs import PairTable, bodies_of, vertices_of
 from ccd_warp.distributed import DistributedMesh
 
 # Of each result: what each rank has of its own vertices, what all have, and the lists of which each has some rows.
 _LOCAL = {"mesh_ccd": ["vertex_toi"], "line_search": ["vertices", "vertex_fraction"]}
 _SAME = {"mesh_ccd": ["toi", "body_toi", "world_toi"], "line_search": ["fraction", "num_rounds", "is_limited"]}
 _LISTS = {"mesh_ccd": ["contacts"], "line_search": ["touching", "struck", "shortened_by"]}
+# The columns of tables of pairs, besides those that all have.
+_COLUMNS = {
+    ccd.Contacts: ("toi", "parameters", "normal", "points", "status", "gap", "width"),
+    ccd.Proximities: ("parameters", "distance", "direction", "features"),
+    ccd.Intersections: ("parameters", "edge_parameter", "points", "world"),
+}
 _KEPT = (
     "vertices body_vertex_range static kinematic rigid self_collision body_pairs exclusion_rings vertex_world names "
 )
@@ -76,11 +83,9 @@ class Cut:
             bodies=mesh.vertex_body[self.rows],
             static=np.setdiff1d(np.flatnonzero(mesh.static), mesh.planes.bodies).tolist(),
             kinematic=np.flatnonzero(mesh.kinematic).tolist(),
-            rigid=np.flatnonzero(mesh.rigid).tolist(),
             self_collision=mesh.self_collision,
             codimensional_points=_has(mesh, mesh.codimensional_points),
             body_pairs=mesh.body_pairs,
-            exclusion_rings=mesh.exclusion_rings,
             exclude_pairs={
                 name: 2 * pairs.astype(np.int64) + 5 if name == "vertices" else pairs
                 for name, pairs in mesh.exclude_pairs.items()
@@ -107,12 +112,12 @@ def wait_for_all(comm):
         pause = min(1.2 * pause, 2e-3)
 
 
-def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
+def compare_call(comm, cut, pipeline, one, start, end, call):
     """Make one call on all ranks and in one process, and compare every bit."""
-    name, given = call.split()[0], {} if motion is None else {"motion": motion}
+    name = call.split()[0]
     distance, is_root = 0.05 * cut.mesh.length_scale, comm.Get_rank() == 0
-    found = on_host(call, pipeline, cut.local(start), cut.local(end), distance, **given)
-    expected = on_host(call, one, start, end, distance, **given) if is_root else None
+    found = on_host(call, pipeline, cut.local(start), cut.local(end), distance)
+    expected = on_host(call, one, start, end, distance) if is_root else None
     wait_for_all(comm)
     expected = comm.bcast(expected)
     ours, theirs, lists = {}, {}, [(name, found, expected)] * hasattr(found, "to_root")
@@ -121,16 +126,28 @@ def compare_call(comm, cut, pipeline, one, start, end, call, motion=None):
     for key in _LOCAL.get(name, []) + _SAME.get(name, []):
         ours[key], value = getattr(found, key), getattr(expected, key)
         theirs[key] = value[cut.rows] if key in _LOCAL[name] else value
-    if name == "line_search" and motion is not None:
-        ours["poses"], theirs["poses"] = (result.motion.poses_t1 for result in (found, expected))
-    for key, part, whole in lists + [
-        (key, getattr(found, key), getattr(expected, key)) for key in _LISTS.get(name, [])
-    ]:
-        part, whole = part.to_root(), outputs_of(whole, key)
-        for column, values in outputs_of(part, key).items() if is_root else ():
-            if column in whole:
-                rows = 2 * whole[column].astype(np.int64) + 5 if column.endswith("vertices") else whole[column]
-                ours[column], theirs[column] = values, rows.astype(values.dtype)
-        assert not is_root or sum(column.startswith(key) for column in ours) >= 5, key
+    lists += [(key, getattr(found, key), getattr(expected, key)) for key in _LISTS.get(name, [])]
+    for key, part, whole in lists:
+        part = part.to_root()
+        if is_root:
+            ours |= {f"{key}.{column}": values for column, values in part.columns.items()}
+            theirs |= {f"{key}.{column}": values for column, values in _by_ids(whole, one.mesh).items()}
+            assert part.total == len(part), key
     assert different(*({k: np.asarray(v) for k, v in each.items()} for each in (ours, theirs))) == [], call
     wait_for_all(comm)
+
+
+def _by_ids(pairs, mesh):
+    """The columns of what one process has found, with ids in place of rows, in their order."""
+    if isinstance(pairs, ccd.Candidates):
+        lists = [getattr(pairs, kind.name.lower()) for kind in ccd.PairKind]
+        kind = np.repeat(np.array(ccd.PairKind, dtype=np.int32), [len(found) for found in lists])
+        pairs = PairTable(kind, np.concatenate(lists))
+        vertices = vertices_of(mesh, ccd.PairKind, kind, pairs.primitives)
+        columns = {"kind": kind, "bodies": bodies_of(mesh, ccd.PairKind, kind, pairs.primitives, vertices)}
+    else:
+        columns = {name: getattr(pairs, name) for name in ("kind", "bodies", *_COLUMNS[type(pairs)])}
+        vertices = pairs.vertices
+    columns["vertices"] = 2 * vertices.astype(np.int64) + 5
+    order = np.lexsort((*columns["bodies"].T, *columns["vertices"].T[::-1], columns["kind"]))
+    return {name: values[order] for name, values in columns.items()}

@@ -45,29 +45,18 @@ def bodies_near(
     is marked.
     """
     mesh = topology.mesh
-    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
-    if not (mesh._is_free & ~mesh.self_collision)[filled].any():
-        return (mesh.self_collision | mesh.kinematic) & ~mesh.static
-    first = mesh.body_vertex_range[filled]
-    vertex_radius = mesh.radius if vertex_radius is None else vertex_radius
-    radius = None if vertex_radius is None else np.maximum.reduceat(vertex_radius, first)
-    return bodies_near_boxes(topology, filled, swept_boxes(positions, first), radius, inflation, execution)
-
-
-def bodies_near_boxes(
-    topology: Topology,
-    filled: NDArray[np.intp],
-    boxes: tuple[NDArray[np.float64], NDArray[np.float64]],
-    radius: NDArray[np.float64] | None,
-    inflation: float,
-    execution: Execution,
-) -> NDArray[np.bool_]:
-    """Which bodies come near another, given those with vertices, their boxes, and the largest radius of each."""
-    mesh = topology.mesh
     near = (mesh.self_collision | mesh.kinematic) & ~mesh.static
+    filled = np.flatnonzero(np.diff(mesh.body_vertex_range))
     is_query = ~mesh.static[filled] & ~near[filled]
     if not is_query.any():
         return near
+    first = mesh.body_vertex_range[filled]
+    vertex_radius = mesh.radius if vertex_radius is None else vertex_radius
+    radius = None if vertex_radius is None else np.maximum.reduceat(vertex_radius, first)
+    boxes = (
+        np.minimum.reduceat(np.minimum(*positions), first, axis=0),
+        np.maximum.reduceat(np.maximum(*positions), first, axis=0),
+    )
     device = execution.device
     with np.errstate(over="ignore", under="ignore"):
         lower, upper = _inflated(*boxes, radius, inflation)
@@ -94,13 +83,6 @@ def bodies_near_boxes(
         is_long=lambda: len(queries) * len(filled) > _LONG_SEARCH,
     )
     return near | (marks.numpy() != 0)
-
-
-def swept_boxes(positions: Positions, first: NDArray[np.int32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Boxes around both frames of bodies that begin at these vertices."""
-    lower = np.minimum.reduceat(np.minimum(*positions), first, axis=0)
-    upper = np.maximum.reduceat(np.maximum(*positions), first, axis=0)
-    return lower, upper
 
 
 def _inflated(

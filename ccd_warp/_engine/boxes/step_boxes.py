@@ -200,7 +200,7 @@ class StepBoxes:
             self._num_unasked = 1 << min(self._num_far, _MOST_UNASKED)
         if self._num_unasked > 0:
             self._num_unasked -= 1
-        elif self.topology.is_whole and num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
+        elif num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
             self._around = _Around.of(positions, self.quantization)
 
     def _lay_out(self, box_set: BoxSet, layout: Layout, *, keeps_order: bool) -> None:

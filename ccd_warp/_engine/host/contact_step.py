@@ -107,7 +107,7 @@ class ContactStep(ImpactStep):
             self.bind_options(part)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
             # a search of some queries takes a copy of the boxes, and is not shared
-            among = self.among if self.options.memory_limit is None and self.ranks.is_alone else None
+            among = self.among if self.options.memory_limit is None else None
             batches = plan.batches(self.capacity(), among=among)
         if self.planes is not None:
             with self.timed("planes"):
@@ -128,9 +128,8 @@ class ContactStep(ImpactStep):
                 store.end_batch()
         with self.timed("narrow phase"):
             keys_left = {kind: np.concatenate(keys) for kind, keys in open_keys.items()}
-            num_open = self.ranks.all_open({kind: len(keys) for kind, keys in keys_left.items()})
             for kind, keys in keys_left.items():
-                plan.set_open_pairs(kind, keys, num_open[kind])
+                plan.set_open_pairs(kind, keys)
                 plan.bind(contacts=store.begin_batch(len(keys)))
                 plan.solve(is_second=True)
                 store.end_batch()

@@ -52,13 +52,13 @@ class ImpactStep(Step):
     def played_whole(self) -> Batch | None:
         """All pairs of a step, solved but for the second round of a bound, of which all stages are played as one.
 
-        The sections of a recording are played whole where all that the last step of the same plan found did fit, in one
-        process, of one slice and one search, without a limit of memory.
+        The sections of a recording are played whole where all that the last step of the same plan found did fit, of
+        one slice and one search, without a limit of memory.
 
         Returns:
             The pairs; None if nothing has been done, and the step is to be played section by section.
         """
-        if not self.ranks.is_alone or self.options.memory_limit is not None or len(self.motion.slices) > 1:
+        if self.options.memory_limit is not None or len(self.motion.slices) > 1:
             return None
         plan, part = self.plan_of_step(), self.motion.slices[0]
         if not self.plays_whole(plan):

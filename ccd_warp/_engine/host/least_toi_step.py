@@ -91,7 +91,7 @@ class LeastToiStep(ImpactStep):
         """Whether nothing moves until a time by more than rounding."""
         start, end = self.positions
         with np.errstate(over="ignore"):
-            motion = -self.ranks.least_number(-float(np.abs(end - start).max(initial=0.0)))
+            motion = float(np.abs(end - start).max(initial=0.0))
             return toi <= _LOST_TOI and toi * motion <= _LOST * self.mesh.length_scale
 
     def _suffices(self, toi: float) -> bool:
@@ -111,9 +111,7 @@ class LeastToiStep(ImpactStep):
             with self.timed("planes"):
                 plan.counters.set_least(best)
                 num_with_planes = self.planes.meet()
-                best = self.ranks.least_number(
-                    plan.counters.least()
-                )  # whether anything is searched is the same everywhere
+                best = plan.counters.least()
             if self._suffices(best):
                 return best
         t_end, is_straight = self.motion.t_end, not self.motion.on_arcs
@@ -130,11 +128,11 @@ class LeastToiStep(ImpactStep):
                 self._solve(plan, batch, open_pairs)
                 if self._suffices(plan.counters.least()):
                     break
-            best = self.ranks.least_number(plan.counters.least())
+            best = plan.counters.least()
             if self._suffices(best):
                 break
             with self.timed("narrow phase"):
-                best = self.ranks.least_number(self._least_open_toi(plan, best, open_pairs))
+                best = self._least_open_toi(plan, best, open_pairs)
         return best
 
     def _solve(self, plan: HostPlan, batch: Batch, open_pairs: _OpenPairs) -> None:
@@ -195,14 +193,13 @@ class LeastToiStep(ImpactStep):
             # work
             is_earlier = toi < bound
             earlier[kind] = keys[is_earlier], toi[is_earlier]
-        num_open = self.ranks.all_open({kind: len(keys) for kind, (keys, _) in earlier.items()})
         for kind, (keys, toi) in earlier.items():
             if len(keys) == 0:
                 continue
-            if self.options.share_of_work(num_open[kind]) <= self.options.first_iterations:
+            if self.options.share_of_work(len(keys)) <= self.options.first_iterations:
                 bound, self._is_cut_short = min(bound, float(toi.min())), True
                 continue
-            plan.set_open_pairs(kind, keys, num_open[kind])
+            plan.set_open_pairs(kind, keys)
             plan.counters.set_least(bound)
             plan.solve(is_second=True)
             bound = plan.counters.least()

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.course import Course, Ends
-from ccd_warp._engine.host.one_process import OneProcess
-from ccd_warp._engine.host.start_distances import StartDistances
+from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, in_any_part, of_one_part
 from ccd_warp._results.contact_place import joined
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.line_search_result import LineSearchResult
@@ -94,17 +93,16 @@ class LineSearchRounds:
         on_step: OnStep,
         start_distances: StartDistances | None,
         *,
-        per: str,
+        per: Per,
         safety: float,
         max_rounds: int,
-        everywhere: OneProcess | None = None,
+        of_parts: LeastOfParts = of_one_part,
     ) -> None:
-        """Begin with the whole step, here and ``everywhere``."""
-        everywhere = everywhere or OneProcess()
-        self._mesh, self._course, self._on_step, self._everywhere = mesh, course, on_step, everywhere
+        """Begin with the whole step; where the mesh is a part of another, all parts have one number of rounds."""
+        self._mesh, self._course, self._on_step, self._of_parts = mesh, course, on_step, of_parts
         self._start_distances, self._per, self._safety, self._max_rounds = start_distances, per, safety, max_rounds
         self._moves = mesh._is_free[mesh.vertex_body]
-        self._driven = _Driven(mesh, course, self._solved, everywhere)
+        self._driven = _Driven(mesh, course, self._solved)
         self.num_rounds, self.is_limited = 0, False
         self.distances: _Floats | None = None
         self.fraction = np.ones(mesh.num_vertices)
@@ -162,7 +160,7 @@ class LineSearchRounds:
         contacts = self._touching_at_start()
         corners = pair_vertices(mesh, contacts)
         least = self._shared(self._least(contacts.toi, corners), self._per)
-        if not self._everywhere.all(bool((least == 0)[self._moves].all())):
+        if self._any((least != 0)[self._moves]):
             return None
         fraction = np.where(self._moves, 0.0, 1.0)
         motion = course.motion_to(fraction)
@@ -181,7 +179,7 @@ class LineSearchRounds:
             corners = _vertices_of(self._mesh, contacts)
             is_stopped = _of_all((self.fraction == 0) | ~self._moves, corners)
             is_stopped |= self._driven.is_at_rest(contacts, corners)
-            if self._everywhere.all(bool(is_stopped.all())):
+            if not self._any(~is_stopped):
                 self._stopping.append(contacts)
                 break
             if is_stopped.any():
@@ -210,15 +208,18 @@ class LineSearchRounds:
 
         It is 0 of what a shorter step is of no use to, and of all where no round is left to check another step.
         """
-        self.num_rounds += self._driven.look(contacts, has_time=self._has_time)
-        is_driven = self._driven.among(contacts)
+        driven = self._driven
+        if self._has_time and driven.is_to_look and self._any(driven.is_of_kinematic(contacts)):
+            driven.look()
+            self.num_rounds += 1
+        is_driven = driven.among(contacts)
         toi = np.where(is_driven, 0.0, contacts.toi)
-        if not self._everywhere.all(bool(toi.all())):
+        if self._any(toi == 0):
             has_time = self._has_time
             if self._at_start is None and has_time:
                 self._at_start = np.sort(_keys(self._touching_at_start()))
                 self.num_rounds += 1
-            is_all_common = self._everywhere.all(bool(self._is_common.all()))
+            is_all_common = not self._any(~self._is_common)
             # with too few rounds left, a further attempt could stop other vertices of the world, too
             can_be_shorter = (self.fraction[corners].max(axis=1) > _LEAST_FRACTION) & (has_time or is_all_common)
             if self._at_start is not None:
@@ -257,7 +258,7 @@ class LineSearchRounds:
             self._is_common |= touched
         fraction[~self._moves] = 1.0
         self._shortening.append(_Shortening(contacts, corners, toi, bound, before))
-        if self._everywhere.is_alone and not self._driven.is_any:
+        if not self._driven.is_any:
             self._changed = fraction != before
         self.vertices = course.at(fraction)
         # which contacts stop their vertices alone; where others let one go some way, this one does
@@ -275,18 +276,22 @@ class LineSearchRounds:
             np.minimum.at(least, column, toi)
         return least
 
-    def _shared(self, least: _Floats, per: str) -> _Floats:
+    def _any(self, flags: NDArray[np.bool_]) -> bool:
+        """Whether any flag is set, in any part."""
+        return in_any_part(self._of_parts, bool(flags.any()))
+
+    def _shared(self, least: _Floats, per: Per) -> _Floats:
         """For each vertex the least toi of all vertices that share its fraction."""
-        mesh, everywhere = self._mesh, self._everywhere
+        mesh = self._mesh
         if per == "scene":
-            least = np.full_like(least, everywhere.least(least.min(initial=np.inf, keepdims=True))[0])
+            least = np.full_like(least, self._of_parts(least.min(initial=np.inf, keepdims=True), per)[0])
         elif per == "vertex":
-            least = everywhere.least_of_vertices(least)
+            least = self._of_parts(least, per)
         else:
             group = mesh.vertex_body if per == "body" else mesh.vertex_world
             of_group = np.full(mesh.num_bodies if per == "body" else mesh.num_worlds, np.inf)
             np.minimum.at(of_group, group, least)
-            least = everywhere.least(of_group)[group]
+            least = self._of_parts(of_group, per)[group]
         return self._course.shared(least)
 
     def _result_with(self, contacts: Contacts) -> LineSearchResult:
@@ -294,7 +299,7 @@ class LineSearchRounds:
         mesh, fraction = self._mesh, self.fraction
         is_at_start = self._course.are_at_start(self.vertices, fraction)
         is_struck = self._driven.is_any & ~np.asarray(is_at_start[_vertices_of(mesh, contacts)].all(axis=1))
-        least = self._everywhere.least(fraction[self._moves].min(initial=1.0, keepdims=True))
+        least = self._of_parts(fraction[self._moves].min(initial=1.0, keepdims=True), "scene")
         return LineSearchResult(
             vertices=self.vertices,
             vertex_fraction=fraction,
@@ -316,24 +321,27 @@ class _Driven:
         mesh: CollisionMesh,
         course: Course,
         solve: Callable[[Ends], Contacts],
-        everywhere: OneProcess,
     ) -> None:
         self.is_any = bool(mesh.kinematic.any())
-        self._mesh, self._course, self._solve, self._everywhere = mesh, course, solve, everywhere
+        self._mesh, self._course, self._solve = mesh, course, solve
         self._keys: NDArray[np.uint64] | None = None
 
-    def look(self, contacts: Contacts, *, has_time: bool) -> int:
-        """Find them once a kinematic body is in contact, if there is time for a round; returns the rounds taken."""
-        if not self.is_any or not has_time or self._keys is not None:
-            return 0
-        mesh = self._mesh
-        if self._everywhere.all(not mesh.kinematic[pair_bodies(mesh, contacts)].any()):
-            return 0
-        stays, course = mesh._is_free[mesh.vertex_body], self._course
+    @property
+    def is_to_look(self) -> bool:
+        """Whether they are still to be found, once a kinematic body is in contact."""
+        return self.is_any and self._keys is None
+
+    def look(self) -> None:
+        """Find them, in a round."""
+        mesh, course = self._mesh, self._course
+        stays = mesh._is_free[mesh.vertex_body]
         end = np.where(stays[:, None], course.start, course.end)
         contacts = self._solve(course.step_to(end, np.where(stays, 0.0, 1.0)))
         self._keys = np.sort(_keys(contacts))
-        return 1
+
+    def is_of_kinematic(self, contacts: Contacts) -> NDArray[np.bool_]:
+        """Which of the contacts are of a kinematic body."""
+        return np.asarray(self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1))
 
     def is_at_rest(self, contacts: Contacts, corners: NDArray[np.int32]) -> NDArray[np.bool_]:
         """Which of the contacts are of a kinematic body and vertices that have no motion to shorten."""
@@ -343,14 +351,13 @@ class _Driven:
         stays = course.are_at_start(course.end, np.ones(len(course.end)))
         is_still = stays[corners] | self._mesh.kinematic[self._mesh.vertex_body[corners]]
         is_pair_still: NDArray[np.bool_] = np.asarray(is_still.all(axis=1))
-        return is_pair_still & self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
+        return is_pair_still & self.is_of_kinematic(contacts)
 
     def among(self, contacts: Contacts) -> NDArray[np.bool_]:
         """Which of the contacts are of such a pair."""
         if self._keys is None:
             return np.zeros(len(contacts), dtype=bool)
-        is_of_kinematic = self._mesh.kinematic[pair_bodies(self._mesh, contacts)].any(axis=1)
-        is_of_pair: NDArray[np.bool_] = is_of_kinematic & _is_among(_keys(contacts), self._keys)
+        is_of_pair: NDArray[np.bool_] = self.is_of_kinematic(contacts) & _is_among(_keys(contacts), self._keys)
         return is_of_pair
 
 

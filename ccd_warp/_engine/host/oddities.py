@@ -171,17 +171,17 @@ class Oddities:
             f"out, and memory_limit bounds the memory{of_bodies}"
         )
 
-    def explain(self, workspace: "Workspace", positions: "Positions", options: "Options", *, is_whole: bool) -> None:
-        """Warn of each oddity, once for a mesh; of a part, whose vertices have other numbers, of none of them."""
+    def explain(self, workspace: "Workspace", positions: "Positions", options: "Options") -> None:
+        """Warn of each oddity, once for a mesh."""
         mesh = workspace.topology.mesh
         if self.distance is not None:
             key = "distance of a search" if self.distance.is_searched else "distance"
             workspace.warn_once(key, self.distance.described)
         if self.overlaps:
             workspace.warn_once("overlaps", lambda: self.overlaps)
-        if self.touches_at_start and is_whole:
+        if self.touches_at_start:
             workspace.warn_once("doubled", lambda: _doubled_sentence(mesh, positions[0]))
-        if self.is_stuck and is_whole:
+        if self.is_stuck:
             farthest = Farthest.of(positions)
             if farthest.hides_gaps(options.tolerance, length_scale_of(mesh, options)):
                 said = "rounding at the size of the positions is more than the tolerance and hides gaps at the start"

@@ -566,14 +566,14 @@ class HostPlan(Plan):
         """In place of the narrow phase: measure the distances of the pairs of a batch, for a sink."""
         self.play("distances", lambda stages, recording: stages.measure_pairs(recording, sink, self.norm))
 
-    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64], num_open: int) -> None:
+    def set_open_pairs(self, kind: PairKind, keys: NDArray[np.int64]) -> None:
         """Make these marked keys the pairs of the second round, which share the work of so many."""
         pairs = self._workspace.buffers.get("open keys", len(keys), wp.int64)
         pairs[: len(keys)].assign(keys)
         self.memory.take_over(kind, pairs, len(keys))
         self.counters.clear()
         self.counters.set_column(FOUND, {kind: len(keys)})
-        self.counters.set_column(OPEN, {kind: num_open})
+        self.counters.set_column(OPEN, {kind: len(keys)})
 
     def reset_minima(self) -> None:
         """Set every toi to infinity."""

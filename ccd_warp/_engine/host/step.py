@@ -1,14 +1,13 @@
 """What every goal of a step on the host shares: its boxes, batches of pairs, memory, counts and timings."""
 
 from collections.abc import Callable, Iterator
-from functools import partial
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.host.oddities import Oddities
-from ccd_warp._engine.host.one_process import OneProcess
 from ccd_warp._engine.host.plan import NO_PAIRS, Batch, HostPlan
 from ccd_warp._engine.host.plane_stage import PlaneStage
 from ccd_warp._engine.host.stage_timer import StageTimer
@@ -25,7 +24,6 @@ from ccd_warp._scene.input.options import Options
 # Memory for pairs where the user sets no limit.
 _DEFAULT_PAIR_BYTES = 1 << 30
 _LEAST_KEYS = 1 << 12
-_ALONE = OneProcess()
 
 
 class Step:
@@ -57,7 +55,6 @@ class Step:
         positions: Positions,
         options: Options,
         paths: StepPaths | None = None,
-        ranks: OneProcess | None = None,
     ) -> None:
         """Begin a step.
 
@@ -66,16 +63,13 @@ class Step:
             positions: Positions at both ends; of bodies on paths in their own frames.
             options: The options.
             paths: Paths of bodies that turn, where there are any.
-            ranks: The processes that share the step; by default this one alone.
         """
         self.workspace, self.options = workspace, options
         self.topology, self.mesh = workspace.topology, workspace.topology.mesh
         self.positions = self.ends = positions
-        self.paths, self.ranks = paths, ranks or _ALONE
+        self.paths = paths
         self.timer = StageTimer(self.topology.device)
         self.timed, self.timings = self.timer.timed, self.timer.seconds
-        if ranks is not None:
-            ranks.timed = self.timed
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
@@ -85,16 +79,14 @@ class Step:
         """How vertices move, and in which slices the step is searched."""
         if self.paths is None:
             return Motion(self.topology, self.positions, self.options.t_max)
-        # the processes that share a step go through the same slices
-        for_impacts = self.is_for_impacts and self.ranks.is_alone
-        return self.paths.begin(self.workspace, self.positions, self.options, for_impacts=for_impacts)
+        return self.paths.begin(self.workspace, self.positions, self.options, for_impacts=self.is_for_impacts)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, error: type[BaseException] | None, *_: object) -> None:
         if error is None or issubclass(error, Exception):  # a warning that is an error would hide an interrupt
-            self.oddities.explain(self.workspace, self.positions, self.options, is_whole=self.ranks.is_alone)
+            self.oddities.explain(self.workspace, self.positions, self.options)
 
     def norm(self) -> str:
         """The norm of separations (``kernels.pair.norm``)."""
@@ -108,8 +100,6 @@ class Step:
         with self.timed("input"):
             plan = self.plan_of_step()
             self.begin_plan(plan, part)
-        self.ranks.share_positions(self.positions)
-        with self.timed("input"):
             self.vertices_t0 = plan.set_positions(self.positions)[0]
             self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
@@ -134,8 +124,7 @@ class Step:
     def begin_boxes(self, t_end: float, near: NDArray[np.bool_] | None) -> bool:
         """Begin the boxes over [0, t_end] of the bodies that are near others; returns whether there are any."""
         plan = self.plan
-        # bodies that are far here need not be so elsewhere, and all go the same way
-        if self.ranks.is_alone and near is not None and not near.any():
+        if near is not None and not near.any():
             plan.skip_boxes(goes_on=self._has_boxes)
             return False
         active = self.workspace.active(near)
@@ -149,7 +138,7 @@ class Step:
         if not self.topology.may_have_inactive_bodies:
             return active
         radius = self.motion.radius.numpy() if self.motion.on_arcs else None
-        near = self.ranks.bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
+        near = bodies_near(self.topology, self.positions, self.inflation, self.execution, radius)
         if active is not None:
             near &= active
         self._num_active_bodies = int((near | self.mesh.static).sum())
@@ -181,9 +170,7 @@ class Step:
         return self.topology.num_bytes + self.workspace.buffers.num_bytes_but("keys", "contact", "pair")
 
     def batches(self, batches: Iterator[Batch]) -> Iterator[Batch]:
-        """The batches of a search, counted, timed as the stage of pairs, and without the pairs of other processes."""
-        if not self.ranks.is_alone:
-            batches = map(partial(self.ranks.own_batch, self.plan), batches)
+        """The batches of a search, counted, and timed as the stage of pairs."""
         for batch in self.timer.timed_items("pairs", batches):
             for kind, number in batch.num_pairs.items():
                 self.survivors[kind] += number

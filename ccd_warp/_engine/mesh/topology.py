@@ -16,7 +16,6 @@ from ccd_warp._engine.mesh.rings import excluded_vertices
 from ccd_warp._engine.mesh.samples import uneven_samples
 from ccd_warp._engine.mesh.slender import SlenderBodies, slender_bodies
 from ccd_warp._engine.mesh.worlds import (
-    WorldPlaces,
     in_unit,
     inner_part,
     lattice_bits,
@@ -119,17 +118,18 @@ class PrimitiveSet:
 class Topology:
     """The data of a mesh that no step changes; made once for each mesh and device."""
 
-    is_whole = True  # whether the positions that it is given are those of the whole mesh
     fewer_query = False  # whether the queries of two moving sets are those of the smaller one, not of the first
 
     def __init__(self, mesh: "CollisionMesh", device: wp.Device) -> None:
         self.mesh = mesh
         self.device = device
-        self.num_vertices_in_all = mesh.num_vertices  # of the whole mesh, of which this one may be a part
         self.vertex_body = self.array(mesh.vertex_body)
         has_worlds = mesh.num_worlds > 1
         self.vertex_world = self.array(mesh.vertex_world if has_worlds else mesh.vertex_world[:0])
-        self.world_places = self.place_worlds()
+        is_static = mesh.static[mesh.vertex_body]
+        self.world_places = place_worlds(
+            mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, is_static, mesh.unused_vertices
+        )
         self.worlds = self._make_worlds()
         self.radius = self.array(np.zeros(0) if mesh.radius is None else mesh.radius, wp.float64)
         vertex_static, takes_part = mesh.static[mesh.vertex_body], np.ones(mesh.num_vertices, dtype=bool)
@@ -164,14 +164,6 @@ class Topology:
     def of_vertices(self, active: wp.array) -> list[wp.array]:
         """The inputs of `fill_vertex_aabbs` for each vertex, besides its positions."""
         return [self.vertex_body, active, self.worlds]
-
-    def place_worlds(self) -> WorldPlaces:
-        """Where worlds are, and how large."""
-        mesh = self.mesh
-        is_static = mesh.static[mesh.vertex_body]
-        return place_worlds(
-            mesh._vertices_in_space, mesh.vertex_world, mesh.num_worlds, is_static, mesh.unused_vertices
-        )
 
     def _make_worlds(self) -> Any:
         """The places of worlds as the struct of the kernels, without arrays for a single world."""
@@ -226,7 +218,7 @@ class Topology:
 
     @lazy_property
     def plane_vertices(self) -> wp.array:
-        """The vertices that meet the planes of half-spaces: those of free bodies, or of a part some of them."""
+        """The vertices that meet the planes of half-spaces: those of free bodies."""
         mesh = self.mesh
         if not mesh.kinematic.any() and not len(mesh.unused_vertices):
             return self.moving_vertices
@@ -358,7 +350,7 @@ class Topology:
 
     @lazy_property
     def slender(self) -> SlenderBodies | None:
-        """The bodies whose own pairs have a search of their own, if any; a part of a mesh has none."""
+        """The bodies whose own pairs have a search of their own, if any."""
         return slender_bodies(self.mesh)
 
     @lazy_property
@@ -409,25 +401,19 @@ class Topology:
     @property
     def samples_queries(self) -> bool:
         """Whether the search for a bound begins with a sample."""
-        return self.num_vertices_in_all >= WORTH_SAMPLING
+        return self.mesh.num_vertices >= WORTH_SAMPLING
 
     def sampled_queries(self, primitives: PrimitiveSet, kind: str) -> PrimitiveSet:
         """Some primitives of a set of this kind, by their numbers alone: the same wherever they are, in any order."""
         key: tuple[str, Role] = (f"sampled {kind}", primitives.role)
         if key not in self._sets:
             ids = primitives.ids.numpy()
-            rows = np.flatnonzero(self.numbers(kind)[ids] // _RUN % _SAMPLE_STRIDE == 0)
+            rows = np.flatnonzero(ids // _RUN % _SAMPLE_STRIDE == 0)
             corners = self.array(primitives.corners.numpy()[rows], wp.vec3i)
             name, of_ids = f"sampled {primitives.name}", self.array(ids[rows])
             sample = PrimitiveSet(name, primitives.role, primitives.num_corners, of_ids, corners, is_sample=True)
             self._sets.setdefault(key, sample)
         return self._sets[key]
-
-    def numbers(self, kind: str) -> NDArray[np.integer]:
-        """The index of each primitive of a kind in the whole mesh."""
-        mesh = self.mesh
-        count = {"edge": mesh.num_edges, "face": mesh.num_faces}.get(ARRAYS.get(kind, kind), mesh.num_vertices)
-        return np.arange(count)
 
     def _make_set(self, kind: str, role: Role) -> PrimitiveSet:
         mesh, of_role = self.mesh, self.bodies_of(role)

@@ -67,7 +67,7 @@ def test_distances_of_hard_pairs_and_bounds_are_exact_to_the_last_digits_of_thei
     assert (bounds == bounds[:, :1]).all()
     least = [2 * bounds[:, 0]]
     for far in ({"minimum_distance": 1e300}, {"minimum_separation": 1.0, "length_scale": 1e300}):
-        starts = ccd.CollisionPipeline(mesh, **far, **of_kind)._start_distances
+        starts = ccd.CollisionPipeline(mesh, **far, **of_kind)._start_distances()
         share, length = starts.of(mesh.vertices).reshape(len(pairs), -1, 2)[:, 0].T
         kept, lost = share * 1e300, 1e-15 * length  # of shares that may be subnormal
         assert ((length - lost - 2e-23 <= kept) & (kept <= length + lost)).all()
