@@ -13,6 +13,8 @@ over anything, in one call.
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from functools import partial
 from typing import Any
 

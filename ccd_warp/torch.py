@@ -10,6 +10,8 @@ host, wherever they are.
 What has a gradient, and what has 0 in its place, is told in the guide to gradients (docs/gradients.md).
 """
 
+from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
+
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial

@@ -103,9 +103,9 @@ _CALLED = {
 # Names of other projects, whose own pages need not be reached while this site is built, and words of signatures that
 # docs/reference.md explains.
 nitpick_ignore_regex = [
-    ("py:.*", r"(np|numpy|trimesh|warp|wp|pathlib|collections|dataclasses|pyvista)\..*"),
+    ("py:.*", r"(np|numpy|trimesh|warp|wp|torch|jax|pathlib|collections|dataclasses|pyvista)\..*"),
     ("py:.*", "NDArray|ArrayLike|Colour|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
-    ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence"),
+    ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence|.*SupportsDLPack"),
 ]
 
 
