@@ -11,6 +11,8 @@ from pathlib import Path
 
 import warp as wp
 
+# Whose changes make figures stale.
+_MEASURED = ("ccd_warp", "kernels")
 _PACKAGES = ("ccd-warp", "warp-lang", "numpy", "ipctk", "python-fcl", "coal", "drake", "py-parry3d")
 
 
@@ -37,7 +39,8 @@ def machine() -> dict:
         "gpus": " and ".join(device.name for device in wp.get_cuda_devices()),
         "versions": ", ".join(filter(None, map(_version, _PACKAGES))),
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
-        "code": _commit(),
+        "code": commit(),
+        "load": round(os.getloadavg()[0], 1),
     }
 
 
@@ -56,8 +59,23 @@ def _memory() -> int:
     return min(total, int(text)) if text.isdigit() else total
 
 
-def _commit() -> str:
+def commit() -> str:
     """The commit of this checkout, marked where files are changed; empty outside of one."""
-    command = ["git", "describe", "--always", "--dirty", "--abbrev=12"]
-    done = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    return _git("describe", "--always", "--dirty", "--abbrev=12")
+
+
+def why_stale(code: str) -> str:
+    """Why figures of a commit may not be those of this checkout; empty if they are."""
+    if not code or code.endswith("-dirty"):
+        return "of code that was not committed"
+    known = _git("rev-parse", "--verify", f"{code}^{{commit}}")
+    if not known or _git("merge-base", known, "HEAD") != known:
+        return f"of {code}, which is not in the history"
+    changed = _git("diff", "--name-only", code, "--", *_MEASURED).splitlines()
+    return f"of {code}, since which {len(changed)} files have changed" if changed else ""
+
+
+def _git(*command: str) -> str:
+    folder = Path(__file__).resolve().parents[1]
+    done = subprocess.run(["git", *command], cwd=folder, capture_output=True, text=True, check=False)
     return done.stdout.strip()

@@ -11,7 +11,7 @@ from itertools import product
 from pathlib import Path
 
 import broad_phases
-import checkout  # noqa: F401
+import checkout
 import gradients
 import many_worlds
 import numpy as np
@@ -24,7 +24,7 @@ import warp as wp
 import whole_step
 from hard_cases import FAMILIES
 from interleaved import Effort, measure
-from machine import machine
+from machine import commit, machine
 from methods import DEFAULT_TOLERANCE, KINDS, all_methods, check_devices
 from query_sets import GENERATED, QuerySet, default_data, generated_sets, make_set, published_sets
 from scenes import all_scenes, cloth_over_sphere
@@ -181,7 +181,13 @@ def main(about: str | None) -> None:
     parser.add_argument("--data", type=Path, default=default_data(), help="folder of queries in the public formats")
     parser.add_argument("--devices", metavar="NAME", nargs="+", help="Warp devices of ours (the CPU and every GPU)")
     parser.add_argument("--output", type=Path, default=Path("bench_results"), help="folder of CSV files")
+    parser.add_argument("--stale", action="store_true", help="say which figures of the pages are of other code")
     options = parser.parse_args()
+    if options.stale:
+        print("\n".join(f"{part}: {why}" for part, why in raw.stale(checkout.RESULTS).items() if why))
+        return
+    if not options.quick and (code := commit()).endswith("-dirty"):
+        parser.error(f"files have changed since {code.removesuffix('-dirty')}; commit them, or measure with --quick")
     if unknown := set(options.parts) - set(PARTS):
         parser.error(f"{min(unknown)}: expected some of {', '.join(PARTS)}")
     wp.config.log_level = wp.LOG_ERROR

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from machine import machine
+from machine import machine, why_stale
 
 RUNS = "runs"
 
@@ -35,6 +35,12 @@ def read(folder: Path, part: str) -> pd.DataFrame:
     if (lines := path.with_suffix(".json")).is_file():  # of gpu_times.py: the machine, and a line a measurement
         return pd.read_json(lines, lines=True)
     return pd.read_csv(path, keep_default_na=False, na_values=[""]) if path.is_file() else pd.DataFrame()
+
+
+def stale(folder: Path) -> dict[str, str]:
+    """Why the figures of each part may not be those of this checkout; empty where they are."""
+    runs = read(folder, RUNS)
+    return {part: why_stale(code) for part, code in zip(runs.part, runs.code.fillna(""), strict=True)}
 
 
 def described(folder: Path, part: str) -> str:

@@ -19,6 +19,7 @@ import pandas as pd
 import raw
 from checkout import RESULTS, ROOT
 from figures import draw_all, exponents
+from machine import why_stale
 from many_worlds import WORLD_CALLS
 from methods import DEFAULT_TOLERANCE, OURS, PEERS, all_methods
 from small_scenes import CALLS as SMALL_CALLS
@@ -384,12 +385,15 @@ def gradients(folder: Path) -> list[str]:
 
 
 def measured(folder: Path) -> list[str]:
-    """Where and when each part was measured."""
+    """Where, when and of which commit each part was measured."""
     runs = raw.read(folder, raw.RUNS)
     runs = runs.assign(about=[raw.described(folder, part).rpartition(", ")[0] for part in runs.part])
+    runs["code"] = [f"{why_stale(code).partition(', since')[0] or f'of {code}'}" for code in runs.code.fillna("")]
     by_machine = runs.groupby("about", sort=False)
     return [
-        f"- {about}: " + "; ".join(f"{', '.join(of.part)} on {date}" for date, of in rows.groupby("date")) + "."
+        f"- {about}: "
+        + "; ".join(f"{', '.join(of.part)} on {date}, {code}" for (date, code), of in rows.groupby(["date", "code"]))
+        + "."
         for about, rows in by_machine
     ]
 

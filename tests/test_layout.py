@@ -2,6 +2,8 @@
 
 import ast
 import re
+import subprocess
+import sys
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -101,6 +103,17 @@ def test_three_modules_use_private_names_of_warp_which_this_version_has():
     wp.init()
     assert hasattr(context.runtime, "get_clang_pch_dir") and hasattr(context.runtime, "tape")
     assert hasattr(context, "_get_cpu_toolchain_version")
+
+
+def test_benchmarks_find_what_they_take_of_the_tests():
+    """With the folders of `benchmarks/checkout.py` alone, and without the packages that they need themselves."""
+    text = "\n".join(path.read_text() for path in (ROOT / "benchmarks").glob("*.py"))
+    own = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
+    taken = {name for name in re.findall(r"^(?:from|import) (\w+)", text, re.M)} - own
+    taken &= {path.stem for path in (TESTS / "helpers").glob("*.py")}
+    program = f"import sys; sys.path[:0] = [{str(ROOT / 'benchmarks')!r}]; import checkout, {', '.join(sorted(taken))}"
+    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True)
+    assert len(taken) > 3 and not done.stderr, done.stderr
 
 
 def test_no_property_that_stays_has_a_lock():
