@@ -204,5 +204,5 @@ def _pairs_of(keys: Keys) -> NDArray[np.int32]:
 def _distinct(keys: Keys | list[Keys]) -> Keys:
     """Each of some numbers once, ascending."""
     joined: Any = np.concatenate(keys or [_NO_KEYS]) if isinstance(keys, list) else keys
-    distinct: Keys = np.unique(joined)
+    distinct: Keys = np.unique(joined) if len(joined) else joined
     return distinct

@@ -14,6 +14,7 @@ from ccd_warp._engine.mesh.topology import Topology, sort_in_place
 from ccd_warp._results.shared_features import SharedFeatures
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
+from ccd_warp._runtime.written import Written
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.at_one_time.unique import FeaturePairs
 
@@ -36,25 +37,31 @@ class ProximityStore:
         total: Number of pairs found.
     """
 
-    def __init__(self, topology: Topology, buffers: Buffers, execution: Execution) -> None:
-        self.total = 0
-        self._topology, self._buffers, self._execution = topology, buffers, execution
-        self._count: wp.array = wp.zeros(1, dtype=wp.int32, device=topology.device)
-        self._list: Any = None
+    def __init__(self, topology: Topology, buffers: Buffers) -> None:
+        self.total = self._capacity = 0
+        self._topology, self._buffers = topology, buffers
+        self._count = Written(wp.zeros(1, dtype=wp.int32, device=topology.device))
+        self._list: Any = None  # until somebody else has it
+
+    def begin(self, execution: Execution) -> None:
+        """Begin a call."""
+        self.total, self._execution = 0, execution
 
     def begin_batch(self, num_pairs: int) -> Any:
         """The list that a batch of so many pairs appends to, with a place for each of them."""
-        arrays = {
-            name: self._buffers.grown(f"pair {name}", self.total, self.total + num_pairs, dtype)
-            for name, dtype in PROXIMITY_DTYPES.items()
-        }
-        self._count.fill_(self.total)
-        self._list = new_proximity_list({"count": self._count, **arrays})
+        if self._list is None or self._capacity < self.total + num_pairs:
+            arrays = {
+                name: self._buffers.grown(f"pair {name}", self.total, self.total + num_pairs, dtype)
+                for name, dtype in PROXIMITY_DTYPES.items()
+            }
+            self._list = new_proximity_list({"count": self._count.array, **arrays})
+            self._capacity = min(map(len, arrays.values()))
+        self._count.write(np.int32(self.total))
         return self._list
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""
-        self.total = int(self._count.numpy()[0])
+        self.total = int(self._count.array.numpy()[0])
 
     def gather(self, *, unique: bool) -> tuple[int, dict[str, Callable[[], NDArray[Any]]]]:
         """The number of all pairs, or of the first of each two features alone, and their columns by name.
@@ -74,6 +81,7 @@ class ProximityStore:
             count = len(rows)
         else:
             self._execution.launch(kernels.proximity_keys, count, inputs=[pairs], outputs=[keys])
+        self._list, self._capacity = None, 0
         for name in PROXIMITY_DTYPES:
             self._buffers.release(f"pair {name}")
         alone = Execution(device, self._execution.num_threads)  # what is read later is no part of this call

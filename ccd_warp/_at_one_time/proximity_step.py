@@ -17,7 +17,7 @@ from ccd_warp._engine.mesh.scene import reach_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._results.proximities import Proximities
-from ccd_warp._runtime.launch import load_all
+from ccd_warp._runtime.launch import Recording, Slot, load_all
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
@@ -48,10 +48,16 @@ class StepAtOneTime(Step):
         return plan
 
     def note_distance(self, distance: float) -> None:
-        """Note that a distance which the caller has given is many edges long, if it is."""
-        rings = self.mesh.exclusion_rings
-        of_search = DistanceInEdges.of(self.topology, self.positions[0], distance, rings=rings)
-        self.oddities.distance = of_search and of_search._replace(is_searched=True)
+        """Note that a distance which the caller has given is many edges long, if it is; seldom looked at in a loop."""
+        if self.workspace.looks_again(("distance", distance)):
+            rings = self.mesh.exclusion_rings
+            of_search = DistanceInEdges.of(self.topology, self.positions[0], distance, rings=rings)
+            self.oddities.distance = of_search and of_search._replace(is_searched=True)
+
+    def reach(self, distance: float, kept: float = 0.0) -> Any:
+        """What is near, as the struct of the kernels, and what pairs keep beside their radii."""
+        radius, stop = self.topology.radius, self.workspace.flag.array
+        return self.workspace.packed_once(("reach", distance, kept), lambda: reach_of(radius, distance, stop, kept))
 
     def least_of_vertices(
         self, plan: HostPlan, batches: Iterator[Batch], sink: int, found: wp.array
@@ -77,8 +83,9 @@ class ProximityStep(StepAtOneTime):
         plan = self.search(distance)
         self.note_distance(distance)
         with self.timed("pairs"):
-            store = ProximityStore(self.topology, self.workspace.buffers, self.execution)
-            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array))
+            store = self.workspace.kept(ProximityStore, lambda: ProximityStore(self.topology, self.workspace.buffers))
+            store.begin(self.execution)
+            plan.bind(reach=self.reach(distance))
             batches = plan.batches(self.capacity())
         if self.planes is not None:
             begin = lambda count: plan.bind(proximities=store.begin_batch(count))  # noqa: E731
@@ -113,12 +120,9 @@ class DisplacementStep(StepAtOneTime):
         self.note_distance(distance)
         minima = self.workspace.contacts.minima
         with self.timed("pairs"):
-            largest = largest_bound(search_radius, self.mesh._moves_alone)
-            inputs = [largest, self.topology.body_static]
-            both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
-            load_all(both, self.topology.device, self.execution.progress)  # side by side
-            self.execution.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=[minima])
-            plan.bind(reach=reach_of(self.topology.radius, distance, self.workspace.flag.array, kept))
+            plan.bind(largest_bound=largest_bound(search_radius, self.mesh._moves_alone))
+            plan.play("reset bounds", self._record_reset)
+            plan.bind(reach=self.reach(distance, kept))
             batches = plan.batches(self.capacity())
         if self.planes is not None:
             with self.timed("planes"):
@@ -126,3 +130,9 @@ class DisplacementStep(StepAtOneTime):
         bounds = self.least_of_vertices(plan, batches, DISPLACEMENT, minima.vertex)
         bounds[self.mesh.unused_vertices] = np.inf
         return bounds
+
+    def _record_reset(self, stages: Stages, recording: Recording) -> None:
+        both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
+        load_all(both, self.topology.device, self.execution.progress)  # side by side
+        inputs, outputs = [Slot("largest_bound"), self.topology.body_static], [self.workspace.contacts.minima]
+        recording.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=outputs)

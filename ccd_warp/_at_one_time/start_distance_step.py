@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._at_one_time.proximity_step import StepAtOneTime
 from ccd_warp._engine.host.workspace import Workspace
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.start_distances import corners_by_kind
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._results.results import Contacts
@@ -44,8 +44,7 @@ class StartDistanceStep(StepAtOneTime):
 
     def _reach(self, distance: float) -> Any:
         """How near is near, and what pairs keep beside their radii."""
-        kept = self.options.separation(length_scale_of(self.mesh, self.options))
-        return reach_of(self.topology.radius, distance, self.workspace.flag.array, kept)
+        return self.reach(distance, self.options.separation(length_scale_of(self.mesh, self.options)))
 
     def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:
         """Whether one of these contacts of a world starts within a distance, and radii, or passes by, shape [W]."""

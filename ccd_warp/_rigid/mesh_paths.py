@@ -62,9 +62,7 @@ class MeshPaths(BodyPaths):
         """Begin a step on the host along these paths; for impacts alone without slices in which nothing is near."""
         from ccd_warp._rigid.arcs import Arcs  # not before a scene needs it
 
-        if Arcs not in workspace.motions:
-            workspace.motions[Arcs] = Arcs(workspace.topology)
-        arcs: Arcs = workspace.motions[Arcs]
+        arcs = workspace.kept(Arcs, lambda: Arcs(workspace.topology))
         arcs.begin(self)
         searched = self.searched
         if for_impacts and searched is None:

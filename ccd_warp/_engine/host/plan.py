@@ -125,7 +125,7 @@ class HostPlan(Plan):
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
         of_pairs = self.memory.slots()
-        names = [*_POSITIONS, *_FIELDS, "turns", "searched"]
+        names = [*_POSITIONS, *_FIELDS, "turns", "searched", "largest_bound"]
         names += [slot.name for slots in boxes.values() for slot in slots]
         names += [slot.name for slots in of_pairs.values() for slot in slots.values()]
         self._recording = Recording(execution, dict.fromkeys(names) | {"contacts": ContactList()})

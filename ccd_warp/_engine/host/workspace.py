@@ -1,7 +1,7 @@
 """What stays from step to step: a mesh's topology on a device, the boxes of static bodies, recordings, buffers."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import warp as wp
@@ -21,6 +21,7 @@ from ccd_warp._scene.mesh import CollisionMesh
 
 # Structs of the kernels that are kept, enough for the different kinds of calls in a loop.
 _MOST_PACKED = 16
+_T = TypeVar("_T")
 
 
 class Workspace:
@@ -46,7 +47,8 @@ class Workspace:
         self.boxes = StepBoxes(self.topology, self.buffers)
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
-        self.motions: dict[type, Any] = {}  # of which steps keep the arrays, by their class
+        self._kept: dict[type, Any] = {}
+        self._num_looks: dict[object, int] = {}
         self._packed: dict[Any, Any] = {}
         self._positions: dict[str, Written] = {}
         self._is_all_active = False
@@ -126,6 +128,19 @@ class Workspace:
     def start_distances(self) -> wp.array:
         """How near each vertex is to anything at the start of a step, as share and length, float64, shape [2 V]."""
         return wp.empty(2 * self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+
+    def kept(self, kind: type[_T], make: Callable[[], _T]) -> _T:
+        """What a step of an outer ring keeps here, by its class."""
+        if kind not in self._kept:
+            self._kept[kind] = make()
+        return self._kept[kind]  # type: ignore[no-any-return]
+
+    def looks_again(self, what: object) -> bool:
+        """Whether it is time to look again whether something is odd: the first, second, fourth, eighth time."""
+        if len(self._num_looks) >= _MOST_PACKED:
+            self._num_looks.clear()
+        count = self._num_looks[what] = self._num_looks.get(what, 0) + 1
+        return count & (count - 1) == 0
 
     def packed_once(self, key: Any, pack: Callable[[], Any]) -> Any:
         """What follows from a key alone, such as a struct of the kernels, since packing takes as long as a launch."""
