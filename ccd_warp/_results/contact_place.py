@@ -87,7 +87,8 @@ class MovingVertices:
     def copied(self, contacts: Contacts) -> "MovingVertices":
         """The same, of arrays that nobody else holds, with what the contacts need."""
         if len(self.start) < _VERTICES_A_CONTACT * len(contacts) + _FEW_VERTICES:
-            return MovingVertices(self.mesh, self.start.copy(), self.end.copy(), self.paths, self.rows)
+            copies = {"start": self.start.copy(), "end": self.end.copy()}
+            return of_values(MovingVertices, vars(self) | copies)  # type: ignore[no-any-return]
         is_needed = np.zeros(len(self.start), dtype=bool)
         is_needed[contacts.vertices] = True
         is_needed[self.mesh.planes.vertices[self.mesh.planes.vertices >= 0]] = True
@@ -243,7 +244,7 @@ def located(
     such a mesh two are kept. ``paths`` are those of bodies that turn, whose positions are in their own frames;
     ``touch`` is what counts as touching, without which there are no gradients; ``radii`` are those of vertices.
     """
-    place = ContactPlace(mesh, touch=touch, radii=radii)
+    place: ContactPlace = of_values(ContactPlace, {"mesh": mesh, "touch": touch, "radii": radii})
     if mesh.dimension == 2:
         contacts = replace(contacts, normal=contacts.normal[:, :2].copy())
         start, end = (None if x is None else x[:, :2] for x in (start, end))
@@ -251,7 +252,8 @@ def located(
         place.points = place.relative_velocity = np.zeros((0, mesh.dimension))
     contacts = of_values(Contacts, vars(contacts))._of(place)
     if len(contacts) and start is not None and end is not None:
-        place.frames = MovingVertices(mesh, start, end, paths).copied(contacts)
+        moving = {"mesh": mesh, "start": start, "end": end, "paths": paths}
+        place.frames = of_values(MovingVertices, moving).copied(contacts)
     return contacts
 
 

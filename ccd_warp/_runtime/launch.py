@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import warp as wp
 
 from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
+from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.quiet import quietly
@@ -94,7 +95,7 @@ class Execution:
     flag: StopFlag | None = None
     progress: Progress = field(default_factory=Progress)
 
-    @property
+    @lazy_property
     def is_cuda(self) -> bool:
         """True on a CUDA device."""
         return self.device.is_cuda
@@ -345,7 +346,7 @@ class Recording:
         """What is told how far a long job is."""
         return self.execution.progress
 
-    @property
+    @lazy_property
     def is_cuda(self) -> bool:
         """True on a CUDA device."""
         return self.execution.is_cuda

@@ -144,7 +144,7 @@ class ContactStore:
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
         mesh = topology.mesh
         self.total, self.num_with_planes = 0, _FEW[0]
-        self._topology, self._buffers = topology, buffers
+        self._topology, self._buffers, self._is_cuda = topology, buffers, topology.device.is_cuda
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
         # the number of contacts is behind them, so that CUDA reads both at once
@@ -181,7 +181,7 @@ class ContactStore:
             self._list = new_contact_list({"count": self.count, **arrays})
             self._capacity = min(map(len, arrays.values()))
         self._read = None
-        if self._topology.device.is_cuda:
+        if self._is_cuda:
             self.count.fill_(kept)
         else:
             self._count_view[0] = kept
@@ -201,7 +201,7 @@ class ContactStore:
             self.total += appended
             return
         count = self._count_view
-        if self._topology.device.is_cuda:
+        if self._is_cuda:
             self._read = self._toi.numpy()
             count = self._read[-1:].view(np.int32)
         self.total += int(count[0]) - min(self.total, self._capacity)
@@ -248,7 +248,7 @@ class ContactStore:
     def _columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the contacts in the list, of which there are some; on the CPU the list's own memory."""
         arrays, count = {name: getattr(self._list, name) for name in CONTACT_DTYPES}, self.total
-        if self._topology.device.is_cuda:
+        if self._is_cuda:
             return {name: array[:count].numpy() for name, array in arrays.items()}
         return {name: array.numpy()[:count] for name, array in arrays.items()}
 
@@ -257,7 +257,7 @@ class ContactStore:
 
         Those that are not ordered are as they were found, and of the first ones nothing is known.
         """
-        count, is_cuda = self.total, self._execution.is_cuda
+        count, is_cuda = self.total, self._is_cuda
         if not is_ordered and count:
             contacts = {name: values.copy() for name, values in self._columns().items()}
             return self._gathered(contacts, [np.full(j - i, _NO_CONTACT) for i, j in self._ranges[:-1]])
@@ -279,7 +279,7 @@ class ContactStore:
         return self._gathered(*ordered.read(count))
 
     def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> dict[str, Any]:
-        if self._execution.is_cuda:
+        if self._is_cuda:
             toi = self._toi.numpy() if self._read is None else self._read
         else:
             toi = self._toi_view.copy()
