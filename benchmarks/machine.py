@@ -60,8 +60,9 @@ def _memory() -> int:
 
 
 def commit() -> str:
-    """The commit of this checkout, marked where files are changed; empty outside of one."""
-    return _git("describe", "--always", "--dirty", "--abbrev=12")
+    """The commit of this checkout, marked where files but those of results are changed; empty outside of one."""
+    is_changed = _git("status", "--porcelain", "--untracked-files=no", "--", ".", ":!benchmarks/results")
+    return _git("rev-parse", "--short=12", "HEAD") + ("-dirty" if is_changed else "")
 
 
 def why_stale(code: str) -> str:
