@@ -388,7 +388,7 @@ def measured(folder: Path) -> list[str]:
     """Where, when and of which commit each part was measured."""
     runs = raw.read(folder, raw.RUNS)
     runs = runs.assign(about=[raw.described(folder, part).rpartition(", ")[0] for part in runs.part])
-    runs["code"] = [f"{why_stale(code).partition(', since')[0] or f'of {code}'}" for code in runs.code.fillna("")]
+    runs["code"] = [why_stale(code).partition(", since")[0] or f"of {code}" for code in runs.code.fillna("")]
     by_machine = runs.groupby("about", sort=False)
     return [
         f"- {about}: "

@@ -48,8 +48,8 @@ class StepAtOneTime(Step):
         return plan
 
     def note_distance(self, distance: float) -> None:
-        """Note that a distance which the caller has given is many edges long, if it is; seldom looked at in a loop."""
-        if self.workspace.looks_again(("distance", distance)):
+        """Note that a distance which the caller has given is many edges long, if it is; asked seldom in a loop."""
+        if self.workspace.is_due(("distance", distance)):
             rings = self.mesh.exclusion_rings
             of_search = DistanceInEdges.of(self.topology, self.positions[0], distance, rings=rings)
             self.oddities.distance = of_search and of_search._replace(is_searched=True)

@@ -21,6 +21,7 @@ from scenes import crowd, pairs_in_worlds, soup
 
 import ccd_warp as ccd
 from ccd_warp._engine import stages
+from ccd_warp._engine.mesh import topology
 from emulated import MARKS
 from emulated.build import sanitizer_library
 from emulated.device import MULTIPROCESSORS, Emulation, emulation
@@ -123,8 +124,10 @@ def count_from(begin: int, count: wp.int64, counts: wp.array2d[wp.int64]):
     counts[begin + wp.tid(), CANDIDATES] = count
 
 
-def test_triangles_that_change_places_are_sorted_in_the_call_after_that_in_which_they_have():
+@pytest.mark.parametrize("worth_sampling", [1 << 14, 1])
+def test_triangles_that_change_places_are_sorted_in_the_call_after_that_in_which_they_have(worth_sampling, monkeypatch):
     """Contacts are those of the CPU in each step: before it is known that an order is bad, with a new one, later."""
+    monkeypatch.setattr(topology, "WORTH_SAMPLING", worth_sampling)
     rng, count = np.random.default_rng(50), 1500
     mesh = ccd.CollisionMesh.from_arrays([soup(rng, count, 0.02)])
     motion, places = 0.01 * rng.standard_normal(mesh.vertices.shape), np.arange(3 * count).reshape(-1, 3)

@@ -121,6 +121,7 @@ class HostPlan(Plan):
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
         self._large_blocks = [0] * len(self.moving_trees)  # of each tree so far
+        self._has_counted_blocks = False  # since then
         self.begin_counts()
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
@@ -227,9 +228,13 @@ class HostPlan(Plan):
     def fill_boxes(self) -> None:
         """Compute the boxes of a step that has begun; on CUDA twice where a new order of trees is a bad one."""
         is_new = self.execution.is_cuda and self._boxes.trust_order(self._kept_in_order)
-        self.play("boxes", self._record_boxes)
+        self._play_boxes()
         if is_new and not self._note_order():
-            self.play("boxes", self._record_boxes)
+            self._play_boxes()
+
+    def _play_boxes(self) -> None:
+        self.play("boxes", self._record_boxes)
+        self._has_counted_blocks = self.execution.is_cuda
 
     def _record_boxes(self, stages: Stages, recording: Recording, active: wp.array | None = None) -> None:
         """Record the boxes of active bodies, by default of those that the host has found near others.
@@ -250,7 +255,7 @@ class HostPlan(Plan):
 
     def _note_order(self) -> bool:
         """On CUDA, note which trees are in order by the large blocks since the last time; returns whether all are."""
-        counts = self.counters.large_blocks()
+        counts, self._has_counted_blocks = self.counters.large_blocks(), False
         of_boxes = [count - before for count, before in zip(counts, self._large_blocks, strict=True)]
         self._large_blocks = counts
         trees = zip(self._kept_in_order, of_boxes, strict=False)
@@ -395,7 +400,7 @@ class HostPlan(Plan):
                     return None
             elif fits():
                 self.has_fitted = True
-                if self.execution.is_cuda:
+                if self._has_counted_blocks:
                     self._note_order()
                 return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
 
@@ -417,6 +422,7 @@ class HostPlan(Plan):
             begin()
             self.marks, self._meets = [], [False] * len(tree_pairs)
             self.play("step without pairs" if self.is_idle else "step", partial(self._record_step, tree_pairs))
+            self._has_counted_blocks = self.execution.is_cuda and bool(tree_pairs)
 
         return self._fitting(tree_pairs, largest, search, fits)
 

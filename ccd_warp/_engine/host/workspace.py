@@ -48,7 +48,7 @@ class Workspace:
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self._kept: dict[type, Any] = {}
-        self._num_looks: dict[object, int] = {}
+        self._num_asked: dict[object, int] = {}
         self._packed: dict[Any, Any] = {}
         self._positions: dict[str, Written] = {}
         self._is_all_active = False
@@ -135,11 +135,11 @@ class Workspace:
             self._kept[kind] = make()
         return self._kept[kind]  # type: ignore[no-any-return]
 
-    def looks_again(self, what: object) -> bool:
-        """Whether it is time to look again whether something is odd: the first, second, fourth, eighth time."""
-        if len(self._num_looks) >= _MOST_PACKED:
-            self._num_looks.clear()
-        count = self._num_looks[what] = self._num_looks.get(what, 0) + 1
+    def is_due(self, what: object) -> bool:
+        """Whether something odd is to be asked for: the first, second, fourth, eighth time that a step might."""
+        if len(self._num_asked) >= _MOST_PACKED:
+            self._num_asked.clear()
+        count = self._num_asked[what] = self._num_asked.get(what, 0) + 1
         return count & (count - 1) == 0
 
     def packed_once(self, key: Any, pack: Callable[[], Any]) -> Any:
