@@ -203,8 +203,8 @@ def _regions(whole: DistributedMesh, start: _Floats) -> Regions:
     samples = ranks.every(np.concatenate(rows))
     points, work, rank = samples[:, :-2], samples[:, -2], samples[:, -1].astype(np.intp)
     regions = bisected(points, work, ranks.size)
-    held = [np.bincount(rank[regions.holds(r, points)], minlength=ranks.size) for r in range(ranks.size)]
-    return regions.assigned(np.stack(held, axis=1))
+    num_samples = [np.bincount(rank[regions.holds(r, points)], minlength=ranks.size) for r in range(ranks.size)]
+    return regions.assigned(np.stack(num_samples, axis=1))
 
 
 def _part(

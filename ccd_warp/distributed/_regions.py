@@ -37,11 +37,15 @@ class Regions:
         """Which points, shape [n, k], lie in a region."""
         return self.meets(region, points, points)
 
-    def assigned(self, held: NDArray[np.float64]) -> "Regions":
+    def assigned(self, num_samples: NDArray[np.float64]) -> "Regions":
         """The regions in an order such that each rank gets one of which it holds much, shape [ranks, regions]."""
-        count, rank_of_region, is_free = len(held), np.full(len(held), -1), np.ones(len(held), dtype=bool)
-        places = np.flatnonzero(held)  # which are far fewer than the square of the ranks
-        for place in places[np.argsort(-held.ravel()[places], kind="stable")].tolist():
+        count, rank_of_region, is_free = (
+            len(num_samples),
+            np.full(len(num_samples), -1),
+            np.ones(len(num_samples), dtype=bool),
+        )
+        places = np.flatnonzero(num_samples)  # which are far fewer than the square of the ranks
+        for place in places[np.argsort(-num_samples.ravel()[places], kind="stable")].tolist():
             rank, region = divmod(place, count)
             if rank_of_region[region] < 0 and is_free[rank]:
                 rank_of_region[region], is_free[rank] = rank, False

@@ -107,9 +107,9 @@ def test_regions_have_the_same_work_lie_where_most_of_them_is_and_cut_no_world_i
     work = np.array([weights[regions.holds(r, points)].sum() for r in range(13)])
     assert work.max() < 1.02 * work.mean()
     # each rank gets the region of which it holds most
-    turn, held = rng.permutation(13), np.ones((13, 13))
-    held[turn, np.arange(13)] = 9.0
-    after = regions.assigned(held)
+    turn, num_samples = rng.permutation(13), np.ones((13, 13))
+    num_samples[turn, np.arange(13)] = 9.0
+    after = regions.assigned(num_samples)
     assert np.array_equal(after.lower[turn], regions.lower) and np.array_equal(after.upper[turn], regions.upper)
     # a box is then in one region
     points = points_of(rng, 4_000, num_worlds=8)
