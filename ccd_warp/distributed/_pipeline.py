@@ -32,7 +32,7 @@ from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import MeshResult
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.texts import text_completed_by
-from ccd_warp._scene.input.arguments import Per, check_count, check_instance
+from ccd_warp._scene.input.arguments import Per, check_count, check_instance, shown
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import naming, options_of, resolve_device
 from ccd_warp.distributed._mesh import DistributedMesh
@@ -104,13 +104,14 @@ class DistributedPipeline:
     def __repr__(self) -> str:
         return f"DistributedPipeline({self.mesh!r}, on {self._device})"
 
-    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> DistributedResult:
+    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> DistributedResult:
         """Earliest times of impact of a step of the whole mesh; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
                 Rows of ghosts are ignored: the positions of the owners count.
             vertices_t1: End positions, of the same shape. Static bodies are where they start.
+            motion: None, as bodies that turn are for one process.
 
         Returns:
             What concerns this rank, and the toi of the whole mesh.
@@ -121,7 +122,7 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the whole mesh.
         """
-        with self._called("mesh_ccd", vertices_t0, vertices_t1) as (plan, start, end):
+        with self._called("mesh_ccd", vertices_t0, vertices_t1, motion=motion) as (plan, start, end):
             result = plan.pipeline.mesh_ccd(start, end)
             vertex_toi = self._to_owners(plan, result.vertex_toi)
             least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
@@ -130,7 +131,7 @@ class DistributedPipeline:
         return DistributedResult(float(least[0]), vertex_toi, least[1:body], least[body:], contacts)
 
     @text_completed_by(mesh_ccd)
-    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> float:
         """Largest fraction of a step of the whole mesh certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -138,7 +139,8 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
-        with self._called("collision_free_step", vertices_t0, vertices_t1, lambda: self._parting_distance) as of_part:
+        call, check = "collision_free_step", lambda: self._parting_distance
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as of_part:
             return min(self._least_toi(*of_part), self._options.t_max)
 
     def _least_toi(self, plan: Plan, start: _Floats, end: _Floats) -> float:
@@ -156,7 +158,7 @@ class DistributedPipeline:
         return least
 
     @text_completed_by(mesh_ccd)
-    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> bool:
         """Whether a step of the whole mesh is certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -164,12 +166,12 @@ class DistributedPipeline:
 
         Guarantee: True is certain.
         """
-        with self._called("is_step_collision_free", vertices_t0, vertices_t1) as (plan, start, end):
+        with self._called("is_step_collision_free", vertices_t0, vertices_t1, motion=motion) as (plan, start, end):
             return self._ranks.agree(float(plan.pipeline.is_step_collision_free(start, end)))[0] == 1.0
 
     @text_completed_by(mesh_ccd)
     def find_candidates(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0, *, motion: None = None
     ) -> DistributedPairs:
         """Find the pairs of the whole mesh whose swept boxes overlap; all ranks call it together.
 
@@ -182,7 +184,7 @@ class DistributedPipeline:
         Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
         """
         call, check = f"find_candidates(inflation={inflation})", lambda: 2.0 * validated_inflation(inflation)
-        with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
             return self._pairs(plan, plan.pipeline.find_candidates(start, end, inflation))
 
     @text_completed_by(find_candidates)
@@ -243,6 +245,7 @@ class DistributedPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
+        motion: None = None,
     ) -> DistributedLineSearch:
         """Shorten a step of the whole mesh until it is free of collisions; all ranks call it together.
 
@@ -267,7 +270,7 @@ class DistributedPipeline:
             return self._parting_distance
 
         call = f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})"
-        with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
 
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return plan.pipeline._on_step(ContactStep, ends.start, ends.end, work)
@@ -327,7 +330,12 @@ class DistributedPipeline:
 
     @contextmanager
     def _called(
-        self, call: str, start: ArrayLike, end: ArrayLike | None = None, distance: Callable[[], float] | None = None
+        self,
+        call: str,
+        start: ArrayLike,
+        end: ArrayLike | None = None,
+        distance: Callable[[], float] | None = None,
+        motion: object = None,
     ) -> Iterator[tuple[Plan, _Floats, _Floats]]:
         """A call of all ranks: a plan that serves it, and the positions of this rank's part at both ends.
 
@@ -338,6 +346,10 @@ class DistributedPipeline:
         begin, seconds, ranks.sent = time.perf_counter(), dict[str, float](), Sent()
         with ranks.together(call if self._number == 1 else f"{call} of pipeline {self._number}"):
             with naming(name):
+                if motion is not None:
+                    raise ValueError(
+                        f"motion is {shown(motion)}; expected None, as bodies that turn are for one process"
+                    )
                 inflation = half_rounded_up(self._distance if distance is None else distance())
             self._ends = ends = self.mesh._frames(start, end)
             plan, self._plan = self._plan, None  # what was half done is not used again, on no rank

@@ -317,6 +317,7 @@ def refused_calls(mesh, x, y):
         yield parts, lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y)
     searches = by_rank(lambda: pipeline.find_intersections(x), lambda: pipeline.find_proximity(x, 0.1))
     yield ["rank 0 calls find_intersections", "and rank 1 find_proximity"], searches
+    yield ["rank 0: mesh_ccd: motion is 1; expected None"], lambda: pipeline.mesh_ccd(x, y, motion=1 - RANK or None)
     yield ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour")
     for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
         given = {name: by_rank(*values)}
