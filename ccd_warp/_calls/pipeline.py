@@ -43,6 +43,7 @@ from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.streams import in_current_order
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._scene.input.interop import DeviceArray, check_writable
 from ccd_warp._scene.input.option_types import MeshOptions
@@ -208,7 +209,8 @@ class CollisionPipeline:
     ) -> _T:
         """Run ``work`` on a step of a kind between validated positions."""
         self._check_no_capture()
-        with self._lock:
+        # what a step frees is freed in the order of the null stream
+        with self._lock, in_current_order(self._topology.device):
             begin = time.perf_counter()
             start, end = self.mesh._both_in_space(*frames())
             workspace, self._workspace = self._workspace, None

@@ -63,6 +63,16 @@ def in_order_with(library_stream: Any) -> Iterator[None]:
             other.wait_stream(blocking)
 
 
+def in_current_order(device: wp.Device) -> AbstractContextManager[Any]:
+    """A block whose launches are on a stream that blocks, in the order of the current one of a device.
+
+    On the CPU, and in a capture, which keeps what is freed, launches are where they are.
+    """
+    if device.is_cpu or device.is_capturing or device.stream.is_blocking:
+        return nullcontext()
+    return in_order_with(device.stream)
+
+
 def is_captured_by_library(stream: Any) -> bool:
     """Whether a stream is captured into a graph of another library, although Warp knows of it."""
     return stream in _captured_by_libraries

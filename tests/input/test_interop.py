@@ -12,7 +12,9 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp._calls import pipeline as pipeline_calls
 from ccd_warp._calls.small_batch import CAPACITY
+from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._runtime import streams
 from ccd_warp._runtime.launch import Execution, leaves_out_launches
 from ccd_warp._scene.input.interop import as_warp
@@ -321,6 +323,20 @@ def test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides(man
         assert device.stream.cuda_stream == current and device.waits == {(other, own) for other in others}
         device.waits.clear()
     assert len(device.made) - 2 == len({current, theirs} - {0, 1})  # one object a stream, which is kept
+
+
+def test_a_call_of_the_host_is_in_order_with_a_current_stream_that_does_not_block(many_streams, monkeypatch):
+    device, calls = many_streams, []
+    device.stream = Stream(device, 7)
+    monkeypatch.setattr(
+        pipeline_calls, "in_current_order", lambda on: calls.append(on) or streams.in_current_order(device)
+    )
+    monkeypatch.setattr(ContactStep, "contacts", lambda *_, **__: calls.append(device.stream.cuda_stream))
+    ON_CPU.mesh_ccd(START, END)
+    assert calls == [ON_CPU._topology.device, None] and device.waits == {(None, 7), (7, None)}
+    device.stream, device.waits = Stream(device, 1, is_blocking=True), set()
+    ON_CPU.mesh_ccd(START, END)
+    assert calls[-1] == 1 and not device.waits
 
 
 @pytest.mark.parametrize("is_known", [True, False])
