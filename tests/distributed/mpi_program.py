@@ -408,6 +408,15 @@ def together():
     compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
 
 
+def on_the_emulated_device():
+    """Each rank takes the host's path for CUDA, and runs the CUDA source of the kernels."""
+    from emulated.device import emulation
+
+    mesh, start, end = wavy_sheets(8)
+    with emulation():
+        check(mesh, start, end, in_blocks, ["mesh_ccd", "collision_free_step", "find_proximity", "line_search vertex"])
+
+
 def killed():
     _, cut, pipeline, start, end = begun()
     for k in range(1_000_000):
@@ -427,7 +436,7 @@ def main(given):
     wp.config.log_level = wp.LOG_ERROR
     every_rank = EVERY.Get_rank()
     pair = EVERY.Split(every_rank < 2, every_rank)
-    chosen = [case for case in [*CASES, killed] if case.__name__ in given] or CASES
+    chosen = [case for case in [*CASES, killed, on_the_emulated_device] if case.__name__ in given] or CASES
     for number, case in enumerate(chosen):
         is_of_all = case is the_page  # a program of its own
         of_two = EVERY.Get_size() == 3 and chosen is CASES and number % 2 == 0 and not is_of_all
