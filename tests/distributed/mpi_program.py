@@ -400,6 +400,8 @@ def together():
     # the same pairs, in the integers that each rank has; and none at all
     made(exclude_pairs={"vertices": np.array([[0, 1]], dtype=np.int32 if RANK == 0 else np.int64)})()
     made(exclude_pairs={"vertices": []})()
+    in_plane = made(TRIANGLE[:, :2], None, edges=[[0, 1]])()
+    assert ["in the plane" in repr(each) for each in (in_plane, cut.mesh)] == [True, False]
     # MPI has few communicators to give, some thousands; a program may make a mesh in every step
     assert made()().ranks.comm == cut.mesh.ranks.comm
     grounded = DistributedPipeline(made(half_spaces={1: GROUND})())
