@@ -25,7 +25,7 @@ from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._scene.input.interop import without_worlds
+from ccd_warp._scene.input.interop import DeviceArray, without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
@@ -80,7 +80,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
     def values(self, length: float) -> _Values:
         """The values of a launch with a distance, or with a search radius."""
 
-    def prepare_positions(self, positions: Any) -> PreparedLaunch:
+    def prepare_positions(self, positions: DeviceArray) -> PreparedLaunch:
         """Check the positions of a launch, one row for every vertex."""
         mesh = self._mesh
         positions = without_worlds(positions, "positions", mesh.rows_by_world, mesh.dimension)

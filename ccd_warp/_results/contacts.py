@@ -66,7 +66,7 @@ class Contacts(Placed, ClosePairs):
             return Contact(self._subset(slice(k, k + 1)), k)
         return self._subset(index)
 
-    def _subset(self, index: Any) -> "Contacts":
+    def _subset(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> "Contacts":
         contacts = super()._subset(index)
         return contacts if self._place is None else contacts._of(self._place.subset(index))
 

@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.lazy import lazy_property
@@ -286,7 +288,7 @@ class _Conditional:
     """Launches that have nothing to do where a flag on the device is 0."""
 
     condition: wp.array  # int32, the first element
-    on_host: Any  # the same as a NumPy array; None on CUDA
+    on_host: NDArray[np.int32] | None  # the same as a NumPy array; None on CUDA
     groups: "list[_Group]"
 
 

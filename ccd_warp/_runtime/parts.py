@@ -9,7 +9,7 @@ import warp as wp
 def new_parts(sizes: Mapping[str, int], device: wp.Device) -> dict[str, wp.array]:
     """Arrays of float64 of these sizes, with gradients, all of them 0: one allocation for all, which is not empty."""
     total = sum(sizes.values())
-    block: Any = wp.zeros(2 * total, dtype=wp.float64, device=device)
+    block: wp.array = wp.zeros(2 * total, dtype=wp.float64, device=device)
     parts: dict[str, wp.array] = {}
     place = block.ptr
     for name, size in sizes.items():

@@ -95,7 +95,8 @@ class DistributedPipeline:
             scale = length_scale_of(mesh, o)  # type: ignore[arg-type]
             # how near pairs come that a step is to find, radii besides, and where what starts within may part and slide
             self._distance = add_rounded_up(o.separation(scale), min(o.tolerance * scale, 1e308))
-            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps_start_distances(mesh, o) else 0.0
+            keeps = keeps_start_distances(mesh, o)  # type: ignore[arg-type]
+            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps else 0.0  # type: ignore[arg-type]
             self._parting_distance = max(self._distance, within)
             self._device = resolve_device(o.device)
             if mesh.is_thick and o.minimum_separation > 0.0:

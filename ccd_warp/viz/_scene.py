@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -151,7 +150,7 @@ class StepScene:
         return trails + self.arcs
 
 
-def check_result(result: Any) -> None:
+def check_result(result: object) -> None:
     """Raise a ValueError if it is no result with the contacts of a step on the host."""
     if not isinstance(result, HostLaunchResult):
         check_instance("result", result, MeshResult)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import warp as wp
@@ -15,6 +15,9 @@ from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.pair.turns import Turns
 
 _STAGES = "input", "boxes", "pairs", "narrow phase"
 
@@ -139,7 +142,7 @@ class ImpactStep(Step):
         if self.planes is not None:
             self.planes.bind(self.options, self.length_scale, part.active, lets_part=self.lets_part)
 
-    def _packed(self, turns: Any = None) -> Any:
+    def _packed(self, turns: "Turns | None" = None) -> Any:
         """The options as a struct of the kernels, and how bodies turn."""
         return self.options.for_kernel(
             self.length_scale,

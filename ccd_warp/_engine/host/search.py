@@ -4,7 +4,6 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import warp as wp
@@ -142,7 +141,7 @@ class PairSearch:
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
-    def _keep(self, region: _Region, part: Part, begin: int, counts: Any) -> None:
+    def _keep(self, region: _Region, part: Part, begin: int, counts: NDArray[np.int64]) -> None:
         self.num_launches[part.tree_pair.kind] += 1
         count = int(counts[_FOUND])
         self.candidates[part.tree_pair.kind] += count

@@ -31,7 +31,11 @@ class Workspace:
     """
 
     def __init__(
-        self, mesh: CollisionMesh, device: Any, topology: Topology | None = None, beside: "Workspace | None" = None
+        self,
+        mesh: CollisionMesh,
+        device: wp.Device,
+        topology: Topology | None = None,
+        beside: "Workspace | None" = None,
     ) -> None:
         """The state for a mesh.
 
