@@ -19,7 +19,7 @@ from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.step import Capacities, DeviceStep
 from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
-from ccd_warp._engine.mesh.scene import reach_of
+from ccd_warp._engine.mesh.scene import packed_reach
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages
@@ -98,7 +98,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
             self._values.clear()
             inflation, radii = half_rounded_up(distance), (self._radii, self._input.box_radius)
             searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
-            reach = reach_of(self._radii, distance, self._flag.array, kept)
+            reach = packed_reach(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
         return self._values[key]
 

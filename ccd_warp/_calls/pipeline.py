@@ -29,7 +29,7 @@ from ccd_warp._engine.host.line_search import (
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, of_one_part
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
@@ -57,7 +57,7 @@ _MOST_ROUNDS = 100
 
 
 _T = TypeVar("_T")
-_StepT = TypeVar("_StepT", bound=Step)
+_StepT = TypeVar("_StepT", bound=HostStep)
 
 
 class CollisionPipeline:

@@ -129,7 +129,7 @@ class DeviceProximities(DevicePairs):
 
     The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
     :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
-    captured graph uses, so keep it as long as the graph. What is beside the fields, :meth:`unique` included, is
+    captured graph uses, so keep it as long as the graph. What is no field, :meth:`unique` included, is
     computed as that of :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
 
     Attributes:

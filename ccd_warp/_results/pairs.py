@@ -56,7 +56,7 @@ def vertices_of(
     primitives: NDArray[np.int32],
     width: int = 4,
 ) -> NDArray[np.int32]:
-    """The vertices of each pair, shape [m, width]: two columns for the first primitive, or one beside a face of four.
+    """The vertices of each pair, shape [m, width]: two columns for the first primitive, or one next to a face of four.
 
     The last vertex of a primitive that has fewer is repeated, and that of the first stands for a plane.
     """

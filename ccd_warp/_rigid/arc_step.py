@@ -22,7 +22,7 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, Times
 from ccd_warp._rigid.mesh_paths import MeshPaths, slices_of
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.near_search import reach_of
+from ccd_warp._rigid.parts.near_search import touching_distance
 from ccd_warp._rigid.parts.whole_bodies import WholeBodies
 from ccd_warp._runtime.launch import Recording
 from ccd_warp._scene.input.interop import DeviceArray
@@ -126,7 +126,7 @@ class DeviceArcStep(DeviceLineSearch):
             first.fill_boxes(recording, self.static_trees)
         if near is not None:
             self._record_near(recording, near, slots if is_first else None, active)
-        for number, (part, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
+        for number, (time_slice, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
             of_bodies = active if near is None else near.bodies[number]
             with nullcontext() if near is None else recording.only_if(near.is_any[number : number + 1]):
                 if number > 0:
@@ -134,7 +134,9 @@ class DeviceArcStep(DeviceLineSearch):
                     self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
                     self._arcs.place(of_slice, recording, *slots)
                 self._record_search(recording, stages, of_bodies)
-                gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
+                gaps = gaps_moved * float(
+                    time_slice.t_end - time_slice.t_begin
+                )  # the motion of a pair is that in the slice
                 self.record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
         return first
 
@@ -143,7 +145,7 @@ class DeviceArcStep(DeviceLineSearch):
         assert self._bodies is not None
         if rows is not None:
             self._bodies.record_bounds(recording, *rows)
-        reach = reach_of(self._mesh, self._options)
+        reach = touching_distance(self._mesh, self._options)
         self._bodies.record_near(
             recording, self._arcs.paths, self._options.t_max, reach, active, self._flag.array, near
         )

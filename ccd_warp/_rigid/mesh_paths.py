@@ -72,13 +72,13 @@ class MeshPaths(BodyPaths):
 
     def _near_slices(self, topology: Topology, positions: Positions, options: Options) -> list[Slice] | None:
         """The slices in which anything is near; None where that is not looked for."""
-        from ccd_warp._rigid.parts.near_search import body_parts, find_near, reach_of
+        from ccd_warp._rigid.parts.near_search import body_parts, find_near, touching_distance
 
         slices, dimension = slices_of(self, options.t_max), topology.mesh.dimension
         start, end = (x[:, :dimension] for x in positions)
         parts = body_parts(topology, (start, start if positions[0] is positions[1] else end))
-        of_step = self.rows(np.flatnonzero(self.is_rigid)), slices, reach_of(topology.mesh, options), options.threads
-        near = find_near(topology, parts, positions, *of_step)
+        paths, distance = self.rows(np.flatnonzero(self.is_rigid)), touching_distance(topology.mesh, options)
+        near = find_near(topology, parts, positions, paths, slices, distance, options.threads)
         return None if near is None else near.slices(slices)
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:

@@ -20,7 +20,7 @@ from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.quiet import quietly
 from ccd_warp._runtime.streams import is_captured_by_library
-from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
+from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_side_by_side
 from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
@@ -63,17 +63,17 @@ def load_all(kernels: Iterable[Any], device: wp.Device, progress: Progress | Non
             for task in tasks:
                 task()
     else:
-        build_beside(tasks, progress)
+        build_side_by_side(tasks, progress)
     progress.begin(*stage)
     _loaded.update(missing)
 
 
-def build_beside(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
+def build_side_by_side(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
     """Compile modules side by side on other threads, while this one waits, shows progress and handles an interrupt."""
 
     def build() -> None:
         with building, uncollected(), quietly():
-            run_beside(tasks)
+            run_side_by_side(tasks)
 
     try:
         run_aside(build, progress.tick)
@@ -166,7 +166,7 @@ class Execution:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """A group of launches that may run beside each other; those that run now do so one after another."""
+        """A group of launches that may run side by side; those that run now do so one after another."""
         yield
 
     @property

@@ -102,7 +102,7 @@ class StepScene:
 
     @lazy_property
     def pale_colours(self) -> NDArray[np.uint8]:
-        """Colours of vertices that touch nothing beside those that show a toi: pale, but for static bodies."""
+        """Colours of vertices that touch nothing, where others show a toi: pale, but for static bodies."""
         pale = (_PALE * 255.0 + (1.0 - _PALE) * self.vertex_colours).astype(np.uint8)
         is_static = self.static[self.vertex_body]
         pale[is_static] = self.vertex_colours[is_static]

@@ -1,4 +1,4 @@
-"""Spatial hashes of boxes, which stand beside the trees of `trees` as a second broad phase."""
+"""Spatial hashes of boxes, a second broad phase in place of the trees of `trees`."""
 
 import math
 from collections.abc import Callable, Iterable

@@ -76,8 +76,8 @@ class DeviceStep(Plan):
 
     Attributes:
         result: The arrays of the result.
-        contact_arrays: What its contacts are asked for beside their own arrays.
-        beside: What rings keep with this step, by their classes.
+        contact_arrays: What its contacts are asked for besides their own arrays.
+        kept_by_rings: What rings keep with this step, by their classes.
     """
 
     goal: Goal = "contacts"
@@ -108,7 +108,7 @@ class DeviceStep(Plan):
         self._near_bodies = NearBodies.of(topology)
         self._is_any_unlisted = low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
-        self.beside: dict[type, Any] = {}
+        self.kept_by_rings: dict[type, Any] = {}
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
         quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
         layout = Layout(

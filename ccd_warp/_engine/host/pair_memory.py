@@ -42,7 +42,7 @@ class PairMemory:
             buffers: Where the memory comes from, which plans share.
             kinds: The kinds.
             is_cuda: Whether it is for a search on CUDA.
-            keeps_toi: Whether there is a toi beside each key.
+            keeps_toi: Whether there is a toi for each key.
             has_queue: Whether there is a queue.
         """
         self.kinds = kinds
@@ -73,7 +73,7 @@ class PairMemory:
         return keys
 
     def open_toi(self, kind: PairKind, count: int) -> wp.array:
-        """What stands beside these keys."""
+        """What there is for these keys."""
         toi: wp.array = self._recording.values[f"{kind.name} open_toi"][:count]
         return toi
 

@@ -1,6 +1,6 @@
 """Conversion to NumPy arrays on the host, without a copy where possible, and of arrays never with rounding.
 
-Lists are first what NumPy makes of them, which rounds an integer from 2^53 on that stands beside floats.
+Lists are first what NumPy makes of them, which rounds an integer from 2^53 on in a list with floats.
 """
 
 import math
