@@ -1,4 +1,4 @@
-"""Launches beside the work of another library on CUDA, in the order of its stream.
+"""Launches on CUDA in the order of the stream of another library.
 
 Warp frees an array in the order of the null stream. That stream waits for the streams that Warp makes, but for none
 that does not block, as those of PyTorch and JAX: what such a stream still reads would be given away. So launches are on
@@ -20,7 +20,7 @@ _streams: dict[tuple[int, int], Any] = {}
 _captured_by_libraries: set[Any] = set()
 
 
-def beside(device: wp.Device, handle: int) -> AbstractContextManager[Any]:
+def in_order_of_library(device: wp.Device, handle: int) -> AbstractContextManager[Any]:
     """A block whose launches come after all that a stream has been given, and before what it is given next.
 
     Args:

@@ -36,7 +36,7 @@ from ccd_warp._scene.input.arguments import Per, check_count, check_instance, sh
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import naming, options_of, resolve_device
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._plan import Plan, make_plan
+from ccd_warp.distributed._plan import RankPlan, make_plan
 from ccd_warp.distributed._ranks import Sent
 from ccd_warp.distributed._results import (
     DistributedLineSearch,
@@ -80,7 +80,7 @@ class DistributedPipeline:
         check_instance("mesh", mesh, DistributedMesh)
         self.mesh = mesh
         self.work: RankWork | None = None
-        self._plan: Plan | None = None
+        self._plan: RankPlan | None = None
         self._ranks, self._number = mesh.ranks, mesh.ranks.next_pipeline()
         of_all = {name: value for name, value in options.items() if name not in _OF_RANK}
         with self._ranks.together(f"DistributedPipeline({', '.join(f'{k}={v!r}' for k, v in sorted(of_all.items()))})"):
@@ -95,7 +95,8 @@ class DistributedPipeline:
             scale = length_scale_of(mesh, o)  # type: ignore[arg-type]
             # how near pairs come that a step is to find, radii besides, and where what starts within may part and slide
             self._distance = add_rounded_up(o.separation(scale), min(o.tolerance * scale, 1e308))
-            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps_start_distances(mesh, o) else 0.0
+            keeps = keeps_start_distances(mesh, o)  # type: ignore[arg-type]
+            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps else 0.0  # type: ignore[arg-type]
             self._parting_distance = max(self._distance, within)
             self._device = resolve_device(o.device)
             if mesh.is_thick and o.minimum_separation > 0.0:
@@ -143,7 +144,7 @@ class DistributedPipeline:
         with self._called(call, vertices_t0, vertices_t1, check, motion) as of_part:
             return min(self._least_toi(*of_part), self._options.t_max)
 
-    def _least_toi(self, plan: Plan, start: _Floats, end: _Floats) -> float:
+    def _least_toi(self, plan: RankPlan, start: _Floats, end: _Floats) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close may part."""
 
         on_step: Any = partial(plan.pipeline._on_step, LeastToiStep, start, end)
@@ -292,7 +293,7 @@ class DistributedPipeline:
             of_rounds |= {name: self._pairs(plan, getattr(result, name)) for name in tables}
             return DistributedLineSearch(vertices, fraction, **of_rounds)
 
-    def _pairs(self, plan: Plan, pairs: Any) -> DistributedPairs:
+    def _pairs(self, plan: RankPlan, pairs: Any) -> DistributedPairs:
         """Those pairs of a part that count on this rank."""
         columns = columns_of(plan, pairs)
         return DistributedPairs(columns, int(self._ranks.total(np.array(len(columns["kind"])))), self._ranks)
@@ -311,7 +312,7 @@ class DistributedPipeline:
         least = self._ranks.least(least)
         fraction[mesh.is_unused] = np.where(is_free, least[group], 1.0)[mesh.is_unused]
 
-    def _least(self, plan: Plan, values: _Floats, per: Per) -> _Floats:
+    def _least(self, plan: RankPlan, values: _Floats, per: Per) -> _Floats:
         """The least of some values over all ranks, of the vertices of a part or of what all ranks have."""
         if per != "vertex":
             return self._ranks.least(values)
@@ -321,7 +322,7 @@ class DistributedPipeline:
         plan.exchange.forward([owned], [result])
         return result
 
-    def _to_owners(self, plan: Plan, values: _Floats) -> _Floats:
+    def _to_owners(self, plan: RankPlan, values: _Floats) -> _Floats:
         """The least value of each vertex on this rank, ghosts too, given those of the vertices of the parts."""
         result = np.full(len(self.mesh.vertex_ids), np.inf)
         plan.exchange.back([values], [result])
@@ -336,7 +337,7 @@ class DistributedPipeline:
         end: ArrayLike | None = None,
         distance: Callable[[], float] | None = None,
         motion: object = None,
-    ) -> Iterator[tuple[Plan, _Floats, _Floats]]:
+    ) -> Iterator[tuple[RankPlan, _Floats, _Floats]]:
         """A call of all ranks: a plan that serves it, and the positions of this rank's part at both ends.
 
         ``call`` says what must be the same on all ranks. There is no end at one time. ``distance`` checks arguments,

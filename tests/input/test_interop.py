@@ -317,7 +317,7 @@ def test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides(man
     if current != 1:
         device.stream = Stream(device, current)
     for _ in range(2):
-        with streams.beside(device, theirs):
+        with streams.in_order_of_library(device, theirs):
             assert device.stream.cuda_stream == own and device.waits == {(own, other) for other in others}
             device.waits.clear()
         assert device.stream.cuda_stream == current and device.waits == {(other, own) for other in others}
@@ -344,7 +344,7 @@ def test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches(m
     device = many_streams
     device.is_known, device.captured = is_known, {7}
     for _ in range(2):
-        with streams.beside(device, 7):
+        with streams.in_order_of_library(device, 7):
             assert device.stream.cuda_stream == 7 and device.captures == {device.stream: True}
             assert not leaves_out_launches(device)
         assert not device.captures and device.stream.cuda_stream == 1
@@ -356,9 +356,9 @@ def test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches(m
 def test_a_capture_by_warp_is_not_left_for_the_stream_of_a_library(many_streams):
     device = many_streams
     device.captured, device.captures[device.stream] = {1}, False
-    with streams.beside(device, 1):
+    with streams.in_order_of_library(device, 1):
         assert device.stream.cuda_stream == 1 and leaves_out_launches(device)
     for handle in (0, 7):
         with pytest.raises(RuntimeError, match="Warp captures a graph, of which the current stream of the library"):
-            streams.beside(device, handle)
+            streams.in_order_of_library(device, handle)
     assert not device.waits

@@ -59,7 +59,7 @@ PLANTED = [
           "bound = _SIDES * dot(m, size)", "bound = _QUARTER * _SIDES * dot(m, size)", (_COUNTED,)),
     # --- worlds of a motion ---
     Fault("bodies of slices as if half-spaces were last in the mesh", "ccd_warp/_rigid/motion_worlds.py",
-          "bodies[np.ix_(rows, copied)]", "bodies[rows, : len(copied)]",
+          "else bodies[:, copied]", "else bodies[:, : len(copied)]",
           ("laws/test_bodies_that_turn.py::test_contacts_of_a_step",)),
     # --- pairs on arcs ---
     Fault("the slack of a vertex on an arc below what places lose", "kernels/rigid/place_bodies.py",
