@@ -14,7 +14,7 @@ from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
 from .in_precision import normalised, volume_between
-from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
+from .norm import Norm
 from .patch import corners_at
 from .points import Points, corners, farthest, largest, longest_side, scaled, total
 from .query import BISECTION, Options
@@ -43,9 +43,9 @@ FAR = wp.constant(wp.float64(2.0**60))
 
 vec3d = wp.vec3d
 
-is_euclidean = is_ball(norm)
-by_pair = is_by_pair(norm)
-on_arcs = has_arcs(norm)
+is_euclidean = norm.is_ball
+by_pair = norm.is_by_pair
+on_arcs = norm.has_arcs
 if is_euclidean:
     from .ball import start_gap_share
 else:
@@ -54,7 +54,7 @@ else:
 vec3 = wp.types.vector(length=3, dtype=real)
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
-length64 = specialised("pair.support", norm=EUCLIDEAN_NORM).length
+length64 = specialised("pair.support", norm=Norm.EUCLIDEAN).length
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
