@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from ..pair.norm import has_arcs
 from ..pair.points import Points
 from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
@@ -231,7 +230,7 @@ def points_of_pairs(pairs: PairList, rows: Index):
     return a, points_of_vertices(pairs.vertices_t1, i.i0, i.i1, i.i2, i.i3)
 
 
-if has_arcs(norm):
+if norm.has_arcs:
     arcs = specialised("pair.arcs", norm=norm, width=width)
     Arcs = arcs.Arcs
     turns_anywhere = arcs.turns_anywhere

@@ -10,7 +10,6 @@ import warp as wp
 from ..boxes.lanes import lowest_bit
 from ..interrupts import is_stopped
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import MAXIMUM_NORM
 from ..pair.pair_options import row_in
 from ..pair.points import Points
 from ..pair.query import Options
@@ -133,8 +132,7 @@ def settle_pair(
 
 
 # a Warp module for each precision, number of lanes and norm
-of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{of_norm}.{fingerprint()}")
+module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{norm.suffix}.{fingerprint()}")
 options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "extra_build_options": build_options}
 wp.set_module_options(options, module=module)
 

@@ -3,7 +3,6 @@
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim, claim_int
-from ..pair.norm import has_arcs, is_by_pair
 from ..pair.pair_options import options_of_pair
 from ..pair.query import Options
 from ..pair.single_points import Points, corners, is_stationary, largest, points_of, relative_motion
@@ -40,8 +39,8 @@ from .raised_toi import may_be_raised, raised_toi
 _PRESSED = wp.constant(wp.float64(2.0**-20))
 
 Outcome = specialised("pair.solver", real=real, norm=norm, only_method=only_method).Outcome
-by_pair = is_by_pair(norm)
-on_arcs = has_arcs(norm)
+by_pair = norm.is_by_pair
+on_arcs = norm.has_arcs
 if on_arcs:
     tangents_of_arcs = specialised("pair.arc_solver", norm=norm, real=real, only_method=only_method).tangents_of_arcs
 infinite = wp.constant(wp.float64(float("inf")))
