@@ -23,7 +23,7 @@ from ..pair.rounding import UNIT_ROUNDOFF, inverse_power_of_two
 from ..pair.single_points import Points, corners, largest
 from ..pair.status import STATUS_COLLISION
 from ..pair_kind import EDGE_EDGE, POINT_POINT, POINT_SEGMENT, VERTEX_FACE, VERTEX_PLANE
-from ..step.contact_normal import NOISE
+from ..step.contact_sides import NOISE
 from ..step.pair_gap import TOUCH, gap_of, patch_point
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})

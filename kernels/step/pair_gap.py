@@ -17,10 +17,11 @@ what follows from it is a one-sided derivative, as on the border of a face.
 import warp as wp
 
 from ..pair.closest_point import closest_weights
+from ..pair.lane_scale import to_unit_size
 from ..pair.patch import Corners, num_sides, side_of
 from ..pair.rounding import UNIT_ROUNDOFF
 from ..pair_kind import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, VERTEX_PLANE
-from .contact_normal import across_sides, is_inner, to_unit_size
+from .contact_normal import across_sides, is_inner
 
 vec3d = wp.vec3d
 
