@@ -23,16 +23,8 @@ PLAIN, TAPED, BACKWARD = "plain", "on a tape", "backward"
 def all_scenes(scale: float) -> list[scenes.Scene]:
     """The scenes that are measured, of sizes in proportion to the scale."""
     sizes = (round(scale * n) for n in (10_000, 30_000, 100_000))
-    return [*map(scenes.cloth_over_sphere, sizes), pressed_spheres(round(scale * 40_000))]
-
-
-def pressed_spheres(num_faces: int) -> scenes.Scene:
-    """Two spheres that are pressed together by a fifth of their radius each."""
-    ball, faces = scenes.sphere(num_faces // 2, 0.5)
-    left, right = ball - [0.51, 0, 0], ball + [0.51, 0.013, 0.017]
-    move = np.array([0.11, 0, 0])
-    parts = [(left, left + move, faces), (right, right - move, faces)]
-    return scenes.joined(f"spheres pressed together, {num_faces:,}", parts)
+    pressed = scenes.spheres_through_each_other(round(scale * 40_000), "spheres pressed together", 0.51, 0.11)
+    return [*map(scenes.cloth_over_sphere, sizes), pressed]
 
 
 class Measured:

@@ -3,7 +3,7 @@
 The four points of a pair lie in one plane where f(t) = P · (Q × R) vanishes, so that a contact is at one of at most
 three roots. These are found in floating point, and a root counts if the two primitives are within a tolerance of each
 other there. Nothing bounds the rounding of the root, and where f vanishes for all t there is no root to test: the
-method misses collisions. `ends_ccd` is the discrete test, which checks only the two ends of the step.
+method misses collisions. `ends_ccd` is the discrete test, which checks the two ends of the step alone.
 
 This is NumPy over whole batches, for comparison of the answers; a compiled loop over the same formulas is faster.
 
@@ -16,8 +16,10 @@ References:
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
-from cubic_roots import ROOTS
+from cubic_roots import cubic_roots
 
 CHUNK = 100_000  # queries at a time, which limits the memory to about 200 MB
 
@@ -114,22 +116,14 @@ def _earliest(kind: str, frames: np.ndarray, times: np.ndarray, reach: np.ndarra
 # ---- Queries ---------------------------------------------------------------------------------------------------------
 
 
-def _check(kind: str, points_t0: np.ndarray, points_t1: np.ndarray) -> None:
-    if kind not in ("vertex-face", "edge-edge"):
-        raise ValueError(f"kind is {kind!r}; expected 'vertex-face' or 'edge-edge'")
-    if points_t0.ndim != 3 or points_t0.shape[1:] != (4, 3) or points_t1.shape != points_t0.shape:
-        raise ValueError(f"points have shapes {points_t0.shape} and {points_t1.shape}; expected (n, 4, 3) twice")
-
-
 def univariate_ccd(
     kind: str,
     points_t0: np.ndarray,
     points_t1: np.ndarray,
     *,
     tolerance: float = 1e-6,
-    roots: str = "closed_form",
     length_scale: float | None = None,
-    t_max: float = 1.0,
+    has_roots: bool = True,
 ) -> np.ndarray:
     """Times of impact by the univariate method; not conservative.
 
@@ -138,61 +132,29 @@ def univariate_ccd(
     2. the tolerance: a multiple of a length scale, by default of each query's size;
     3. the test of a face at a root: its distance, as in El Topo, in place of that of its plane and bounds of the
        barycentric coordinates, which fails on needles and faces without area;
-    4. the ends: the same test is made at t = 0 and at t = t_max, and the result includes them.
+    4. the ends: the same test is made at t = 0 and at t = 1, and the result includes them.
 
     Args:
         kind: "vertex-face" or "edge-edge".
         points_t0: Positions at t = 0, float64, finite, shape [n, 4, 3].
         points_t1: Positions at t = 1, same shape.
         tolerance: Distance that counts as contact, as a multiple of the length scale.
-        roots: Finder of the roots, a key of `ROOTS`.
         length_scale: Unit of the tolerance, a length; None: the longest side of the box around each query's motion.
-        t_max: End of the step, in [0, 1].
+        has_roots: Whether roots are tested, and not the two ends alone.
 
     Returns:
         Time of the first root or end with contact, inf where none was found, float64, shape [n].
     """
-    _check(kind, points_t0, points_t1)
-    if roots not in ROOTS:
-        raise ValueError(f"roots is {roots!r}; expected one of {tuple(ROOTS)}")
-    toi = np.full(len(points_t0), np.inf)
-    for first in range(0, len(toi), CHUNK):
-        chunk = slice(first, first + CHUNK)
-        with np.errstate(all="ignore"):
-            frames, scale = _scaled(kind, points_t0[chunk], points_t1[chunk], length_scale)
-            found = ROOTS[roots](_cubic(frames))
-            ends = np.full((len(found), 2), [0.0, t_max])
-            times = np.concatenate([np.where(found <= t_max, found, np.inf), ends], axis=1)
-            toi[chunk] = _earliest(kind, frames, times, tolerance * scale)
-    return toi
-
-
-def ends_ccd(
-    kind: str,
-    points_t0: np.ndarray,
-    points_t1: np.ndarray,
-    *,
-    tolerance: float = 1e-6,
-    length_scale: float | None = None,
-) -> np.ndarray:
-    """The discrete test: whether the primitives are within a distance at t = 0 or at t = 1, and nothing in between.
-
-    Args:
-        kind: "vertex-face" or "edge-edge".
-        points_t0: Positions at t = 0, float64, finite, shape [n, 4, 3].
-        points_t1: Positions at t = 1, same shape.
-        tolerance: Distance that counts as contact, as a multiple of the length scale.
-        length_scale: Unit of the tolerance, a length; None: the longest side of the box around each query's motion.
-
-    Returns:
-        0, 1 or inf, float64, shape [n].
-    """
-    _check(kind, points_t0, points_t1)
     toi = np.full(len(points_t0), np.inf)
     for first in range(0, len(toi), CHUNK):
         chunk = slice(first, first + CHUNK)
         with np.errstate(all="ignore"):
             frames, scale = _scaled(kind, points_t0[chunk], points_t1[chunk], length_scale)
             times = np.full((len(scale), 2), [0.0, 1.0])
+            if has_roots:
+                times = np.concatenate([cubic_roots(_cubic(frames)), times], axis=1)
             toi[chunk] = _earliest(kind, frames, times, tolerance * scale)
     return toi
+
+
+ends_ccd = partial(univariate_ccd, has_roots=False)
