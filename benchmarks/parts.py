@@ -13,7 +13,6 @@ from itertools import product
 from pathlib import Path
 
 import checkout
-import gradients
 import many_worlds
 import numpy as np
 import raw
@@ -157,10 +156,6 @@ class Run:
 
     def separation(self) -> Rows:
         yield from separation.measure(separation.NUM_FACES)
-
-    def gradients(self) -> Rows:
-        for scene in gradients.all_scenes(0.1 if self.is_quick else 1.0):
-            yield from gradients.measure(scene, 5 if self.is_quick else 31)
 
 
 PARTS = [name for name in vars(Run) if not name.startswith("_") and name != "all_sets"]
