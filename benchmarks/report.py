@@ -36,7 +36,7 @@ from texts import (
     table_of,
     time_text,
 )
-from whole_step import NARROW
+from whole_step import LBVH, NARROW
 
 STEP_CALLS = ("find_candidates", "collision_free_step", "mesh_ccd")
 MOST_STACKS = 400e6  # bytes that the kernels of a table reserve at least
@@ -110,9 +110,8 @@ def peers(folder: Path) -> list[str]:
         columns[name] = (each.bound + each.seconds.map(time_text)).to_numpy()
     for name in PEERS:
         columns[f"ratio, {name}"] = (of[name].bound + (of[name].seconds / of[OURS].seconds).map(ratio_text)).to_numpy()
-        columns[f"stopped, {name}"] = (
-            counted(of[name].limited).to_numpy() + " of " + counted(of[name].timed_queries).to_numpy()
-        )
+        stopped = counted(of[name].limited) + " of " + counted(of[name].timed_queries)
+        columns[f"stopped, {name}"] = stopped.to_numpy()
     for part, header in (("median", "median error"), ("p99", "99 %")):
         texts = [each[f"error.{part}"].map(error_text).to_numpy() for each in of.values()]
         columns[header] = [" / ".join(each) for each in zip(*texts, strict=True)]
@@ -223,14 +222,8 @@ def steps(folder: Path) -> list[str]:
         columns[f"{method} as close / ours"] = ratios.agg(lambda r: " / ".join(map(ratio_text, r)))
     columns = columns.rename_axis("scene, faces").reset_index()
     far = (rows["quartiles.1"] - rows["quartiles.0"]) / rows.seconds
-    about = (
-        f"Rounds: {rows.rounds.min()} to {rows.rounds.max()}. Between the quartiles of a time lie {far.median():.0%} "
-    )
-    return [
-        *table_of(columns),
-        "",
-        f"{about}of it in the median of all calls, and {far.quantile(0.9):.0%} in one of ten.",
-    ]
+    about = f"{rows.rounds.min()} to {rows.rounds.max()} rounds. Between the quartiles of a time lie {far.median():.0%}"
+    return [*table_of(columns), "", f"{about} of it in the median of all calls, {far.quantile(0.9):.0%} in one of ten."]
 
 
 def step_faults(folder: Path) -> list[str]:
@@ -244,10 +237,9 @@ def step_faults(folder: Path) -> list[str]:
 def broad(folder: Path) -> list[str]:
     """Broad phases in sentences: times as parts of LBVH's, or of those with a tree, over all scenes."""
     rows = raw.read(folder, "steps")
-    by = rows.assign(name=scene_name(rows)).pivot(
-        index=["name", "threads"], columns=["method", "setting"], values="seconds"
-    )
-    lbvh, ours = by["LBVH"].iloc[:, 0], by[OURS]
+    rows = rows.assign(name=scene_name(rows), setting=rows.setting.fillna(LBVH))
+    by = rows.pivot(index=["name", "threads"], columns=["method", "setting"], values="seconds")
+    lbvh, ours = by[LBVH, LBVH], by[OURS]
     parts = {
         "`find_candidates` takes, of the time of LBVH,": ours["find_candidates"] / lbvh,
         "with a spatial hash": ours["find_candidates, hash"] / lbvh,
@@ -318,11 +310,7 @@ def growth(folder: Path) -> list[str]:
     columns["peak MiB beside the input"] = rows.peak_bytes_above_input.map(memory_text)
     lines = table_of(pd.DataFrame(columns))
     powers = ", ".join(f"{name} {value:.2f}" for name, value in exponents(rows).items())
-    return [
-        *lines,
-        "",
-        f"Powers of the number of faces: {powers}. Below one, fixed costs count at the small end.",
-    ]
+    return [*lines, "", f"Powers of the number of faces: {powers}. Below one, fixed costs count at the small end."]
 
 
 def rigid(folder: Path) -> list[str]:
@@ -485,7 +473,7 @@ def measured(folder: Path) -> list[str]:
     runs = raw.read(folder, raw.RUNS)
     runs = runs.assign(about=[raw.described(folder, part).rpartition(", ")[0] for part in runs.part])
     runs["code"] = [why_refused(code) or f"of {code}" for code in runs.code.fillna("")]
-    runs["code"] += runs.quick.map({True: ", with --quick, on a busy machine or for a try", False: ""}).fillna("")
+    runs["code"] += runs.quick.map({True: ", in small (--quick)", False: ""}).fillna("")
     by_machine = runs.groupby("about", sort=False)
     return [
         f"- {about}: "
