@@ -11,7 +11,6 @@ import raw
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
-import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -32,17 +31,8 @@ _STYLES: dict[str, dict[str, Any]] = {
     CUBIC: {"color": "0.45", "linestyle": ":", "marker": "v"},
     ENDS: {"color": "0.65", "linestyle": ":", "marker": "x"},
 }
-_OTHER = [("tab:green", "P"), ("tab:purple", "X"), ("tab:brown", "*"), ("tab:olive", "h"), ("tab:cyan", "p")]
 # What the picture of the README shows; edge-edge queries are those on which the peers are fastest.
 _FEW_SETS = ("handcrafted EE", "simulation EE", "cloth like EE", "hard cases EE")
-
-
-def style(method: str, methods: list[str]) -> dict[str, Any]:
-    """The style of a method, the same in every picture."""
-    if method in _STYLES:
-        return _STYLES[method]
-    color, marker = _OTHER[[m for m in methods if m not in _STYLES].index(method) % len(_OTHER)]
-    return {"color": color, "linestyle": "-", "marker": marker}
 
 
 def draw_all(folder: Path, to: Path) -> list[Path]:
@@ -133,16 +123,15 @@ def _plot_frontier(ax: Axes, rows: pd.DataFrame) -> None:
 def _scaling(batches: pd.DataFrame, folder: Path) -> Figure:
     """Throughput against the batch, and seconds of a call with the first call's."""
     figure, (rate, call) = _panels(2, 2, 5.4, 3.9)
-    every = list(raw.read(folder, "sweep").get("method", batches.method).unique())
-    for method, rows in batches.groupby("method", sort=False):
-        drawn = {"markersize": 4.5, **style(method, every)}
+    for method, rows in batches[batches.method.isin(SHOWN)].groupby("method", sort=False):
+        drawn = {"markersize": 4.5, **_STYLES[method]}
         rate.loglog(rows["count"], rows["count"] / rows.seconds, label=method, **drawn)
         call.loglog(rows["count"], rows.seconds, **drawn)
     sweep = raw.read(folder, "sweep")
     if len(sweep):
         at = (sweep["set"] == "random_colliding") & (sweep.kind == "vertex-face")
         for row in sweep[at & (sweep.tolerance == DEFAULT_TOLERANCE) & sweep.method.isin(PEERS)].itertuples():
-            line = {k: v for k, v in style(row.method, every).items() if k != "marker"}
+            line = {k: v for k, v in _STYLES[row.method].items() if k != "marker"}
             rate.axhline(1 / (row.seconds + row.call_overhead), label=f"{row.method}, one by one", **line)
     start = raw.read(folder, "start")
     if len(start):
@@ -160,36 +149,9 @@ def _scaling(batches: pd.DataFrame, folder: Path) -> Figure:
     return figure
 
 
-def exponents(growth: pd.DataFrame) -> dict[str, float]:
-    """Powers of the number of faces with which time and memory grow."""
-    columns = {name.partition(".")[2] or "peak memory": growth[name] for name in growth if name != "faces"}
-    faces = np.log(growth.faces)
-    return {name: float(np.polyfit(faces, np.log(v), 1)[0]) for name, v in columns.items() if v.notna().all()}
-
-
-def _growth(rows: pd.DataFrame, _: Path) -> Figure:
-    """Time and peak memory of a step against the faces of the scene."""
-    powers, faces = exponents(rows), rows.faces
-    figure, (time, memory) = _panels(2, 2, 4.6, 3.8)
-    for name, line in {"find_candidates": "s:", "collision_free_step": "o-", "mesh_ccd": "^--"}.items():
-        time.loglog(faces, rows[f"seconds.{name}"], line, color="black", label=f"{name}: faces^{powers[name]:.2f}")
-    last = rows.iloc[-1]
-    time.loglog(faces, last["seconds.mesh_ccd"] * faces / last.faces, color="0.7", label="linear")
-    time.set(xlabel="faces", ylabel="seconds a step", title="cloth over sphere: time")
-    peak = rows.peak_bytes_above_input / 2**20
-    memory.loglog(faces, peak, "-", marker="o", color="black", label=f"faces^{powers['peak memory']:.2f}")
-    memory.loglog(faces, peak.iloc[-1] * faces / last.faces, color="0.7", label="linear")
-    memory.set(xlabel="faces", ylabel="MiB beside the input, at the peak", title="memory")
-    for ax in (time, memory):
-        ax.legend(frameon=False, fontsize=8)
-        ax.grid(alpha=0.3)
-    return figure
-
-
 # How each picture is drawn, and of which part.
 _PICTURES: dict[str, tuple[Callable[[pd.DataFrame, Path], Figure], str]] = {
     "bench_speed_error": (_speed_error, "sweep"),
     "bench_scaling": (_scaling, "batches"),
     "bench_steps": (_steps, "steps"),
-    "bench_growth": (_growth, "growth"),
 }

@@ -16,10 +16,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from textwrap import wrap
 
+import numpy as np
 import pandas as pd
 import raw
 from checkout import RESULTS, ROOT
-from figures import draw_all, exponents
+from figures import draw_all
 from machine import has_history, why_refused
 from many_worlds import WORLD_CALLS
 from methods import DEFAULT_TOLERANCE, OURS, PEERS, SHOWN, all_methods
@@ -63,6 +64,11 @@ def bounds(rows: pd.DataFrame) -> pd.Series:
     is_peer = rows.call_overhead.notna()
     stopped, hidden = is_peer & (rows.limited > 0), is_peer & (rows.below_resolution == True)  # noqa: E712
     return stopped.map({True: "> ", False: ""}).where(stopped, hidden.map({True: "< ", False: ""}))
+
+
+def said(text: str) -> list[str]:
+    """Lines of a paragraph."""
+    return wrap(text, 120, break_long_words=False, break_on_hyphens=False)
 
 
 def counted(values: pd.Series) -> pd.Series:
@@ -116,8 +122,8 @@ def peers(folder: Path) -> list[str]:
         texts = [each[f"error.{part}"].map(error_text).to_numpy() for each in of.values()]
         columns[header] = [" / ".join(each) for each in zip(*texts, strict=True)]
     agree = sets[sets.truth_disagreements.notna()]
-    said = f"Of {agree.queries.sum():,} queries with published truth exact arithmetic says otherwise for "
-    return [*table_of(pd.DataFrame(columns)), "", f"{said}{agree.truth_disagreements.sum():.0f}."]
+    text = f"Of {agree.queries.sum():,} queries with published truth exact arithmetic says otherwise for "
+    return [*table_of(pd.DataFrame(columns)), "", f"{text}{agree.truth_disagreements.sum():.0f}."]
 
 
 def ahead(folder: Path) -> list[str]:
@@ -133,8 +139,8 @@ def ahead(folder: Path) -> list[str]:
         found.setdefault(row["method"], []).extend([where] if words else [])
     for peer in SMALL_PEERS if len(small) else ():
         ratios = small[[f"seconds.{call}" for call in SMALL_CALLS]].div(small[f"seconds.{peer}"], axis=0).max(axis=1)
-        slower = [f"{scene} ({ratio:.1f})" for scene, ratio in zip(small.scene, ratios, strict=True) if ratio > 1]
-        found.setdefault(f"LBVH with {peer}, in time, up to so many times", []).extend(slower)
+        slower = [f"{scene} (time, {ratio:.1f})" for scene, ratio in zip(small.scene, ratios, strict=True) if ratio > 1]
+        found.setdefault(f"LBVH with {peer}, in small scenes", []).extend(slower)
     if len(pairs):
         ratios = pairs["seconds.ours"] / pairs[f"seconds.{ADDITIVE}"]
         found.setdefault(ADDITIVE, []).append(f"a call with one pair (time, {ratios.min():.0f} to {ratios.max():.0f})")
@@ -219,7 +225,7 @@ def steps(folder: Path) -> list[str]:
     for method in PEERS:
         like = against[(against.method == method) & against.setting.str.endswith("leaves 1e-6")]
         ratios = like.sort_values("threads").groupby(scene_name(like), sort=False).ratio
-        columns[f"{method} as close / ours"] = ratios.agg(lambda r: " / ".join(map(ratio_text, r)))
+        columns[f"ratio, {method}, leaves 1e-6"] = ratios.agg(lambda r: " / ".join(map(ratio_text, r)))
     columns = columns.rename_axis("scene, faces").reset_index()
     far = (rows["quartiles.1"] - rows["quartiles.0"]) / rows.seconds
     about = f"{rows.rounds.min()} to {rows.rounds.max()} rounds. Between the quartiles of a time lie {far.median():.0%}"
@@ -229,9 +235,12 @@ def steps(folder: Path) -> list[str]:
 def step_faults(folder: Path) -> list[str]:
     """What each method misses in whole steps, over all scenes, settings and threads."""
     rows = raw.read(folder, "steps")
-    rows = rows[rows.step.notna()].assign(steps=1)
-    found = rows.groupby("method", sort=False)[["steps", "missed", "late", "phantom"]].sum().astype(int).reset_index()
-    return table_of(found.astype(str))
+    of = rows[rows.step.notna()].groupby("method", sort=False)
+    found = [
+        f"{name} {' / '.join(f'{each[fault].sum():.0f}' for fault in ('missed', 'late', 'phantom'))} of {len(each)}"
+        for name, each in of
+    ]
+    return said(f"Missed / late / phantom of all steps, by method: {', '.join(found)}.")
 
 
 def broad(folder: Path) -> list[str]:
@@ -245,14 +254,14 @@ def broad(folder: Path) -> list[str]:
         "with a spatial hash": ours["find_candidates, hash"] / lbvh,
         "`mesh_ccd` with a hash takes, of its time with a tree,": ours["mesh_ccd, hash"] / ours["mesh_ccd"],
     }
-    said = []
+    words = []
     for what, ratios in parts.items():
         of = {threads: each for threads, each in ratios.groupby(level="threads")}
-        said.append(f"{what} {' and '.join(f'{r.min():.2f} to {r.max():.2f} on {n}' for n, r in of.items())}")
+        words.append(f"{what} {' and '.join(f'{r.min():.2f} to {r.max():.2f} on {n}' for n, r in of.items())}")
     first = rows.drop_duplicates(["scene", "device"])
-    text = f"{', '.join(said[:2])} threads. {said[2]}. Of {first.candidates.sum():,} candidates of ours and "
+    text = f"{', '.join(words[:2])} threads. {words[2]}. Of {first.candidates.sum():,} candidates of ours and "
     text += f"{first.peer_candidates.sum():,} of the peer's {first.disagreements.sum():,} are of one alone."
-    return wrap(text, 120, break_long_words=False, break_on_hyphens=False)
+    return said(text)
 
 
 def hard(folder: Path) -> list[str]:
@@ -299,18 +308,32 @@ def small(folder: Path) -> list[str]:
 
 def pairs(folder: Path) -> list[str]:
     rows = raw.read(folder, "pairs")
-    seconds = {name: rows[f"seconds.{name}"] for name in (ADDITIVE, "ours")}
-    columns = {"a call with one pair": rows.pair.str.replace("_", "-")}
-    return table_of(pd.DataFrame(columns | {name: of.map(time_text) for name, of in seconds.items()}))
+    of = zip(rows.pair.str.replace("_", "-"), rows["seconds.ours"], rows[f"seconds.{ADDITIVE}"], strict=True)
+    texts = [f"{kind} {time_text(ours)} and {time_text(theirs)}" for kind, ours, theirs in of]
+    return said(f"A call with a single pair takes, ours and additive CCD: {', '.join(texts)}.")
+
+
+def exponents(growth: pd.DataFrame) -> dict[str, float]:
+    """Powers of the number of faces with which time and memory grow."""
+    columns = {name.partition(".")[2] or "peak memory": growth[name] for name in growth if name != "faces"}
+    faces = np.log(growth.faces)
+    return {name: float(np.polyfit(faces, np.log(v), 1)[0]) for name, v in columns.items() if v.notna().all()}
 
 
 def growth(folder: Path) -> list[str]:
     rows = raw.read(folder, "growth")
-    columns = {"faces": counted(rows.faces)} | {f"`{n}`": rows[f"seconds.{n}"].map(time_text) for n in STEP_CALLS}
-    columns["peak MiB beside the input"] = rows.peak_bytes_above_input.map(memory_text)
-    lines = table_of(pd.DataFrame(columns))
-    powers = ", ".join(f"{name} {value:.2f}" for name, value in exponents(rows).items())
-    return [*lines, "", f"Powers of the number of faces: {powers}. Below one, fixed costs count at the small end."]
+    least, most = rows.iloc[0], rows.iloc[-1]
+    texts = [
+        f"`{name}` {time_text(least[f'seconds.{name}'])} to {time_text(most[f'seconds.{name}'])}, as faces^{power:.2f}"
+        for name, power in exponents(rows).items()
+        if name in STEP_CALLS
+    ]
+    memory = [memory_text(each.peak_bytes_above_input) for each in (least, most)]
+    return said(
+        f"A cloth over a sphere of {least.faces:,.0f} to {most.faces:,.0f} faces: {'; '.join(texts)}; "
+        f"{' to '.join(memory)} MiB beside the input at the peak, as faces^{exponents(rows)['peak memory']:.2f}. Below "
+        "a power of one, fixed costs count at the small end."
+    )
 
 
 def rigid(folder: Path) -> list[str]:
@@ -363,10 +386,10 @@ def speed(folder: Path) -> list[str]:
         of = {name: against[against.method == name].ratio for name in PEERS}
         ratios = [f"{ratio_text(of[name].min())} to {ratio_text(of[name].max())} times with {name}" for name in PEERS]
         text += (
-            f" The free step of {whole.scene.nunique()} whole scenes, on one thread each, takes ipc-toolkit's LBVH "
-            f"{' and '.join(ratios)}, both let as close as ours, what ours takes."
+            f" The free step of {whole.scene.nunique()} scenes, on one thread, takes its LBVH {' and '.join(ratios)} "
+            "what ours takes, where they leave a millionth of each start gap."
         )
-    return wrap(text, 120, break_long_words=False, break_on_hyphens=False)
+    return said(text)
 
 
 def _between(seconds: pd.Series) -> str:
@@ -398,7 +421,7 @@ def by_tolerance(folder: Path) -> list[str]:
         f"{ratios.max():.2f} of the time of float64, and 99 % of the errors of a set are below {' to '.join(high)}, "
         f"where those of float64 are below {' to '.join(low)}."
     )
-    return wrap(text, 120, break_long_words=False, break_on_hyphens=False)
+    return said(text)
 
 
 def separation(folder: Path) -> list[str]:
