@@ -19,16 +19,19 @@ class Scene:
     body_faces: tuple[int, ...] = ()  # faces of each body, in order; one body if empty
     static: tuple[int, ...] = field(default=())
     self_collision: bool = True
+    worlds: int = 1  # all alike, whose vertices follow one another; faces are those of the first
 
-    def mesh(self, ccd, *more):
-        """The ``CollisionMesh`` of the scene, with half-spaces besides."""
+    def mesh(self, ccd, *more, **options):
+        """The ``CollisionMesh`` of the scene, with half-spaces besides; options are those of meshes."""
+        options |= {"self_collision": self.self_collision}
         if not self.body_faces:
-            return ccd.CollisionMesh.from_arrays([(self.vertices_t0, self.faces)], self_collision=self.self_collision)
+            return ccd.CollisionMesh.from_arrays([(self.vertices_t0, self.faces)], **options)
         bodies = []
         for faces in np.split(self.faces, np.cumsum(self.body_faces)[:-1]):
             low, high = faces.min(), faces.max() + 1
             bodies.append((self.vertices_t0[low:high], faces - low))
-        return ccd.CollisionMesh.from_arrays([*bodies, *more], static=self.static, self_collision=self.self_collision)
+        mesh = ccd.CollisionMesh.from_arrays([*bodies, *more], static=self.static, **options)
+        return mesh if self.worlds == 1 else mesh.replicate(self.worlds)
 
 
 def grid(rows: int, columns: int, width: float = 2.0, length: float = 2.0) -> tuple[np.ndarray, np.ndarray]:

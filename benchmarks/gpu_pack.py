@@ -28,20 +28,41 @@ from ccd_warp._runtime.every_module import every_module
 
 PACKAGES = (f"warp-lang=={wp.config.version}", "trimesh", "python-flint")  # beside NumPy, pytest, xdist, hypothesis
 LEFT_OUT = ("warp/tests/", "warp/examples/", "trimesh/resources/models/")
-RUN = """# In the root of a checkout: the tests on the GPU, then the times, with files in the folder $OUT.
-# `tests` or `times` as the first argument: one of both, and the other arguments are its options.
-here="$(cd "$(dirname "$0")" && pwd)" what="${1:-both}" python="${PYTHON:-python3}" out="${OUT:-.}" status=0
+RUN = """# In the root of a checkout: tests on the GPU, counters, times; with files in the folder $OUT.
+# `tests`, `races`, `counters` or `times` as the first argument: one of these, and the other arguments are its options.
+here="$(cd "$(dirname "$0")" && pwd)" what="${1:-all}" python="${PYTHON:-python3}" out="${OUT:-.}" status=0
 [ $# = 0 ] || shift
 export PYTHONPATH="$here/site:$PWD" WARP_CACHE_PATH="$here/cache" CCD_WARP_CUBINS="$here/cache"
 export XLA_PYTHON_CLIENT_PREALLOCATE=false
+chosen() { [ "$what" = all ] || [ "$what" = "$1" ]; }
+has() { command -v "$1" > /dev/null || { echo "$1 is not here, and is left out"; false; }; }
 # Not the tests of the checkout itself, of programs and of pages, nor those that end processes.
-[ "$what" = times ] || timeout -s INT -k 20 300 "$python" -m pytest --device cuda:0 -n 12 -q --tb=short \\
+chosen tests && { timeout -s INT -k 20 270 "$python" -m pytest --device cuda:0 -n 12 -q --tb=short \\
     -o faulthandler_timeout=60 --junitxml="$out/gpu.xml" --ignore=tests/laws/test_again_after_failure.py \\
-    tests/laws tests/engine tests/kernels tests/calls tests/input "$@" || status=1
-[ "$what" = tests ] || timeout -k 5 210 "$python" benchmarks/gpu_times.py --minutes 3 --output "$out/gpu_times.json" \\
-    "$@" || status=1
+    tests/laws tests/engine tests/kernels tests/calls tests/input "$@" || status=1; }
+chosen races && has compute-sanitizer && for tool in racecheck synccheck; do
+    timeout -k 5 35 compute-sanitizer --error-exitcode 9 --tool $tool "$python" -m pytest --device cuda:0 \\
+        -p no:xdist -q --tb=short tests/laws -k kinds "$@" > "$out/$tool.txt" 2>&1 || status=1
+    tail -3 "$out/$tool.txt"
+done
+[ ! -d "$here/published" ] || published="--published $here/published"
+chosen counters && has ncu && { timeout -k 5 90 ncu --clock-control none --profile-from-start off --csv \\
+    --log-file "$out/ncu.csv" --metrics METRICS \\
+    "$python" benchmarks/gpu_times.py --only counters --output "$out/counted.json" "$@" || status=1; }
+chosen times && { timeout -k 5 200 "$python" benchmarks/gpu_times.py $published --minutes 3 \\
+    --output "$out/gpu_times.json" "$@" || status=1; }
 exit $status
 """
+# What is asked of Nsight Compute: time, occupancy, instructions, bytes, why warps wait; `max` over `avg` of the cycles
+# is the tail of a launch, and `no_instruction` the fetch of code.
+_STALLS = [f"stalled_{reason}" for reason in ("long_scoreboard", "no_instruction", "wait", "math_pipe_throttle")]
+METRICS = (
+    *("gpu__time_duration.sum", "launch__registers_per_thread", "sm__cycles_active.avg", "sm__cycles_active.max"),
+    *("sm__warps_active.avg.pct_of_peak_sustained_active", "smsp__issue_active.avg.pct_of_peak_sustained_active"),
+    *("smsp__inst_executed.sum", "sm__inst_executed_pipe_fp64.avg.pct_of_peak_sustained_active"),
+    *("dram__bytes.sum", "lts__t_bytes.sum"),
+    *(f"smsp__average_warps_issue_{reason}_per_issue_active.ratio" for reason in _STALLS),
+)
 UNPACK = """# Puts together the parts that lie beside this file: python3 unpack.py DIR
 import hashlib, io, lzma, platform, sys, tarfile
 from pathlib import Path
@@ -111,9 +132,11 @@ def of_packages(packages: list[str], archs: list[int], python: str, folder: Path
                     yield f"site/{name}", for_these_gpus(data, archs) if name == "warp/bin/warp.so" else data
 
 
-def of_caches(compiled: list[Path], kept: Path | None) -> Iterator[tuple[str, bytes]]:
-    """Names and bytes of the script, of what is compiled, and of what a cache has for the CPU."""
-    yield "run.sh", RUN.encode()
+def of_caches(compiled: list[Path], kept: Path | None, published: Path | None) -> Iterator[tuple[str, bytes]]:
+    """Names and bytes of the script, of published steps, of what is compiled, and of what a cache has for the CPU."""
+    yield "run.sh", RUN.replace("METRICS", ",".join(METRICS)).encode()
+    for path in sorted(published.rglob("frames/*.ply")) if published else ():
+        yield f"published/{path.relative_to(published)}", path.read_bytes()
     for path in sorted(path for folder in compiled for path in folder.iterdir() if path.suffix != ".cu"):
         yield f"cache/{path.relative_to(path.parents[2])}", path.read_bytes()
     for path in sorted(kept.rglob("*")) if kept else ():
@@ -148,6 +171,7 @@ def main() -> None:
     )
     parser.add_argument("--limit", type=float, default=45.0, help="MiB of a part (45)")
     parser.add_argument("--kept", type=Path, help="a kernel cache: with what is compiled for the CPU and kept there")
+    parser.add_argument("--published", type=Path, help="folder of steps in the public formats")
     given = parser.parse_args()
     out = given.out.resolve()
     compiled = compile_for(given.arch, out / "cubins")
@@ -155,7 +179,7 @@ def main() -> None:
     named = out / hashlib.sha256(str(packages).encode()).hexdigest()[:8]
     if not (site := named.with_suffix(".xz")).exists():
         compress(site, of_packages(*packages, named))
-    compress(out / "caches.xz", of_caches(compiled, given.kept))
+    compress(out / "caches.xz", of_caches(compiled, given.kept, given.published))
     data, parts = site.read_bytes() + (out / "caches.xz").read_bytes(), {}
     size = math.ceil(len(data) / math.ceil(len(data) / (given.limit * 2**20)))
     for old in out.glob("part.*"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,14 +14,21 @@ from fine_meshes import Scene, grid, joined, sphere, spheres_through_each_other
 from public_data import find_steps, read_step
 
 
-def cloth_over_sphere(num_faces: int) -> Scene:
+def cloth_over_sphere(num_faces: int, fall: float = 0.05) -> Scene:
     """A wavy sheet of four fifths of the faces falls on a sphere."""
     n = int((0.4 * num_faces) ** 0.5) + 1
     sheet, faces = grid(n, n)
     sheet[:, 2] = 0.02 * np.sin(8 * sheet[:, 0]) * np.cos(7 * sheet[:, 1])
     ball, ball_faces = sphere(num_faces // 5, 0.5)
     ball = ball - [0, 0, 0.54]
-    return joined(f"cloth over sphere, {num_faces:,}", [(sheet, sheet - [0, 0, 0.05], faces), (ball, ball, ball_faces)])
+    return joined(f"cloth over sphere, {num_faces:,}", [(sheet, sheet - [0, 0, fall], faces), (ball, ball, ball_faces)])
+
+
+def worlds(count: int) -> Scene:
+    """Worlds of a coarse cloth that falls on a sphere, in each of which pairs touch."""
+    one = cloth_over_sphere(400, fall=0.15)
+    ends = {name: np.tile(getattr(one, name), (count, 1)) for name in ("vertices_t0", "vertices_t1")}
+    return replace(one, name=f"{count:,} worlds of {len(one.faces)} faces", worlds=count, **ends)
 
 
 def falling_copies(

@@ -15,7 +15,7 @@ import importlib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-if not Path(__file__).with_name("kernels").exists():  # a checkout, in which the kernels lie beside this folder
+if not Path(__file__).with_name("kernels").exists():  # a checkout, in which the kernels have a folder next to this one
     __path__.append(str(Path(__file__).parents[1]))
 
 from ccd_warp._calls.one_shot import (

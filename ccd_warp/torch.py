@@ -25,7 +25,7 @@ from ccd_warp._calls.rigid_tois import RigidTois, checked_end
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
-from ccd_warp._runtime.streams import beside
+from ccd_warp._runtime.streams import in_order_of_library
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
 from ccd_warp._scene.input.interop import as_warp
 
@@ -312,7 +312,9 @@ class _RigidToi(torch.autograd.Function):
 
 def _in_order(device: Any) -> AbstractContextManager[Any]:
     """A block whose launches, on CUDA, are in the order of PyTorch's current stream; no tensor is computed in it."""
-    return beside(device, torch.cuda.current_stream(device.ordinal).cuda_stream) if device.is_cuda else nullcontext()
+    if not device.is_cuda:
+        return nullcontext()
+    return in_order_of_library(device, torch.cuda.current_stream(device.ordinal).cuda_stream)
 
 
 def _arrays(vertices: Sequence[torch.Tensor]) -> list[Any]:

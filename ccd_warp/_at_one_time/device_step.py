@@ -19,13 +19,13 @@ from ccd_warp._engine.device.contact_arrays import ContactArrays
 from ccd_warp._engine.device.input import Form, PreparedLaunch
 from ccd_warp._engine.device.step import Capacities, DeviceStep
 from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
-from ccd_warp._engine.mesh.scene import reach_of
+from ccd_warp._engine.mesh.scene import packed_reach
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._engine.plan import Goal
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_results import DeviceDisplacements, DeviceProximities
 from ccd_warp._runtime.launch import Recording, Slot
-from ccd_warp._scene.input.interop import without_worlds
+from ccd_warp._scene.input.interop import DeviceArray, without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
@@ -80,7 +80,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
     def values(self, length: float) -> _Values:
         """The values of a launch with a distance, or with a search radius."""
 
-    def prepare_positions(self, positions: Any) -> PreparedLaunch:
+    def prepare_positions(self, positions: DeviceArray) -> PreparedLaunch:
         """Check the positions of a launch, one row for every vertex."""
         mesh = self._mesh
         positions = without_worlds(positions, "positions", mesh.rows_by_world, mesh.dimension)
@@ -98,7 +98,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
             self._values.clear()
             inflation, radii = half_rounded_up(distance), (self._radii, self._input.box_radius)
             searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
-            reach = reach_of(self._radii, distance, self._flag.array, kept)
+            reach = packed_reach(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
         return self._values[key]
 

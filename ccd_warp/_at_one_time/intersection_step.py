@@ -13,7 +13,7 @@ from ccd_warp._at_one_time import intersection_points as points
 from ccd_warp._at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.boxes.body_boxes import bodies_near
 from ccd_warp._engine.host.plan import HostPlan
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.planes import vertices_in_half_spaces
 from ccd_warp._engine.mesh.topology import Positions
@@ -47,11 +47,11 @@ _TESTS = {
 _CROSSING_IN_PLANE = _Tests(exact.edges_cross_in_plane, points.of_edges)
 
 
-class IntersectionStep(Step):
+class IntersectionStep(HostStep):
     """The search at one time, as a step in which only the points of the edges move (`edge_points`)."""
 
     goal = "intersections"
-    bytes_beside = 4  # of a code
+    result_bytes = 4  # of a code
     topology: EdgePointTopology
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import Batch, HostPlan
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
-from ccd_warp._engine.mesh.scene import reach_of
+from ccd_warp._engine.mesh.scene import packed_reach
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.stages import Stages, measure_pairs_in
 from ccd_warp._results.proximities import Proximities
@@ -27,7 +27,7 @@ from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
 _FEW = 1 << 10
 
 
-class StepAtOneTime(Step):
+class StepAtOneTime(HostStep):
     """A step with a workspace of its own, in which boxes have the size of its goal."""
 
     counts_survivors = True
@@ -55,9 +55,9 @@ class StepAtOneTime(Step):
             self.oddities.distance = of_search and of_search._replace(is_searched=True)
 
     def reach(self, distance: float, kept: float = 0.0) -> Any:
-        """What is near, as the struct of the kernels, and what pairs keep beside their radii."""
+        """What is near, as the struct of the kernels, and what pairs keep besides their radii."""
         radius, stop = self.topology.radius, self.workspace.flag.array
-        return self.workspace.packed_once(("reach", distance, kept), lambda: reach_of(radius, distance, stop, kept))
+        return self.workspace.packed_once(("reach", distance, kept), lambda: packed_reach(radius, distance, stop, kept))
 
     def least_of_vertices(
         self, plan: HostPlan, batches: Iterator[Batch], sink: int, found: wp.array
@@ -76,7 +76,7 @@ class ProximityStep(StepAtOneTime):
     """The pairs within a distance."""
 
     goal = "proximities"
-    bytes_beside = BYTES_PER_PROXIMITY
+    result_bytes = BYTES_PER_PROXIMITY
 
     def proximities(self, distance: float, *, unique: bool = False) -> Proximities:
         """All pairs within a distance and their radii, or each two closest features once."""

@@ -43,7 +43,7 @@ class StartDistanceStep(StepAtOneTime):
         return self.least_of_vertices(plan, batches, START_DISTANCE, found).reshape(-1, 2)
 
     def _reach(self, distance: float) -> Any:
-        """How near is near, and what pairs keep beside their radii."""
+        """How near is near, and what pairs keep besides their radii."""
         return self.reach(distance, self.options.separation(length_scale_of(self.mesh, self.options)))
 
     def worlds_near(self, contacts: Contacts, distance: float) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import LaunchFlag
 from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._scene.input.arguments import check_count
-from ccd_warp._scene.input.interop import as_positions, without_worlds
+from ccd_warp._scene.input.interop import DeviceArray, as_positions, without_worlds
 from ccd_warp._scene.input.options import Options, naming
 
 if TYPE_CHECKING:
@@ -142,7 +142,12 @@ class Launches:
         return step
 
     def launch(
-        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion | None, warn: Warn, **arguments: Any
+        self,
+        vertices_t0: DeviceArray,
+        vertices_t1: DeviceArray,
+        motion: RigidMotion | None,
+        warn: Warn,
+        **arguments: Any,
     ) -> LaunchResult:
         """Launch on the device step, which is made now if :meth:`reserve` has not made it."""
         positions = vertices_t0, vertices_t1
@@ -200,7 +205,7 @@ class Launches:
         return flags
 
     def _launch_on_arcs(
-        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, warn: Warn, **arguments: Any
+        self, vertices_t0: DeviceArray, vertices_t1: DeviceArray, motion: RigidMotion, warn: Warn, **arguments: Any
     ) -> LaunchResult:
         """Launch on the device step of bodies that turn, which the first such launch makes."""
         from ccd_warp._rigid.arc_step import DeviceArcStep  # few programs need it
@@ -224,7 +229,7 @@ class Launches:
         return step.result
 
     def _launch_worlds(
-        self, vertices_t0: Any, vertices_t1: Any, motion: RigidMotion, warn: Warn, **arguments: Any
+        self, vertices_t0: DeviceArray, vertices_t1: DeviceArray, motion: RigidMotion, warn: Warn, **arguments: Any
     ) -> LaunchResult:
         """Launch on as many copies of a mesh of one world as a motion has worlds."""
         count, mesh, device = motion.num_worlds, self._mesh, self._topology.device
@@ -271,7 +276,7 @@ class Launches:
             )
 
     def _taped(
-        self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: Any
+        self, step: DeviceLineSearch, prepared: PreparedLaunch, positions: tuple[DeviceArray, DeviceArray]
     ) -> "TapedLaunch | TapedLineSearch":
         """A launch, or a line search, that is recorded on the active tape."""
         taped: Any
@@ -281,7 +286,7 @@ class Launches:
             from ccd_warp._gradients.line_search_tape import TapedLineSearch as taped
         return taped(step, prepared, positions, self.radius)
 
-    def launch_at_one_time(self, kind: Any, positions: Any, length: float, warn: Warn) -> Any:
+    def launch_at_one_time(self, kind: Any, positions: DeviceArray, length: float, warn: Warn) -> Any:
         """Launch on a step of a kind, which is made now if there is none; returns the arrays to which it writes."""
         for name, array in (("positions", positions), ("radius", self.radius)):
             if wants_gradient(array):

@@ -416,7 +416,7 @@ def line_search(
     motion: RigidMotion | None = None,
     check_start: bool = False,
     **options: Unpack[LineSearchOptions],
-) -> LineSearchResult:
+) -> LineSearchResult[RigidMotion]:
     """Shorten a step until it is certain to be free of collisions: as a whole, or per world, body or vertex.
 
     Each round computes the toi of every pair that still touches, shortens the displacements of the scene, worlds,

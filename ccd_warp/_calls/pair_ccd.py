@@ -3,13 +3,14 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 import ctypes
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar, Unpack, overload
 
 import numpy as np
 import warp as wp
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._calls.small_batch import (
     CAPACITY,
@@ -31,13 +32,14 @@ from ccd_warp._runtime.tape import wants_gradient
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.arrays import (
+    SupportsDLPack,
     are_few_and_finite,
     as_array,
     as_float64,
     check_both_finite,
     is_device_array,
 )
-from ccd_warp._scene.input.interop import as_warp
+from ccd_warp._scene.input.interop import DeviceArray, as_warp
 from ccd_warp._scene.input.option_types import PairOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
 from ccd_warp.kernels.narrow_phase.sinks import TABLE
@@ -49,9 +51,12 @@ from ccd_warp.kernels.step.pair_list import PairList
 if TYPE_CHECKING:
     from ccd_warp._results.toi_gradient import ToiGradient
 
+# The arrays of a result: those of NumPy, or of Warp.
+_ArrayT = TypeVar("_ArrayT", NDArray[Any], wp.array)
+
 
 @dataclass(frozen=True)
-class PairResult(Placed):
+class PairResult(Placed, Generic[_ArrayT]):
     """Result of a batch of pairs: NumPy arrays for NumPy input.
 
     For arrays of Warp, or of a library that supports DLPack (PyTorch, JAX, CuPy), the result holds Warp arrays on the
@@ -73,23 +78,24 @@ class PairResult(Placed):
         iterations: Iterations that the pair took (clips and sub-patches, or boxes of the bisection), int32, shape [n].
     """
 
-    toi: Any
-    status: Any
-    parameters: Any
-    gap: Any
-    width: Any
-    iterations: Any
+    toi: _ArrayT
+    status: _ArrayT
+    parameters: _ArrayT
+    gap: _ArrayT
+    width: _ArrayT
+    iterations: _ArrayT
 
     def __post_init__(self) -> None:
         """Leave the slot empty until `_of` fills it: of few pairs one more assignment is 1 % of the call."""
 
     @property
-    def hit(self) -> Any:
+    def hit(self) -> _ArrayT:
         """True where toi is finite, bool, shape [n]."""
         if isinstance(self.toi, np.ndarray):
             return np.isfinite(self.toi)
         device = self.toi.device
-        hit = wp.empty(self.toi.shape, dtype=wp.bool, device=device)
+        assert device is not None
+        hit: wp.array = wp.empty(self.toi.shape, dtype=wp.bool, device=device)
         load(mark_finite, device)
         wp.launch(mark_finite, len(hit), inputs=[self.toi], outputs=[hit], device=device, record_tape=False)
         return hit
@@ -138,7 +144,30 @@ class PairResult(Placed):
         return f"PairResult({pairs}, {hits})"
 
 
-def vertex_face_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
+# What a pair function takes: what makes an array of NumPy, and what is one on a device.
+_Host = NDArray[Any] | Sequence[Any]
+_Device = wp.array | SupportsDLPack
+Points = ArrayLike | DeviceArray
+
+
+class _PairFunction(Protocol):
+    """A pair function for a type checker: NumPy arrays or lists give NumPy arrays, other arrays give Warp arrays."""
+
+    @overload  # type: ignore[overload-overlap]  # a NumPy array, too, has DLPack
+    def __call__(self, points_t0: _Host, points_t1: _Host, **options: Unpack[PairOptions]) -> PairResult[NDArray]: ...
+
+    @overload
+    def __call__(
+        self, points_t0: _Device, points_t1: _Device, **options: Unpack[PairOptions]
+    ) -> PairResult[wp.array]: ...
+
+
+def _of_either_array(function: Callable[..., PairResult]) -> _PairFunction:
+    return function
+
+
+@_of_either_array
+def vertex_face_ccd(points_t0: Points, points_t1: Points, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of vertex-face pairs whose points move on straight lines.
 
     Args:
@@ -165,8 +194,9 @@ def vertex_face_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpac
     return _points_ccd(PairKind.VERTEX_FACE, points_t0, points_t1, options)
 
 
+@_of_either_array
 @text_completed_by(vertex_face_ccd)
-def edge_edge_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
+def edge_edge_ccd(points_t0: Points, points_t1: Points, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of edge-edge pairs whose points move on straight lines.
 
     Args:
@@ -176,8 +206,9 @@ def edge_edge_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[
     return _points_ccd(PairKind.EDGE_EDGE, points_t0, points_t1, options)
 
 
+@_of_either_array
 @text_completed_by(vertex_face_ccd)
-def point_segment_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
+def point_segment_ccd(points_t0: Points, points_t1: Points, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of points and segments that move on straight lines, in 2D or 3D.
 
     In 3D a point meets a segment only by coincidence; with a minimum separation the pair is what cables and particles
@@ -190,8 +221,9 @@ def point_segment_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unp
     return _points_ccd(PairKind.POINT_SEGMENT, points_t0, points_t1, options)
 
 
+@_of_either_array
 @text_completed_by(vertex_face_ccd)
-def point_point_ccd(points_t0: ArrayLike, points_t1: ArrayLike, **options: Unpack[PairOptions]) -> PairResult:
+def point_point_ccd(points_t0: Points, points_t1: Points, **options: Unpack[PairOptions]) -> PairResult:
     """Earliest time of impact of pairs of points that move on straight lines, in 2D or 3D.
 
     Two points meet only by coincidence; with a minimum separation the pair is what particles need.
@@ -217,7 +249,7 @@ _POINTS = {
 }
 
 
-def _points_ccd(kind: PairKind, points_t0: Any, points_t1: Any, keywords: PairOptions) -> PairResult:
+def _points_ccd(kind: PairKind, points_t0: Points, points_t1: Points, keywords: PairOptions) -> PairResult:
     function = f"{kind.name.lower()}_ccd"
     options = options_of(function, PairOptions, keywords)
     on_device = is_device_array(points_t0)
@@ -269,7 +301,15 @@ def _device_arrays_ccd(function: str, kind: PairKind, points_t0: Any, points_t1:
     if wants_gradient(points_t0, points_t1):
         from ccd_warp._gradients.pair_tape import record_pairs  # its kernels are loaded where they are needed
 
-        record_pairs(Execution(device, options.threads), _touch(options), kind, [points_t0, points_t1], [a, b], out)
+        record_pairs(
+            Execution(device, options.threads),
+            _touch(options),
+            kind,
+            [points_t0, points_t1],
+            [a, b],
+            out.toi,
+            out.status,
+        )
     return out
 
 

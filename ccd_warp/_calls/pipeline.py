@@ -29,7 +29,7 @@ from ccd_warp._engine.host.line_search import (
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, of_one_part
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
@@ -43,6 +43,7 @@ from ccd_warp._rigid.mesh_paths import MeshPaths, check_own_frames
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.progress import Progress
+from ccd_warp._runtime.streams import in_current_order
 from ccd_warp._scene.input.arguments import Per, check_count, check_flag, check_instance, check_real, shown
 from ccd_warp._scene.input.interop import DeviceArray, check_writable
 from ccd_warp._scene.input.option_types import MeshOptions
@@ -57,7 +58,7 @@ _MOST_ROUNDS = 100
 
 
 _T = TypeVar("_T")
-_StepT = TypeVar("_StepT", bound=Step)
+_StepT = TypeVar("_StepT", bound=HostStep)
 
 
 class CollisionPipeline:
@@ -208,7 +209,8 @@ class CollisionPipeline:
     ) -> _T:
         """Run ``work`` on a step of a kind between validated positions."""
         self._check_no_capture()
-        with self._lock:
+        # what a step frees is freed in the order of the null stream
+        with self._lock, in_current_order(self._topology.device):
             begin = time.perf_counter()
             start, end = self.mesh._both_in_space(*frames())
             workspace, self._workspace = self._workspace, None
@@ -234,7 +236,7 @@ class CollisionPipeline:
 
     def reserve(
         self, *, max_pairs: int | None = None, max_contacts: int | None = None, vertices: ArrayLike | None = None
-    ) -> LaunchResult:
+    ) -> LaunchResult[RigidMotion]:
         """Allocate everything that :meth:`launch` needs: before the loop, and again after an overflow flag.
 
         What :meth:`launch_proximity` and :meth:`launch_displacement_bounds` need is allocated by their first calls.
@@ -271,7 +273,7 @@ class CollisionPipeline:
         *,
         displacements: DeviceArray | None = None,
         motion: RigidMotion | None = None,
-    ) -> LaunchResult:
+    ) -> LaunchResult[RigidMotion]:
         """Check a step for collisions on the device, without waiting for the result.
 
         This is for time loops on the device. Kernels of fixed sizes, recorded at the first call, read the positions and
@@ -323,8 +325,9 @@ class CollisionPipeline:
         if (vertices_t1 is None) == (displacements is None):
             which = "both" if vertices_t1 is not None else "neither"
             raise ValueError(f"{which} of vertices_t1 and displacements is given; expected one of them")
-        if displacements is None:
+        if vertices_t1 is not None:
             return self._launch(vertices_t0, vertices_t1, motion)
+        assert displacements is not None
         return self._launch(vertices_t0, displacements, motion, name_t1="displacements", is_displacement=True)
 
     def launch_line_search(
@@ -336,7 +339,7 @@ class CollisionPipeline:
         safety: float = DEFAULT_SAFETY,
         num_rounds: int = DEFAULT_NUM_ROUNDS,
         motion: RigidMotion | None = None,
-    ) -> LaunchResult:
+    ) -> LaunchResult[RigidMotion]:
         """Shorten a step on the device until it is certain to be free of collisions, without waiting for the result.
 
         Each pass checks the step as :meth:`launch` does, and then limits the motion of every vertex of a contact, and
@@ -407,10 +410,10 @@ class CollisionPipeline:
     def _launch(
         self,
         vertices_t0: DeviceArray,
-        vertices_t1: DeviceArray | None,
+        vertices_t1: DeviceArray,
         motion: RigidMotion | None = None,
         **arguments: Any,
-    ) -> LaunchResult:
+    ) -> LaunchResult[RigidMotion]:
         with self._lock:
             self._warn_of_straight_motion(motion)
             return self._launches.launch(vertices_t0, vertices_t1, motion, self._warn_once, **arguments)
@@ -677,7 +680,7 @@ class CollisionPipeline:
         max_rounds: int = DEFAULT_MAX_ROUNDS,
         motion: RigidMotion | None = None,
         check_start: bool = False,
-    ) -> LineSearchResult:
+    ) -> LineSearchResult[RigidMotion]:
         """Shorten a step until it is free of collisions (:func:`ccd_warp.line_search`), with a ``t_max`` of 1."""
         with naming("line_search"):
             check_step_is_whole(self._options.t_max)

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._calls.motions import worlds_of
 from ccd_warp._calls.pipeline import CollisionPipeline
@@ -22,7 +22,7 @@ class RigidTois:
         toi: The tois, float64, of the shape of the worlds; inf where nothing touches.
     """
 
-    def __init__(self, pipeline: CollisionPipeline, pivot: Any, is_twist: bool, *ends: Array) -> None:
+    def __init__(self, pipeline: CollisionPipeline, pivot: ArrayLike | None, is_twist: bool, *ends: Array) -> None:
         """Search the step of poses at the start and poses, or twists, at the end, shape [..., B, 7] or [..., B, 6].
 
         Raises:
@@ -32,7 +32,7 @@ class RigidTois:
         if worlds:  # whatever the number of their axes
             rows = int(np.prod(worlds))
             ends = tuple(end.reshape(rows, *end.shape[-2:]) for end in ends)
-            pivot = np.reshape(pivot, (rows, -1, 3)) if np.ndim(pivot) > 2 else pivot
+            pivot = np.reshape(pivot, (rows, -1, 3)) if pivot is not None and np.ndim(pivot) > 2 else pivot
         step: dict[str, Any] = {"twist": ends[1]} if is_twist else {"poses_t1": ends[1]}
         self._motion = RigidMotion(ends[0], pivot=pivot, **step)
         result = _first_contacts(pipeline, self._motion)

@@ -6,7 +6,7 @@ it succeeds.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -23,6 +23,9 @@ from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
 from ccd_warp.kernels.step.step import ContactList
 
+if TYPE_CHECKING:
+    from ccd_warp.kernels.pair.query import Options as PackedOptions
+
 CAPACITY = 1 << 13  # pairs, some 240 bytes each; beyond it, solving takes many times as long as packing a launch
 _LEAST_CAPACITY = 1 << 9
 _MOST_PARTS = 8  # for as many threads, if each has a thousand pairs
@@ -37,7 +40,7 @@ _Key = tuple[PairKind, Any, str]  # kind, precision and norm
 _idle: dict[_Key, list["SmallBatch"]] = {}
 
 
-def table_inputs(kind: PairKind, packed: Any, count: int, counts: wp.array | None = None) -> list[Any]:
+def table_inputs(kind: PairKind, packed: "PackedOptions", count: int, counts: wp.array | None = None) -> list[Any]:
     """The inputs of the narrow phase from the pairs on, where these are given by their points."""
     pairs = PairList()
     pairs.kind = int(kind)
@@ -59,7 +62,7 @@ class SmallBatch:
         capacity: The number of pairs for which there are arrays.
     """
 
-    def __init__(self, key: _Key, device: wp.Device, num_points: int, packed: Any, capacity: int) -> None:
+    def __init__(self, key: _Key, device: wp.Device, num_points: int, packed: "PackedOptions", capacity: int) -> None:
         kind, real, norm = self.key = key
         self.capacity = capacity
         narrow_phase = narrow_phase_on(device, real, norm)
@@ -86,7 +89,7 @@ class SmallBatch:
         self,
         points_t0: NDArray[np.float64],
         points_t1: NDArray[np.float64],
-        packed: Any,
+        packed: "PackedOptions",
         parts: int = 1,
         stop: StopFlag | None = None,
     ) -> list[NDArray[Any]]:
@@ -123,7 +126,7 @@ class SmallBatch:
         self._bound[index] = value
 
 
-def borrowed_batch(key: _Key, device: wp.Device, num_points: int, packed: Any, count: int) -> SmallBatch:
+def borrowed_batch(key: _Key, device: wp.Device, num_points: int, packed: "PackedOptions", count: int) -> SmallBatch:
     """A batch for one call, which no other call uses meanwhile; one that is not given back is not used again."""
     idle = _idle.setdefault(key, [])
     try:

@@ -1,4 +1,4 @@
-"""``ccd-warp bench``: how fast this machine is, and whether an answer is missed or late, beside ipc-toolkit.
+"""``ccd-warp bench``: how fast this machine is, and whether an answer is missed or late, compared with ipc-toolkit.
 
 The truth of the queries is known by construction. One primitive keeps a height above the plane of the other, within
 which both move and deform; the height falls on a line and is zero at the time k/D. All of it is integers, so that it is

@@ -13,7 +13,7 @@ from ccd_warp._scene.input.options import Options
 
 
 class Slice(NamedTuple):
-    """A part of a step.
+    """An interval of a step.
 
     Attributes:
         t_begin: Its begin, a time of the step; of each body, shape [B], where they go through different parts at once.
@@ -65,11 +65,11 @@ class Motion:
         self._positions, self.slices, self.t_end = positions, [Slice(0.0, t_max)], t_max
         self.radius, self.box_radius = topology.radius, topology.box_radius
 
-    def placed(self, part: Slice, execution: Execution) -> Positions:
+    def placed(self, time_slice: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice."""
         return self._positions
 
-    def turns(self, part: Slice) -> Any:
+    def turns(self, time_slice: Slice) -> Any:
         """How the vertices turn in a slice, which only the kernels read; None where they move straight."""
         return None
 

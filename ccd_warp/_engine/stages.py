@@ -161,7 +161,7 @@ class Stages:
             others += [] if query.is_sorted_when_filled else [rest_order.fill_centres]
         others += [body_frames.fill_frame_aabbs] if self._has_slender else []
         search = self.search_kernel(self.tree_pairs[0], LIST if launcher.is_cuda else CULL, is_cuda=launcher.is_cuda)
-        # the first to be compiled makes Warp's header for all: one that begins soon, beside the solver
+        # the first to be compiled makes Warp's header for all: one that begins soon, with the solver
         load_all([*solvers[::-1], others[0], search, *others[1:]], launcher.device, launcher.progress)
 
     def fill_vertex_aabbs(self, launcher: Launcher, vertices: wp.array, active: wp.array) -> None:
@@ -522,7 +522,7 @@ class Stages:
         self._measure_planes(launcher, NEAR, self.proximities)
 
     def bound_by_half_spaces(self, launcher: Launcher) -> None:
-        """Lower the bounds of vertices beside planes."""
+        """Lower the bounds of vertices near planes."""
         from ccd_warp.kernels.at_one_time.proximity import ProximityList
 
         self._measure_planes(launcher, DISPLACEMENT, ProximityList())

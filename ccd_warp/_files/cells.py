@@ -154,8 +154,8 @@ def mesh_of_grid(path: Path, grid: Grid, displacement: str | None, surface: bool
             "Python surface=True, takes the boundary surface"
         )
     if len(fans) or grid.volumes:
-        beside = [f"{len(rows)} {noun}" for rows, noun in ((edges, "edges of curves"), (points, "points")) if len(rows)]
-        notes += [f"{' and '.join(beside)} beside its faces and cells are left out"] if beside else []
+        others = [f"{len(rows)} {noun}" for rows, noun in ((edges, "edges of curves"), (points, "points")) if len(rows)]
+        notes += [f"{' and '.join(others)} beside its faces and cells are left out"] if others else []
         edges, points = NO_EDGES, NO_INDICES
     elif len(points) and len(np.setdiff1d(np.arange(len(vertices)), [*edges.ravel(), *points])):
         raise InputError("has points in no cell beside those that are one; expected all as cells, or none")

@@ -13,7 +13,7 @@ NO_INDICES = np.zeros(0, dtype=np.int64)
 NO_EDGES = np.zeros((0, 2), dtype=np.int64)
 
 
-class Part(NamedTuple):
+class FilePart(NamedTuple):
     """A part of a file: its positions and elements, the names in it, and the index of the name of each element.
 
     Elements are faces, then edges, then points; see :class:`Mesh`.

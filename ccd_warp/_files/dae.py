@@ -5,14 +5,14 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.opened import not_installed
 from ccd_warp._files.text import CUT
 from ccd_warp._scene.input.messages import InputError
 from ccd_warp._scene.input.trimesh_bodies import transformed
 
 
-def read_dae(data: bytes) -> list[Part]:
+def read_dae(data: bytes) -> list[FilePart]:
     """Every geometry of the scene where its node places it, called by its identifier.
 
     Raises:
@@ -25,9 +25,9 @@ def read_dae(data: bytes) -> list[Part]:
     from trimesh.util import unique_name
 
     stated = _stated_triangles(ET.fromstring(data))
-    # What is broken beside the geometry is passed over, and what is missing of that is seen by the count.
+    # What is broken and is no geometry is passed over, and what is missing of that is seen by the count.
     scene = collada.Collada(io.BytesIO(data), ignore=[collada.common.DaeError]).scene
-    parts: list[Part] = []
+    parts: list[FilePart] = []
     names: dict[str, None] = {}
     for bound in scene.objects("geometry") if scene is not None else ():
         names[name := unique_name(bound.original.id, names)] = None
@@ -39,7 +39,7 @@ def read_dae(data: bytes) -> list[Part]:
                 used, first, corners = np.unique(primitive.vertex_index, return_index=True, return_inverse=True)
                 order = np.argsort(first)  # by appearance
                 vertices = transformed(primitive.vertex[used[order]], bound.matrix)
-                parts.append(Part(vertices, np.argsort(order)[corners.reshape(-1, 3)], counts, names=[name]))
+                parts.append(FilePart(vertices, np.argsort(order)[corners.reshape(-1, 3)], counts, names=[name]))
     if not stated <= (num_read := sum(len(part.faces) for part in parts)):
         raise InputError(f"says that it has {stated} triangles, and {num_read} of its scene can be read; {CUT}")
     return parts

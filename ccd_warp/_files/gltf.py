@@ -9,7 +9,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.opened import read_file
 from ccd_warp._files.text import CUT, shown
 from ccd_warp._scene.input.messages import InputError
@@ -26,7 +26,7 @@ _COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 
 _SIZES = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 
 
-def read_gltf(path: Path, data: bytes) -> list[Part]:
+def read_gltf(path: Path, data: bytes) -> list[FilePart]:
     """Every primitive of triangles in the scene of a glTF or GLB file, called by its node.
 
     Raises:
@@ -55,7 +55,7 @@ class _File:
             raise InputError("has instances by EXT_mesh_gpu_instancing, which are not read; export a node for each")
         self.places, self.buffers = self._places(), dict[int, bytes]()
 
-    def parts(self) -> Iterator[Part]:
+    def parts(self) -> Iterator[FilePart]:
         """The primitives of each node of the scene that has triangles."""
         from trimesh.util import unique_name
 
@@ -64,7 +64,7 @@ class _File:
             names[unique_name(str(node.get("name", k)), names)] = k
         order = self._order()
         for k, name in zip(order, (list(names)[k] for k in order), strict=True):
-            yield from (Part(*arrays, names=[name]) for arrays in self._meshes(k))
+            yield from (FilePart(*arrays, names=[name]) for arrays in self._meshes(k))
         for k in {*range(len(self.nodes))} - {*order}:
             if any(True for _ in self._meshes(k)):
                 raise InputError(f"its node {list(names)[k]!r} is in no scene that is read; export one scene")

@@ -7,7 +7,7 @@ import numpy as np
 
 from ccd_warp._files.by_meshio import read_with_meshio
 from ccd_warp._files.cells import mesh_of_grid, reading
-from ccd_warp._files.content import Mesh, Part, check_part
+from ccd_warp._files.content import FilePart, Mesh, check_part
 from ccd_warp._files.dae import read_dae
 from ccd_warp._files.gltf import read_gltf
 from ccd_warp._files.obj import read_obj
@@ -22,13 +22,13 @@ from ccd_warp._scene.input.messages import InputError, printable, reason_of
 
 _WITH_COPIES = (".stl", ".glb", ".gltf", ".dae")
 # trimesh would read these formats leniently: it pads, skips and truncates inconsistent data.
-_READERS: dict[str, Callable[[bytes], Part]] = {
+_READERS: dict[str, Callable[[bytes], FilePart]] = {
     ".ply": read_ply,
     ".obj": read_obj,
     ".off": read_off,
     ".stl": read_stl,
 }
-_SCENES: dict[str, Callable[[Path, bytes], list[Part]]] = {
+_SCENES: dict[str, Callable[[Path, bytes], list[FilePart]]] = {
     ".glb": read_gltf,
     ".gltf": read_gltf,
     ".3mf": lambda _, data: read_3mf(data),
@@ -79,7 +79,7 @@ def read_mesh(path: Path, *, displacement: str | None = None, surface: bool = Fa
     )
 
 
-def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:
+def _joined_names(parts: list[FilePart]) -> tuple[Sequence[str], np.ndarray | None]:
     """The names of all parts, and the index of the name of each element; parts of one name are one."""
     numbers: dict[str, int] = {}
     by_kind: list[list[np.ndarray]] = [[], [], []]
@@ -92,7 +92,7 @@ def _joined_names(parts: list[Part]) -> tuple[Sequence[str], np.ndarray | None]:
     return list(numbers), np.concatenate([*by_kind[0], *by_kind[1], *by_kind[2]]) if len(numbers) > 1 else None
 
 
-def _read_parts(path: Path, suffix: str) -> list[Part]:
+def _read_parts(path: Path, suffix: str) -> list[FilePart]:
     """Vertices and triangles of every part of a file, checked."""
     data = read_file(path)
     try:

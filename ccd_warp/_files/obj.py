@@ -5,7 +5,7 @@ from array import array
 
 import numpy as np
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.polygons import fan
 from ccd_warp._files.text import CUT, check_last_index, shown
 from ccd_warp._scene.input.messages import InputError
@@ -38,7 +38,7 @@ class _Elements:
         return corners, counts, np.array(self.names, dtype=np.int64)
 
 
-def read_obj(data: bytes) -> Part:
+def read_obj(data: bytes) -> FilePart:
     """Vertices, polygons, edges of lines and points of an OBJ file, and the object or group of each.
 
     An OBJ file has no counts, so a file truncated between two lines cannot be distinguished from a complete one. A
@@ -97,7 +97,7 @@ def read_obj(data: bytes) -> Part:
     is_begin[np.cumsum(chain_counts) - 1] = False
     begins = np.flatnonzero(is_begin)
     element_names = ((face_names, counts - 2), (chain_names, chain_counts - 1), (point_names, point_counts))
-    return Part(
+    return FilePart(
         np.array(vertices).reshape(-1, 3),
         fan(faces, counts),
         counts,

@@ -2,7 +2,7 @@
 
 import re
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.polygons import fan
 from ccd_warp._files.text import CUT, check_last_index, integers, lists_in, shown, text_rows
 from ccd_warp._scene.input.messages import InputError
@@ -10,7 +10,7 @@ from ccd_warp._scene.input.messages import InputError
 _MOST_BEHIND = 4  # numbers of a colour that may follow the corners of a face
 
 
-def read_off(data: bytes) -> Part:
+def read_off(data: bytes) -> FilePart:
     """Vertices and polygons of an OFF file.
 
     Raises:
@@ -48,4 +48,4 @@ def read_off(data: bytes) -> Part:
     )
     last_index = int(corners[-1]) if len(faces) and faces.counts[-1] == counts[-1] + 1 else None
     check_last_index(text, last_index, num_vertices)
-    return Part(points.numbers().reshape(-1, length)[:, :3], fan(corners, counts), counts)
+    return FilePart(points.numbers().reshape(-1, length)[:, :3], fan(corners, counts), counts)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ccd_warp._files.content import NO_EDGES, NO_INDICES, Part
+from ccd_warp._files.content import NO_EDGES, NO_INDICES, FilePart
 from ccd_warp._files.polygons import fan
 from ccd_warp._files.text import CUT, Rows, check_last_index, integers, lists_in, shown, text_rows
 from ccd_warp._scene.input.messages import InputError
@@ -46,7 +46,7 @@ class _Element(NamedTuple):
         raise InputError(f"holds {count} rows of the element {self.name!r}, and its header says {self.num_rows}; {CUT}")
 
 
-def read_ply(data: bytes) -> Part:
+def read_ply(data: bytes) -> FilePart:
     """Vertices, polygons and edges of a PLY file; without both, the vertices are points.
 
     Raises:
@@ -91,7 +91,7 @@ def read_ply(data: bytes) -> Part:
             raise InputError(f"line {rows.lines[at]} is one more than the header says; {CUT}")
         check_last_index(rows.text, last_index, len(vertices))
     points = np.arange(len(vertices)) if not len(faces) and not len(edges) else NO_INDICES
-    return Part(vertices, fan(faces, counts), counts, edges, points)
+    return FilePart(vertices, fan(faces, counts), counts, edges, points)
 
 
 def _header(data: bytes) -> tuple[str, list[_Element], int, int]:

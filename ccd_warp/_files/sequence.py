@@ -185,7 +185,7 @@ def read_frames(
     return sequence.step(0)
 
 
-def checked_static(static: Any) -> list[Path | HalfSpace]:
+def checked_static(static: object) -> list[Path | HalfSpace]:
     """Paths of mesh files and half-spaces, or a ValueError."""
     items = [] if static is None else check_items("static", static, "a list of paths and half-spaces")
     return [item if isinstance(item, HalfSpace) else check_path("static", item) for item in items]

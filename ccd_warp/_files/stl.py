@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.text import CUT, floats, shown
 from ccd_warp._scene.input.messages import InputError
 
@@ -12,7 +12,7 @@ _HEADER = 84  # bytes, the last four of them the number of facets
 _LINES = (b"facet", b"outer", b"vertex", b"vertex", b"vertex", b"endloop", b"endfacet")
 
 
-def read_stl(data: bytes) -> Part:
+def read_stl(data: bytes) -> FilePart:
     """Vertices and triangles of an STL file, three vertices for each triangle.
 
     Raises:
@@ -28,7 +28,7 @@ def read_stl(data: bytes) -> Part:
     else:
         expected = _HEADER + count * _FACET.itemsize
         raise InputError(f"has {len(data)} bytes, but its header says {count} faces, which take {expected}; {CUT}")
-    return Part(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
+    return FilePart(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3))
 
 
 def _read_ascii(data: bytes) -> np.ndarray:

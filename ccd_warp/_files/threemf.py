@@ -8,7 +8,7 @@ from typing import IO
 
 import numpy as np
 
-from ccd_warp._files.content import Part
+from ccd_warp._files.content import FilePart
 from ccd_warp._files.opened import not_installed
 from ccd_warp._files.text import CUT
 from ccd_warp._scene.input.messages import InputError
@@ -19,7 +19,7 @@ _ROOT = "3d/3dmodel.model"
 _Object = tuple[str, str]  # a model in the archive and an identifier in it
 
 
-def read_3mf(data: bytes) -> list[Part]:
+def read_3mf(data: bytes) -> list[FilePart]:
     """Every object where the build places it, called by its name.
 
     Raises:
@@ -41,7 +41,7 @@ def read_3mf(data: bytes) -> list[Part]:
         matrix, name = scene.graph[node]
         mesh = scene.geometry[name]
         faces = np.asarray(getattr(mesh, "faces", ()), dtype=np.int64).reshape(-1, 3)
-        parts.append(Part(transformed(mesh.vertices, matrix), faces, names=[str(node)]))
+        parts.append(FilePart(transformed(mesh.vertices, matrix), faces, names=[str(node)]))
     if stated != (num_read := sum(len(part.faces) for part in parts)):
         raise InputError(f"says that it has {stated} triangles, and {num_read} of its build are read; {CUT}")
     return parts

@@ -25,17 +25,17 @@ class Xdmf:
         with reading(path):
             grids = ET.fromstring(read_file(path)).findall("Domain/Grid")
             collections = [grid for grid in grids if grid.get("GridType") == "Collection"]
-            beside = [grid for grid in grids if grid not in collections]
+            others = [grid for grid in grids if grid not in collections]
             self.is_series = bool(collections)
             self.frames = collections[0].findall("Grid") if collections else grids
             if (
                 not self.frames
-                or max(len(collections), len(beside)) > 1
+                or max(len(collections), len(others)) > 1
                 or any(grid.get("CollectionType") != "Temporal" for grid in collections)
-                or any(grid.get("GridType", "Uniform") != "Uniform" for grid in (*self.frames, *beside))
+                or any(grid.get("GridType", "Uniform") != "Uniform" for grid in (*self.frames, *others))
             ):
                 raise InputError("holds other grids than one, or one temporal collection and one beside it")
-            self._base = beside[0] if beside else self.frames[0]  # has the points and cells that a frame lacks
+            self._base = others[0] if others else self.frames[0]  # has the points and cells that a frame lacks
             if displacement is None and any(frame.find("Geometry") is None for frame in self.frames[1:]):
                 names = ", ".join(repr(field.get("Name")) for field in self._fields(0)) or "no field at the points"
                 raise InputError(

@@ -1,7 +1,6 @@
 """Launches as functions that JAX calls by Warp's bridge: those of `ccd_warp.jax`, and of their backward passes."""
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from typing import Any
 from weakref import WeakKeyDictionary, ref
@@ -11,7 +10,7 @@ import warp as wp
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.launch import load
-from ccd_warp._runtime.streams import in_order_with
+from ccd_warp._runtime.streams import in_current_order
 from ccd_warp.kernels.step import device_step
 
 _VECTORS = {
@@ -44,7 +43,7 @@ def callable_of(pipeline: Any, write: Any, options: tuple[Any, ...], like: Any, 
 
 def write_toi(pipeline: Callable[[], Any], per: str) -> Any:
     def call(start, end, toi):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             _, result = launched(pipeline().launch, (start, end))
             wp.copy(toi, _tois_of(result, per, toi))
 
@@ -53,7 +52,7 @@ def write_toi(pipeline: Callable[[], Any], per: str) -> Any:
 
 def write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
     def call(start, end, of_toi, of_start, of_end):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             start.requires_grad = end.requires_grad = True
             tape, result = launched(pipeline().launch, (start, end))
             play_back(tape, (start, end), _tois_of(result, per, of_toi), of_toi)
@@ -65,19 +64,12 @@ def write_gradient_of_toi(pipeline: Callable[[], Any], per: str) -> Any:
 
 def write_toi_is_regular(pipeline: Callable[[], Any], per: Any) -> Any:
     def call(start, end, flags):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             start.requires_grad = end.requires_grad = True
             _, result = launched(pipeline().launch, (start, end))
             wp.copy(flags, result.is_regular(_per_of(per, flags)))
 
     return call
-
-
-def _in_order(array: wp.array) -> AbstractContextManager[Any]:
-    """A block whose launches, on CUDA, are in the order of the stream of JAX, which is the current one in a call."""
-    device = array.device
-    assert device is not None
-    return nullcontext() if device.is_cpu or device.is_capturing else in_order_with(device.stream)
 
 
 def _tois_of(result: Any, per: str, like: wp.array) -> Any:
@@ -92,7 +84,7 @@ def _per_of(per: str, like: wp.array) -> Any:
 
 def write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, shortened):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             wp.copy(shortened, end)
             launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
             launched(launch, (start, shortened))
@@ -102,7 +94,7 @@ def write_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_ro
 
 def write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, gradient, of_start, of_end):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             shortened = wp.clone(end)
             start.requires_grad = shortened.requires_grad = True
             launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)
@@ -116,7 +108,7 @@ def write_gradient_of_shortened(pipeline: Callable[[], Any], per: Any, safety: f
 
 def write_shortened_is_regular(pipeline: Callable[[], Any], per: Any, safety: float, num_rounds: int) -> Any:
     def call(start, end, flags):  # type: ignore[no-untyped-def]
-        with _in_order(start):
+        with in_current_order(start.device):
             shortened = wp.clone(end)
             start.requires_grad = shortened.requires_grad = True
             launch = partial(pipeline().launch_line_search, per=per, safety=safety, num_rounds=num_rounds)

@@ -14,7 +14,13 @@ from ccd_warp.kernels.template import specialised
 
 
 def record_pairs(
-    execution: Execution, touch: Touch, kind: PairKind, arrays: list[wp.array], points: list[wp.array], result: Any
+    execution: Execution,
+    touch: Touch,
+    kind: PairKind,
+    arrays: list[wp.array],
+    points: list[wp.array],
+    toi: wp.array,
+    status: wp.array,
 ) -> None:
     """Record the backward pass of a result on the active tape; the values of the points are needed no longer.
 
@@ -24,18 +30,19 @@ def record_pairs(
         kind: The kind of the pairs.
         arrays: Those of the caller.
         points: The same points as the solver has taken them, vec3d.
-        result: The result, whose toi from now on requires a gradient.
+        toi: Their tois, which from now on require a gradient.
+        status: Their status.
     """
-    count, device = len(result.toi), result.toi.device
+    count, device = len(toi), toi.device
     slopes = struct_of(
         toi_slope.Slopes,
         {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes_of(toi_slope.Slopes).items()},
     )
     is_planar = arrays[0].dtype is wp.vec2d
-    columns = {"points_t0": points[0], "points_t1": points[1], "toi": result.toi, "status": result.status}
+    columns = {"points_t0": points[0], "points_t1": points[1], "toi": toi, "status": status}
     inputs = [touch.query(is_planar=is_planar), int(kind), struct_of(toi_slope.Table, columns)]
     execution.launch(toi_slope.fill_slopes, count, inputs, [slopes])
-    result.toi.requires_grad = True
+    toi.requires_grad = True
     kernels = specialised("gradients.toi_adjoint_points", dimension=2 if is_planar else 3)
     dtype = wp.vec2d if is_planar else wp.vec3d
     wanting = [array if array.requires_grad else None for array in arrays]
@@ -47,6 +54,6 @@ def record_pairs(
             if grad is not None and grad.dtype is not dtype:  # float64 with an axis more
                 grad = wp.array(ptr=grad.ptr, dtype=dtype, shape=grad.shape[:2], device=device, copy=False)
             grads.append(grad)
-        execution.launch(kernels.add_points, count, [int(kind), slopes, result.toi.grad], grads)
+        execution.launch(kernels.add_points, count, [int(kind), slopes, toi.grad], grads)
 
-    active_tape().record_func(backward, [result.toi, *(array for array in wanting if array is not None)])
+    active_tape().record_func(backward, [toi, *(array for array in wanting if array is not None)])

@@ -43,7 +43,7 @@ class TapeMemory:
         Raises:
             ValueError: If the distance of a pair follows from its start.
         """
-        if cls not in step.beside:
-            step.beside[cls] = cls(step)
-        memory: TapeMemory = step.beside[cls]
+        if cls not in step.kept_by_rings:
+            step.kept_by_rings[cls] = cls(step)
+        memory: TapeMemory = step.kept_by_rings[cls]
         return memory

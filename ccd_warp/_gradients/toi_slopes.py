@@ -1,7 +1,7 @@
 """Gradients of times of impact of contacts and of pairs on the host, computed when they are asked for."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -18,6 +18,9 @@ from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp.kernels.gradients import toi_slope
 
+if TYPE_CHECKING:
+    from ccd_warp.kernels.gradients.toi_slope import Query
+
 # Tangents of arcs at toi, which lead to the root at twice the digits each.
 _MOST_TANGENTS = 8
 _COLUMNS = dtypes_of(toi_slope.Slopes)
@@ -31,7 +34,7 @@ _POINTS = {
 
 
 def of_contacts(
-    query: Any, contacts: Contacts, frames: MovingVertices, distances: NDArray[np.float64] | None
+    query: "Query", contacts: Contacts, frames: MovingVertices, distances: NDArray[np.float64] | None
 ) -> ToiGradient:
     """The gradients of contacts whose vertices move so, with the distance of each pair where they have one."""
     mesh, vertices = frames.mesh, contacts.vertices.copy()
@@ -48,11 +51,11 @@ def of_contacts(
     columns = contacts.kind, contacts.toi, contacts.status, distances, normals
     world = frames.worlds_of(contacts)
 
-    def slopes_of(rows: Any, t: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
+    def slopes_of(rows: slice | NDArray[np.intp], t: NDArray[np.float64]) -> dict[str, NDArray[Any]]:
         """The slopes of some contacts, at these times where bodies turn."""
         of_rows, rest = vertices[rows], np.flatnonzero(is_resting[rows])
         resting = mesh.planes.points[contacts.primitives[rows][rest, 1]]
-        ends: Any = [np.zeros((*of_rows.shape, 3)) for _ in range(2)]
+        ends: list[NDArray[np.float64]] = [np.zeros((*of_rows.shape, 3)) for _ in range(2)]
         straight = _straight_ends(frames, of_rows.ravel(), t, None if world is None else world[rows])
         for end, positions in zip(ends, straight, strict=True):
             end[..., : mesh.dimension] = positions[:, : mesh.dimension].reshape(*of_rows.shape, -1)
@@ -134,7 +137,7 @@ def _turning(
 
 
 def of_pairs(
-    query: Any,
+    query: "Query",
     kind: PairKind,
     ends: tuple[NDArray[np.float64], NDArray[np.float64]],
     toi: NDArray[np.float64],
@@ -142,7 +145,7 @@ def of_pairs(
 ) -> ToiGradient:
     """The gradients of pairs of a pair function, from their points in two or three dimensions."""
     dimension, columns = ends[0].shape[2], _POINTS[kind]
-    in_space: Any = [np.zeros((*end.shape[:2], 3)) for end in ends]
+    in_space: list[NDArray[np.float64]] = [np.zeros((*end.shape[:2], 3)) for end in ends]
     for points, end in zip(in_space, ends, strict=True):
         points[..., :dimension] = end
     slopes = _slopes(query, kind, in_space, toi, status)
@@ -159,7 +162,7 @@ def _expanded(
 
 
 def _slopes(
-    query: Any,
+    query: "Query",
     kind: PairKind | NDArray[np.int32],
     ends: list[NDArray[np.float64]],
     toi: NDArray[np.float64],

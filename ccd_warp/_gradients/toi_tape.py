@@ -14,7 +14,7 @@ from ccd_warp._gradients.caller_arrays import CallerArrays
 from ccd_warp._gradients.kept_check import KeptCheck
 from ccd_warp._gradients.tape_memory import TapeMemory
 from ccd_warp._results.device_results import TOIS, LaunchResult
-from ccd_warp._runtime.parts import new_parts
+from ccd_warp._runtime.joint_memory import joint_arrays
 from ccd_warp._runtime.tape import active_tape
 
 
@@ -73,7 +73,7 @@ class TapedLaunch:
         tois_of_step = {name: getattr(result, name) for name in TOIS.values()}
         if result.world_toi is result.toi:
             del tois_of_step["world_toi"]
-        tois = new_parts({name: len(x) for name, x in tois_of_step.items()}, self._step.topology.device)
+        tois = joint_arrays({name: len(x) for name, x in tois_of_step.items()}, self._step.topology.device)
         for name, array in tois.items():
             if self._check.is_read:
                 ctypes.memmove(array.ptr, tois_of_step[name].ptr, 8 * len(array))

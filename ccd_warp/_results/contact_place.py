@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.distinct import distinct, first_of
-from ccd_warp._results.pairs import pair_corners, pair_vertices, radii_of_pairs
+from ccd_warp._results.pairs import as_slice, pair_corners, pair_vertices, radii_of_pairs
 from ccd_warp._results.toi_gradient import ToiGradient
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.quick import of_values
@@ -28,6 +28,9 @@ TURN, _MOST_TIMES = 0.1, 500
 Radii = tuple[NDArray[np.float64], NDArray[np.float64]]
 # What contacts have by their place.
 _PLACED = ("points", "relative_velocity", "world")
+
+# A time of all vertices, or of each, shape [n, 1].
+Times = float | NDArray[np.float64]
 
 
 class Paths(Protocol):
@@ -50,12 +53,12 @@ class Paths(Protocol):
         """How far points of each body may be from its path, a length, shape [N]."""
 
     def places(
-        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Times
     ) -> NDArray[np.float64]:
         """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
 
     def velocities(
-        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Times
     ) -> NDArray[np.float64]:
         """How they move at a time, as displacements in the whole step, shape [n, 3]."""
 
@@ -99,7 +102,9 @@ class MovingVertices:
         """The world of each contact, where the paths are those of many worlds of the mesh."""
         return contacts.world if self.paths is not None and self.paths.is_of_worlds else None
 
-    def at(self, vertices: NDArray[np.integer], t: Any, world: Any = None) -> NDArray[np.float64]:
+    def at(
+        self, vertices: NDArray[np.integer], t: Times, world: NDArray[np.int32] | None = None
+    ) -> NDArray[np.float64]:
         """Positions of vertices at a time of all, or of each, shape [n, 1], in a world of each where there are many."""
         start, end = self._ends_of(vertices)
         if self.paths is not None:
@@ -111,7 +116,7 @@ class MovingVertices:
         return self.at(np.arange(len(self.start)), t)
 
     def velocities(
-        self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: Any = None
+        self, vertices: NDArray[np.integer], t: NDArray[np.float64], world: NDArray[np.int32] | None = None
     ) -> NDArray[np.float64]:
         """How vertices move at a time of each, as displacements in the whole step."""
         start, end = self._ends_of(vertices)
@@ -174,7 +179,7 @@ class ContactPlace:
         """Whether the points are known."""
         return self.points is not None or self.frames is not None
 
-    def subset(self, index: Any) -> "ContactPlace":
+    def subset(self, index: slice | NDArray[Any]) -> "ContactPlace":
         """The place of some of the contacts."""
         columns = {name: getattr(self, name) for name in ("points", "relative_velocity", "vertices", "world")}
         columns_of_rows: Any = {name: None if column is None else column[index] for name, column in columns.items()}
@@ -290,9 +295,7 @@ def _points(frames: MovingVertices, contacts: Contacts, radii: Radii | None) -> 
     for kind in PairKind:
         of_kind = np.flatnonzero(contacts.kind == kind)
         for k in range(0, len(of_kind), _CHUNK):
-            rows: Any = of_kind[k : k + _CHUNK]
-            if rows[-1] - rows[0] == len(rows) - 1:
-                rows = slice(rows[0], rows[-1] + 1)  # contacts are mostly sorted by kind
+            rows = as_slice(of_kind[k : k + _CHUNK])
             corners = pair_corners(frames.mesh, kind, contacts.primitives[rows])
             toi, parameters = contacts.toi[rows, None], contacts.parameters[rows]
             world_of_rows = None if world is None else world[rows]

@@ -66,7 +66,7 @@ class Contacts(Placed, ClosePairs):
             return Contact(self._subset(slice(k, k + 1)), k)
         return self._subset(index)
 
-    def _subset(self, index: Any) -> "Contacts":
+    def _subset(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> "Contacts":
         contacts = super()._subset(index)
         return contacts if self._place is None else contacts._of(self._place.subset(index))
 
@@ -340,16 +340,16 @@ class Outcome:
 
 
 def first_contacts(
-    toi: NDArray[np.float64], parts: NDArray[np.int32], part_toi: NDArray[np.float64]
+    toi: NDArray[np.float64], owners: NDArray[np.int32], owner_toi: NDArray[np.float64]
 ) -> NDArray[np.int32]:
-    """Index of the contact that gives the toi of each part, the first where several share it, -1 where there is none.
+    """Index of the contact that gives the toi of each owner, the first where several share it, -1 where there is none.
 
     Args:
         toi: The toi of each contact.
-        parts: The parts to which each contact belongs, shape [m, k].
-        part_toi: The toi of each part.
+        owners: The vertices, bodies or worlds to which each contact belongs, shape [m, k].
+        owner_toi: The toi of each of these.
     """
-    contact, column = np.nonzero(toi[:, None] == part_toi[parts])
-    first = np.full(len(part_toi), -1, dtype=np.int32)
-    first[parts[contact, column][::-1]] = contact[::-1]  # of several the last written stays, which is the first
+    contact, column = np.nonzero(toi[:, None] == owner_toi[owners])
+    first = np.full(len(owner_toi), -1, dtype=np.int32)
+    first[owners[contact, column][::-1]] = contact[::-1]  # of several the last written stays, which is the first
     return first

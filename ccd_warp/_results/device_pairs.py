@@ -79,7 +79,7 @@ class DevicePairs(OnDevice, Placed):
 class DeviceContacts(DevicePairs):
     """Contacts on a device, in arbitrary order, in arrays of fixed capacity; the fields are those of :class:`Contacts`.
 
-    What is beside the fields is computed on the device when it is asked for: each time anew, in the same array, by a
+    What is no field is computed on the device when it is asked for: each time anew, in the same array, by a
     launch that does not wait, and from what the arrays hold by then. The first time allocates the array; after that a
     graph can hold it. Rows from ``count`` on mean nothing.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 import warp as wp
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._results.device_pairs import DeviceContacts, DevicePairs, OnDevice
 from ccd_warp._results.proximities import Proximities
-from ccd_warp._results.results import HostLaunchResult
+from ccd_warp._results.results import HostLaunchResult, MotionT
 from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import LaunchFlag, PairKind
 from ccd_warp._runtime.texts import text_completed_by
@@ -22,7 +22,7 @@ TOIS = {"scene": "toi", "world": "world_toi", "body": "body_toi", "vertex": "ver
 
 
 @dataclass(frozen=True, repr=False)
-class LaunchResult(OnDevice):
+class LaunchResult(OnDevice, Generic[MotionT]):
     """The Warp arrays to which :meth:`ccd_warp.CollisionPipeline.launch` writes, the same ones each time.
 
     The result keeps everything alive that a captured graph uses, so keep it as long as the graph.
@@ -61,7 +61,7 @@ class LaunchResult(OnDevice):
         self.contacts._of(self._step)
 
     @property
-    def motion(self) -> Any:
+    def motion(self) -> MotionT | None:
         """The motion of the last launch up to the end of the step; None without one. Reading it waits for the device.
 
         Its ``poses_t1`` are the poses of the rigid bodies there, as those of a :class:`ccd_warp.LineSearchResult`.
@@ -93,7 +93,9 @@ class LaunchResult(OnDevice):
         return flags
 
     @text_completed_by(DeviceContacts.to_host)
-    def to_host(self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None) -> HostLaunchResult:
+    def to_host(
+        self, vertices_t0: ArrayLike | None = None, vertices_t1: ArrayLike | None = None
+    ) -> HostLaunchResult[MotionT]:
         """What all arrays hold now, on the host; this waits for the device.
 
         Returns:
@@ -127,7 +129,7 @@ class DeviceProximities(DevicePairs):
 
     The pairs are in arbitrary order, in arrays of fixed capacity; the fields are those of
     :class:`ccd_warp.Proximities`. Rows from ``count`` on mean nothing. The result keeps everything alive that a
-    captured graph uses, so keep it as long as the graph. What is beside the fields, :meth:`unique` included, is
+    captured graph uses, so keep it as long as the graph. What is no field, :meth:`unique` included, is
     computed as that of :class:`ccd_warp.DeviceContacts` is: when it is asked for, each time anew, in the same array.
 
     Attributes:

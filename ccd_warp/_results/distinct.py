@@ -7,7 +7,7 @@ in several pairs. So contacts are grouped by their features, and one of each gro
 Faces with the same vertices are one feature; the inside of any other face is in one pair only.
 
 **Where a closest point lies** is known to rounding. What the solver leaves open is the gap g of the contact; at a
-distance d of the closest points another place is as near within g if it is up to √(2 d g) beside. A vertex that moves a
+distance d of the closest points another place is as near within g if it is up to √(2 d g) away. A vertex that moves a
 closest point by no more than that, or by no more than the tolerance, is none of those that span its feature: a tip that
 lands so near a diagonal touches the diagonal, and its own edges, which meet that next to it, touch nothing else.
 

@@ -4,18 +4,19 @@ from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Generic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
+from ccd_warp._results.results import MotionT
 from ccd_warp._runtime.lazy import lazy_property
 
 
 @dataclass(frozen=True)
-class LineSearchResult:
+class LineSearchResult(Generic[MotionT]):
     """A step that is certain to be free of collisions.
 
     Attributes:
@@ -52,7 +53,7 @@ class LineSearchResult:
     is_limited: bool
     struck: Contacts
     start: Intersections | None = None
-    motion: Any = None
+    motion: MotionT | None = None
     _find_shortening: Callable[[], Contacts] = field(kw_only=True, repr=False, compare=False)
 
     @lazy_property

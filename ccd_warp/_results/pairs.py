@@ -1,6 +1,6 @@
 """Tables of pairs of primitives: what contacts, what is near and what intersects have in common."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import TYPE_CHECKING, Any, Self
@@ -44,6 +44,11 @@ def pair_corners(
     return sides[0], sides[1]
 
 
+def as_slice(rows: NDArray[np.intp]) -> NDArray[np.intp] | slice:
+    """Ascending indices of rows, as a slice where they follow each other: tables are mostly sorted by kind."""
+    return slice(rows[0], rows[-1] + 1) if rows[-1] - rows[0] == len(rows) - 1 else rows
+
+
 def vertices_of(
     mesh: "CollisionMesh",
     kinds: type[PairKind] | type[IntersectionKind],
@@ -51,18 +56,16 @@ def vertices_of(
     primitives: NDArray[np.int32],
     width: int = 4,
 ) -> NDArray[np.int32]:
-    """The vertices of each pair, shape [m, width]: two columns for the first primitive, or one beside a face of four.
+    """The vertices of each pair, shape [m, width]: two columns for the first primitive, or one next to a face of four.
 
     The last vertex of a primitive that has fewer is repeated, and that of the first stands for a plane.
     """
     vertices = np.empty((len(kind), width), dtype=np.int32)
     for member in kinds:
-        rows: Any = np.flatnonzero(kind == int(member))
-        if len(rows) == 0:
+        indices = np.flatnonzero(kind == int(member))
+        if len(indices) == 0:
             continue
-        sides = pair_corners(mesh, member, primitives[rows])
-        if rows[-1] - rows[0] == len(rows) - 1:
-            rows = slice(rows[0], rows[-1] + 1)  # tables are mostly sorted by kind
+        sides, rows = pair_corners(mesh, member, primitives[indices]), as_slice(indices)
         b = sides[1].shape[1]
         of_first = width - max(b, width - 2) if b else width
         for side, begin, end in zip(sides, (0, of_first), (of_first, width), strict=True):
@@ -155,7 +158,7 @@ class PairTable:
             raise TypeError(f"index is {index}; expected a slice, a mask or a list of indices")
         return self._subset(index)
 
-    def _subset(self, index: Any) -> Self:
+    def _subset(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self:
         """The pairs with these indices alone."""
         if not isinstance(index, slice):
             index = np.asarray(index) if len(index) else np.zeros(0, dtype=np.int64)

@@ -4,7 +4,7 @@ from typing import Any, Self
 
 
 class Placed:
-    """Keeps what a table knows beside its arrays in a slot, so that ``vars()`` gives the arrays alone.
+    """Keeps what a table knows besides its arrays in a slot, so that ``vars()`` gives the arrays alone.
 
     It is a ``ContactPlace`` of `contact_place`, of pairs on a device a ``DeviceStep``, of a result of pair functions
     what they were asked, of gradients ``TurningPoints``. These modules import this one and know the types.

@@ -93,7 +93,7 @@ class Proximities(ClosePairs):
     def points(self) -> NDArray[np.float64]:
         """The closest points of both surfaces, of the first and the second, float64, shape [m, 2, 3] or [m, 2, 2].
 
-        Each is the radius of its primitive beside the closest point of the primitive, toward the other one. Positions
+        Each is the radius of its primitive from the closest point of the primitive, toward the other one. Positions
         weighted with ``weights`` give the closest points of the primitives themselves.
         """
         weights, x = self.weights[..., None], self.positions

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,8 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import CCDStatus, LaunchFlag, PairKind
 
 __all__ = ["Contact", "Contacts", "Counts", "MeshResult"]
+
+MotionT = TypeVar("MotionT")  # the motion of a call, of which a result keeps what is left
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,7 +140,7 @@ class MeshResult(Outcome):
 
 
 @dataclass(frozen=True, repr=False, eq=False)
-class HostLaunchResult(Outcome):
+class HostLaunchResult(Outcome, Generic[MotionT]):
     """What the arrays of a :class:`LaunchResult` held when they were read: NumPy arrays and numbers.
 
     Attributes:
@@ -168,7 +170,7 @@ class HostLaunchResult(Outcome):
     num_pairs: dict[PairKind, int]
     num_contacts: int
     body_fraction: NDArray[np.float64] | None = None
-    motion: Any = None
+    motion: MotionT | None = None
 
     @lazy_property
     def vertex_contact(self) -> NDArray[np.int32]:

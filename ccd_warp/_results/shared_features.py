@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import struct_of
 from ccd_warp._runtime.threads import default_num_threads
+from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.at_one_time import unique as kernels
 
 
@@ -33,7 +34,12 @@ class SharedFeatures:
     shared_by: wp.array
 
     def find(
-        self, execution: Execution, pairs: Any, num_vertices: int, num_pairs: int, sort: Callable[[], None]
+        self,
+        execution: Execution,
+        pairs: "kernels.FeaturePairs",
+        num_vertices: int,
+        num_pairs: int,
+        sort: Callable[[], None],
     ) -> None:
         """Find them, with a function that sorts the keys.
 
@@ -62,7 +68,7 @@ def unique_rows(
     kind: NDArray[np.int32],
     primitives: NDArray[np.int32],
     features: NDArray[np.int32],
-    mesh: Any,
+    mesh: CollisionMesh,
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
     """The first row of each two features of a table on the host, ascending, and how many rows have them."""
     cpu, count = wp.get_device("cpu"), len(kind)

@@ -1,7 +1,5 @@
 """The course of a line search in which bodies turn: a body goes on its path, and stays rigid."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +25,7 @@ class ArcCourse(Course):
         super().__init__(paths.at(mesh, vertices_t0, vertices_t1, 0.0), paths.at(mesh, vertices_t0, vertices_t1, 1.0))
         self._is_rigid = paths.is_rigid[mesh.vertex_body]
 
-    def at(self, fraction: NDArray[np.float64], vertices: Any = None) -> NDArray[np.float64]:
+    def at(self, fraction: NDArray[np.float64], vertices: NDArray[np.integer] | None = None) -> NDArray[np.float64]:
         """The positions of vertices, an array of any shape, at a fraction of each; of all by default."""
         vertices = np.arange(len(self.start)) if vertices is None else vertices
         straight = super().at(fraction, vertices)

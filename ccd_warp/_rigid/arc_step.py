@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import ArrayLike
 
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.device.input import Form, PreparedLaunch
@@ -21,10 +22,14 @@ from ccd_warp._results.device_results import LaunchResult
 from ccd_warp._rigid.arcs import Arcs, Times
 from ccd_warp._rigid.mesh_paths import MeshPaths, slices_of
 from ccd_warp._rigid.motion import RigidMotion
-from ccd_warp._rigid.parts.near_search import reach_of
+from ccd_warp._rigid.parts.near_search import touching_distance
 from ccd_warp._rigid.parts.whole_bodies import WholeBodies
 from ccd_warp._runtime.launch import Recording
+from ccd_warp._scene.input.interop import DeviceArray
 from ccd_warp.kernels.rigid import shorten_paths as kernels
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.boxes.box_tree import Quantization
 
 _ALL_FLAGS = -1
 
@@ -39,7 +44,7 @@ class DeviceArcStep(DeviceLineSearch):
     on_arcs = True
     _motion: RigidMotion | None = None  # of the last launch
 
-    def _arrays(self, capacities: Capacities, quantization: Any) -> dict[str, Any]:
+    def _arrays(self, capacities: Capacities, quantization: "Quantization") -> dict[str, Any]:
         """The arrays and values of the stages."""
         topology, options = self.topology, self._options
         self._arcs = arcs = Arcs(topology, self._radius, self._input.box_radius)
@@ -64,7 +69,9 @@ class DeviceArcStep(DeviceLineSearch):
         self.fraction = self._full(self._mesh.num_bodies, 1.0, wp.float64)
         return replace(super()._new_result(max_contacts), body_fraction=self.fraction)
 
-    def prepare_on_paths(self, vertices_t0: Any, vertices_t1: Any, paths: MeshPaths, **options: Any) -> PreparedLaunch:
+    def prepare_on_paths(
+        self, vertices_t0: DeviceArray, vertices_t1: DeviceArray, paths: MeshPaths, **options: Any
+    ) -> PreparedLaunch:
         """Check the arguments of a launch along paths."""
         if self.topology.device.is_capturing:
             raise RuntimeError("a graph is being captured; a launch with a motion reads it on the host, and cannot be")
@@ -119,7 +126,7 @@ class DeviceArcStep(DeviceLineSearch):
             first.fill_boxes(recording, self.static_trees)
         if near is not None:
             self._record_near(recording, near, slots if is_first else None, active)
-        for number, (part, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
+        for number, (time_slice, of_slice, stages) in enumerate(zip(slices, times, of_slices, strict=True)):
             of_bodies = active if near is None else near.bodies[number]
             with nullcontext() if near is None else recording.only_if(near.is_any[number : number + 1]):
                 if number > 0:
@@ -127,7 +134,9 @@ class DeviceArcStep(DeviceLineSearch):
                     self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
                     self._arcs.place(of_slice, recording, *slots)
                 self._record_search(recording, stages, of_bodies)
-                gaps = gaps_moved * float(part.t_end - part.t_begin)  # the motion of a pair is that in the slice
+                gaps = gaps_moved * float(
+                    time_slice.t_end - time_slice.t_begin
+                )  # the motion of a pair is that in the slice
                 self.record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
         return first
 
@@ -136,7 +145,7 @@ class DeviceArcStep(DeviceLineSearch):
         assert self._bodies is not None
         if rows is not None:
             self._bodies.record_bounds(recording, *rows)
-        reach = reach_of(self._mesh, self._options)
+        reach = touching_distance(self._mesh, self._options)
         self._bodies.record_near(
             recording, self._arcs.paths, self._options.t_max, reach, active, self._flag.array, near
         )
@@ -145,7 +154,7 @@ class DeviceArcStep(DeviceLineSearch):
         """Record what places all vertices at the start again, where a pass has moved them."""
         self._arcs.place(self._slices_of(form)[0][0], recording, *self._input.slots(form))
 
-    def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
+    def _record_shorten(self, recording: Recording, form: Form, per: int, share: wp.array) -> None:
         """Record the launches that shorten the motion of what touches."""
         super()._record_shorten(recording, form, per, share)
         moving, minima = self.topology.moving_vertices, self._stages.step.minima
@@ -182,14 +191,14 @@ class DeviceArcStep(DeviceLineSearch):
         packed = self._options.for_kernel(self._length_scale, stop=self._flag.array, radius=radius, turns=turns)
         return replace(self._stages.between(self._arcs.start, self._arcs.end), options=packed, turns=turns)
 
-    def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
+    def locate(self, contacts: Contacts, vertices_t0: ArrayLike | None, vertices_t1: ArrayLike | None) -> Contacts:
         """Contacts of the last launch that know their mesh, each pair once, and their points on the paths."""
         last = self.last_positions()
         if last is None:
             return located(contacts, self._mesh)
         start, end = (v.numpy().reshape(-1, 3) for v in last)
         if vertices_t0 is not None:
-            start, end = self._mesh.frames(vertices_t0, vertices_t1)
+            start, end = self._mesh.frames(vertices_t0, vertices_t1)  # type: ignore[arg-type]  # both or neither
         paths = self._paths.shortened(self.fraction.numpy())
         touch, radii = self._touch_of_last(), self._radii_of_last()
         return located(_earliest(contacts), self._mesh, start, end, paths, touch, radii)

@@ -88,11 +88,11 @@ class Arcs(Motion):
         """Begin a step along these paths."""
         self._paths.assign(paths)
 
-    def new_times(self, part: Slice) -> Times:
+    def new_times(self, time_slice: Slice) -> Times:
         """Arrays of the begin and the end of a slice, for each body."""
         count, device = self._topology.mesh.num_bodies, self._topology.device
-        times: list[wp.array] = [wp.array(np.broadcast_to(t, count), dtype=wp.float64, device=device) for t in part[:2]]
-        return times[0], times[1]
+        begin, end = (np.broadcast_to(t, count) for t in time_slice[:2])
+        return wp.array(begin, dtype=wp.float64, device=device), wp.array(end, dtype=wp.float64, device=device)
 
     def place(self, times: Times, recording: Recording, start: wp.array | Slot, end: wp.array | Slot) -> None:
         """Record what places bodies and vertices at both ends of a slice, given positions at those of the step."""
@@ -112,9 +112,9 @@ class Arcs(Motion):
         self._ends = [first, first if end is start else wp.array(end, dtype=wp.vec3d, device=device, copy=False)]
         return self
 
-    def placed(self, part: Slice, execution: Execution) -> Positions:
+    def placed(self, time_slice: Slice, execution: Execution) -> Positions:
         """The positions at both ends of a slice on the host; on the CPU the next slice overwrites them."""
-        for written, t in zip(self._written, part[:2], strict=True):
+        for written, t in zip(self._written, time_slice[:2], strict=True):
             written.write(np.asarray(t))
         placing = next((known for known in self._placing if known.execution is execution), None)
         if placing is None:
@@ -136,7 +136,7 @@ class Arcs(Motion):
         for placing in self._placing:
             self._bind(placing)
 
-    def turns(self, part: Slice) -> Any:
+    def turns(self, time_slice: Slice) -> Any:
         """How the vertices turn in the slice in which they have last been placed on the host."""
         return self._turns
 

@@ -147,7 +147,7 @@ class BodyPaths(ReadOnly):
         return moves
 
     def seen(self) -> BodyPaths:
-        """The same paths, where what stands, and may be beside its path, turns with a velocity that its excess covers.
+        """The same paths, where what stands, and may be off its path, turns with a velocity that its excess covers.
 
         So no line search takes it for a body that stays.
         """

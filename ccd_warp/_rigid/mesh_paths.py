@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice, Slices
+from ccd_warp._results.contact_place import Times
 from ccd_warp._rigid.body_paths import UNSEEN, BodyPaths
 from ccd_warp._rigid.rotations import arc_factors, arcs, cross, in_space, rotated
 from ccd_warp._runtime.display import counted, listed
@@ -71,13 +72,13 @@ class MeshPaths(BodyPaths):
 
     def _near_slices(self, topology: Topology, positions: Positions, options: Options) -> list[Slice] | None:
         """The slices in which anything is near; None where that is not looked for."""
-        from ccd_warp._rigid.parts.near_search import body_parts, find_near, reach_of
+        from ccd_warp._rigid.parts.near_search import body_parts, find_near, touching_distance
 
         slices, dimension = slices_of(self, options.t_max), topology.mesh.dimension
         start, end = (x[:, :dimension] for x in positions)
         parts = body_parts(topology, (start, start if positions[0] is positions[1] else end))
-        of_step = self.rows(np.flatnonzero(self.is_rigid)), slices, reach_of(topology.mesh, options), options.threads
-        near = find_near(topology, parts, positions, *of_step)
+        paths, distance = self.rows(np.flatnonzero(self.is_rigid)), touching_distance(topology.mesh, options)
+        near = find_near(topology, parts, positions, paths, slices, distance, options.threads)
         return None if near is None else near.slices(slices)
 
     def shortened(self, fraction: NDArray[np.float64]) -> Self:
@@ -85,14 +86,19 @@ class MeshPaths(BodyPaths):
         return replace(super().shortened(fraction), searched=None)
 
     def at(
-        self, mesh: CollisionMesh, start: NDArray[np.float64], end: NDArray[np.float64], t: Any, vertices: Any = None
+        self,
+        mesh: CollisionMesh,
+        start: NDArray[np.float64],
+        end: NDArray[np.float64],
+        t: Times,
+        vertices: NDArray[np.integer] | None = None,
     ) -> NDArray[np.float64]:
         """Where vertices are at a time, one for all or one a vertex; all of them by default."""
         vertices = np.arange(len(start)) if vertices is None else vertices
         return self.places(mesh.vertex_body[vertices], start[vertices], end[vertices], t)
 
     def places(
-        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Times
     ) -> NDArray[np.float64]:
         """Where vertices of these bodies, with these positions at both ends, are at a time, shape [n, 3]."""
         times = _times(t, len(body))
@@ -103,7 +109,7 @@ class MeshPaths(BodyPaths):
         return x
 
     def velocities(
-        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Any
+        self, body: NDArray[np.integer], start: NDArray[np.float64], end: NDArray[np.float64], t: Times
     ) -> NDArray[np.float64]:
         """How vertices of these bodies move at a time, as displacements in the whole step, shape [n, 3]."""
         v: NDArray[np.float64] = end - start
@@ -149,7 +155,7 @@ def slices_of(paths: BodyPaths, t_max: float) -> Slices:
     return Slices(max(1, int(np.ceil(paths.largest_turn * t_max / TURN_OF_A_SLICE - _ROUNDING))), t_max)
 
 
-def _times(t: Any, count: int) -> NDArray[np.float64]:
+def _times(t: Times, count: int) -> NDArray[np.float64]:
     """One time for all, or one for each, shape [count, 1]."""
     return np.broadcast_to(np.asarray(t, dtype=np.float64).reshape(-1, 1), (count, 1))
 

@@ -133,7 +133,15 @@ class RigidMotion(ReadOnly):
         return motion
 
     def _set(
-        self, poses_t0: Any, poses_t1: Any, path: Any, pivot: Any, twist: Any, within: Any, *, scalar_first: bool
+        self,
+        poses_t0: ArrayLike,
+        poses_t1: ArrayLike | None,
+        path: Any,
+        pivot: ArrayLike | None,
+        twist: ArrayLike | None,
+        within: ArrayLike,
+        *,
+        scalar_first: bool,
     ) -> None:
         start, leading = checked_poses(poses_t0, "poses_t0", scalar_first=scalar_first)
         end = None

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.start_distances import StartDistances
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, possible_kinds
 from ccd_warp._engine.mesh.topology import Topology
@@ -37,7 +37,7 @@ from ccd_warp._rigid.mesh_paths import (
 )
 from ccd_warp._rigid.motion import RigidMotion
 from ccd_warp._rigid.parts.mesh import PartMesh
-from ccd_warp._rigid.parts.near_search import Near, body_parts, find_near, reach_of
+from ccd_warp._rigid.parts.near_search import Near, body_parts, find_near, touching_distance
 from ccd_warp._rigid.parts.overlap import BodyParts
 from ccd_warp._rigid.rotations import in_space
 from ccd_warp._rigid.world_results import in_one_world, result_of, sizes_of
@@ -50,7 +50,7 @@ from ccd_warp.kernels.pair.norm import is_ball
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
-_StepT = TypeVar("_StepT", bound=Step)
+_StepT = TypeVar("_StepT", bound=HostStep)
 # Primitives at a time: of fewer the overhead of a step shows, and more leave the caches. What looks for first contacts
 # ends earlier with fewer, down to as many as take the time of that overhead.
 _PRIMITIVES, _FEW_PRIMITIVES = 1 << 19, 1 << 12
@@ -136,23 +136,34 @@ class MotionWorlds:
         if world_toi is not None:
             left, num_searched = _by_turns(cells % self.num_worlds)
             num_together = min(max(num_searched, self._few_copies), len(cells))
-        copied, shared = copied_bodies(self._mesh)
         copies = self._copies(num_together)
-        count = copies.num_worlds
         while len(left):
-            rows, left = left[:count], left[count:]
-            of_batch = cells[rows]
-            padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
-            number, world = np.divmod(padded, self.num_worlds)
-            active = np.zeros((count, len(copied)), dtype=bool)
-            active[: len(of_batch)] = True if bodies is None else bodies[np.ix_(rows, copied)]
-            times = self._slices.times(number)
-            begin, t_end = (np.append(np.repeat(t, len(copied)), np.zeros(len(shared))) for t in times)
-            part = Slice(begin, t_end, np.append(active, np.ones(len(shared), dtype=bool)))
-            yield world[: len(of_batch)], self._on_copies(call, copies, world, [part])
+            rows, left = np.split(left, [copies.num_worlds])
+            number, world = np.divmod(cells[rows], self.num_worlds)
+            active = self._active_in(copies, len(rows), None if bodies is None else bodies[rows])
+            yield world, self._on_copies(call, copies, world, [self._slice_of_each(copies, number, active)])
             if world_toi is not None:
                 number, world = np.divmod(cells[left], self.num_worlds)
                 left = left[self._slices.times(number)[0] <= world_toi[world]]
+
+    def _active_in(self, copies: CollisionMesh, count: int, bodies: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+        """Which copied bodies the first ``count`` copies search, of those of the mesh that each has; all by default."""
+        copied, _ = copied_bodies(self._mesh)
+        active = np.zeros((copies.num_worlds, len(copied)), dtype=bool)
+        active[:count] = True if bodies is None else bodies[:, copied]
+        return active
+
+    def _with_shared(self, of_copies: NDArray[Any], of_shared: float) -> NDArray[Any]:
+        """Values of the bodies of all copies, and one value for those that they share, which come last."""
+        _, shared = copied_bodies(self._mesh)
+        return np.append(of_copies, np.full(len(shared), of_shared, dtype=of_copies.dtype))
+
+    def _slice_of_each(self, copies: CollisionMesh, number: NDArray[np.intp], active: NDArray[np.bool_]) -> Slice:
+        """The slice in which each copy has another of the step, the first slice where there are fewer."""
+        of_copies = np.append(number, np.zeros(copies.num_worlds - len(number), dtype=number.dtype))
+        times = (np.repeat(t, active.shape[1]) for t in self._slices.times(of_copies))
+        begin, t_end = (self._with_shared(t, 0.0) for t in times)
+        return Slice(begin, t_end, self._with_shared(active, True))
 
     def _cells(self) -> tuple[NDArray[np.int64], NDArray[np.bool_] | None]:
         """The cells in which anything may touch, those of a slice one after another, and their bodies; None for all."""
@@ -168,19 +179,14 @@ class MotionWorlds:
         worlds = np.arange(self.num_worlds) if near is None else np.flatnonzero(near.bodies.any(axis=(0, 2)))
         if len(worlds) == 0:
             return
-        copied, shared = copied_bodies(self._mesh)
         copies = self._copies(len(worlds))
-        count = copies.num_worlds
-        for first in range(0, len(worlds), count):
-            of_batch = worlds[first : first + count]
-            slices = []
-            for k, part in enumerate(self._slices.all() if near is None else map(self._slices.slice, near.number)):
-                active = np.zeros((count, len(copied)), dtype=bool)
-                active[: len(of_batch)] = True if near is None else near.bodies[k][np.ix_(of_batch, copied)]
+        for first in range(0, len(worlds), copies.num_worlds):
+            of_batch, slices = worlds[first : first + copies.num_worlds], []
+            for k, time_slice in enumerate(self._slices.all() if near is None else near.slices(self._slices)):
+                active = self._active_in(copies, len(of_batch), None if near is None else near.bodies[k][of_batch])
                 if active.any():
-                    slices.append(part._replace(active=np.append(active, np.ones(len(shared), dtype=bool))))
-            padded = np.append(of_batch, np.zeros(count - len(of_batch), dtype=of_batch.dtype))
-            yield self._on_copies(call, copies, padded, slices)
+                    slices.append(time_slice._replace(active=self._with_shared(active, True)))
+            yield self._on_copies(call, copies, of_batch, slices)
 
     def _copies(self, count: int) -> CollisionMesh:
         """Copies of the mesh, so many, or as many as are searched at a time."""
@@ -188,14 +194,18 @@ class MotionWorlds:
         return self._mesh._copies(least, least if self._near is None else self._most_copies)
 
     def _on_copies(self, call: _Call[_T], copies: CollisionMesh, world: NDArray[np.intp], searched: list[Slice]) -> _T:
-        """What a call of the pipeline finds in copies, each in the place of a world, in these slices."""
-        paths = MeshPaths.of_checked(copies, self._motion._of_worlds(world), searched=searched)
+        """What a call of the pipeline finds in copies, each in the place of a world, in these slices.
+
+        Copies that are left over stand in the place of the first world, and no slice searches them.
+        """
+        places = np.append(world, np.zeros(copies.num_worlds - len(world), dtype=world.dtype))
+        paths = MeshPaths.of_checked(copies, self._motion._of_worlds(places), searched=searched)
         start = np.tile(self._ends[0], (copies.num_worlds, 1))
         end = start if self._ends[1] is self._ends[0] else np.tile(self._ends[1], (copies.num_worlds, 1))
         with type(self._pipeline)._borrowed(copies, self._pipeline._options) as pipeline:
             pipeline._show_progress = self._pipeline._show_progress
             assert pipeline._workspace is not None
-            pipeline._workspace.warn_beside(self._pipeline._workspace)
+            pipeline._workspace.warn_with(self._pipeline._workspace)
             result = call(pipeline, start, end, paths)
             self._add(pipeline.counts, pipeline.timings)
         return result
@@ -312,7 +322,7 @@ class MotionWorlds:
         start = in_space(self._ends[0])
         ends = start, start if self._ends[0] is self._ends[1] else in_space(self._ends[1])
         options = self._pipeline._options
-        of_step = ends, self._motion._body_paths, self._slices, reach_of(self._mesh, options), options.threads
+        of_step = ends, self._motion._body_paths, self._slices, touching_distance(self._mesh, options), options.threads
         return find_near(self._pipeline._topology, self._body_parts, *of_step, wants_parts=self._may_be_cut)
 
     @lazy_property
@@ -331,9 +341,9 @@ class MotionWorlds:
         bodies = np.zeros((len(near.number), parts.mesh.num_bodies), dtype=bool)
         bodies[:, : len(parts.body)] = near.bodies[:, 0, parts.body]
         searched = [
-            part._replace(active=active) for part, active in zip(near.slices(self._slices), bodies, strict=True)
+            each._replace(active=active) for each, active in zip(near.slices(self._slices), bodies, strict=True)
         ]
-        workspace = Workspace(parts.mesh, pipeline._topology.device, beside=pipeline._workspace)
+        workspace = Workspace(parts.mesh, pipeline._topology.device, warns_with=pipeline._workspace)
         workspace.topology.vertex_rank = parts.rank
         workspace.progress.show = pipeline._show_progress
         ends, paths_of_parts = (parts.mesh.vertices,) * 2, MeshPaths.of_checked(parts.mesh, paths, searched=searched)

@@ -36,7 +36,7 @@ def read_only(array: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def checked_rows(
-    values: Any, name: str, tails: tuple[tuple[int, ...], ...], expected: str
+    values: object, name: str, tails: tuple[tuple[int, ...], ...], expected: str
 ) -> tuple[NDArray[np.float64], tuple[int, ...]]:
     """Finite numbers of each body, a copy of shape [N, *tail], and the leading shape: (B,), or (W, B) of worlds.
 
@@ -63,7 +63,9 @@ def check_rows_finite(
         raise ValueError(f"{name} holds {rows[at]} for {shown_body(int(at[0]), leading)}; expected {expected}")
 
 
-def checked_poses(values: Any, name: str, *, scalar_first: bool = False) -> tuple[NDArray[np.float64], tuple[int, ...]]:
+def checked_poses(
+    values: object, name: str, *, scalar_first: bool = False
+) -> tuple[NDArray[np.float64], tuple[int, ...]]:
     """Positions and scaled quaternions x y z w, shape [N, 7], and the leading shape: (B,), or (W, B) of worlds.
 
     Raises:
@@ -88,7 +90,7 @@ def checked_poses(values: Any, name: str, *, scalar_first: bool = False) -> tupl
     return rows, leading
 
 
-def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
+def checked_pivot(values: object, leading: tuple[int, ...]) -> NDArray[np.float64]:
     """Pivots in the bodies' frames, shape [N, 3]: one for all bodies, one a body, or one a body of each world.
 
     Raises:
@@ -106,7 +108,7 @@ def checked_pivot(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
     return rows
 
 
-def checked_fractions(values: Any, leading: tuple[int, ...]) -> NDArray[np.float64]:
+def checked_fractions(values: object, leading: tuple[int, ...]) -> NDArray[np.float64]:
     """Fractions of the step, shape [N]: one for all bodies, one a body, or one a body of each world.
 
     Raises:
@@ -115,7 +117,7 @@ def checked_fractions(values: Any, leading: tuple[int, ...]) -> NDArray[np.float
     return _checked_numbers(values, "t", leading, "a fraction in [0, 1], or such fractions", 1.0)
 
 
-def checked_lengths(values: Any, name: str, leading: tuple[int, ...]) -> NDArray[np.float64]:
+def checked_lengths(values: object, name: str, leading: tuple[int, ...]) -> NDArray[np.float64]:
     """Lengths, shape [N]: one for all bodies, one a body, or one a body of each world.
 
     Raises:
@@ -126,7 +128,7 @@ def checked_lengths(values: Any, name: str, leading: tuple[int, ...]) -> NDArray
 
 
 def _checked_numbers(
-    values: Any, name: str, leading: tuple[int, ...], expected: str, most: float
+    values: object, name: str, leading: tuple[int, ...], expected: str, most: float
 ) -> NDArray[np.float64]:
     """Numbers of at least 0, and of at most another one, shape [N]: one for all bodies, or one of each.
 
@@ -178,7 +180,7 @@ def check_ends(
         )
 
 
-def read_values(values: Any, name: str) -> Any:
+def read_values(values: object, name: str) -> Any:
     """What NumPy can read, from any library and device."""
     if is_of_warp(values) or is_on_gpu(values, name):
         from ccd_warp._scene.input.interop import as_warp

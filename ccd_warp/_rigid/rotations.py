@@ -1,7 +1,5 @@
 """Rotations as quaternions x y z w and as rotation vectors, in NumPy, one a row, to a few units in the last place."""
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -66,7 +64,10 @@ def arc_factors(
 
 
 def arcs(
-    omega: NDArray[np.float64], arms: NDArray[np.float64], t: NDArray[np.float64], factors: Any = None
+    omega: NDArray[np.float64],
+    arms: NDArray[np.float64],
+    t: NDArray[np.float64],
+    factors: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
 ) -> NDArray[np.float64]:
     """(Rot(t omega) − 1) times vectors: 0 where nothing turns, and relative to the turn where it is small.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from ccd_warp._runtime.launch import build_beside
+from ccd_warp._runtime.launch import build_side_by_side
 from ccd_warp._runtime.packaged import is_known, meta_name, object_name
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.shared_header import one_header
@@ -53,5 +53,5 @@ def compile_modules(modules: Mapping[str, Any], place: Any, progress: Progress |
 
     progress.begin("compiling kernels", len(modules))
     tasks = [lambda m=modules[name]: compile_one(m) for name in sorted(modules, key=rank)]
-    build_beside(tasks, progress)
+    build_side_by_side(tasks, progress)
     return made

@@ -70,7 +70,7 @@ def start_sentence(pairs: Counter[tuple[str, str]]) -> str:
 
 
 def point_text(point: Iterable[float]) -> str:
-    """A position in six digits, for reading only: what is rounding beside the largest coordinate is 0."""
+    """A position in six digits, for reading only: what is no more than rounding of the largest coordinate is 0."""
     values = [float(x) for x in point]
     rounding = 1e-12 * max((abs(x) for x in values if isfinite(x)), default=0.0)
     return f"({', '.join('0' if abs(x) <= rounding else f'{x:.6g}' for x in values)})"

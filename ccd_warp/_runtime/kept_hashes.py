@@ -1,6 +1,6 @@
 """The hashes of modules that were compiled before, so that Warp need not read all functions of kernels to compute them.
 
-They come with the package, or lie in Warp's cache beside the objects. One serves as long as the files of kernels, their
+They come with the package, or lie in Warp's cache with the objects. One serves as long as the files of kernels, their
 code as Python ran it, the version of Warp and its options are the same, and names only what is there: what is compiled,
 Warp names by itself. The code is not that of its file where the bytecode is stale: Python takes it for that of a file
 of its time and size.

@@ -10,7 +10,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass
 from typing import Any, ClassVar
 
+import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.lazy import lazy_property
@@ -18,7 +20,7 @@ from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._runtime.progress import Progress
 from ccd_warp._runtime.quiet import quietly
 from ccd_warp._runtime.streams import is_captured_by_library
-from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_beside
+from ccd_warp._runtime.threads import StopFlag, run, run_aside, run_side_by_side
 from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
@@ -61,17 +63,17 @@ def load_all(kernels: Iterable[Any], device: wp.Device, progress: Progress | Non
             for task in tasks:
                 task()
     else:
-        build_beside(tasks, progress)
+        build_side_by_side(tasks, progress)
     progress.begin(*stage)
     _loaded.update(missing)
 
 
-def build_beside(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
+def build_side_by_side(tasks: Sequence[Callable[[], None]], progress: Progress) -> None:
     """Compile modules side by side on other threads, while this one waits, shows progress and handles an interrupt."""
 
     def build() -> None:
         with building, uncollected(), quietly():
-            run_beside(tasks)
+            run_side_by_side(tasks)
 
     try:
         run_aside(build, progress.tick)
@@ -164,7 +166,7 @@ class Execution:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """A group of launches that may run beside each other; those that run now do so one after another."""
+        """A group of launches that may run side by side; those that run now do so one after another."""
         yield
 
     @property
@@ -286,7 +288,7 @@ class _Conditional:
     """Launches that have nothing to do where a flag on the device is 0."""
 
     condition: wp.array  # int32, the first element
-    on_host: Any  # the same as a NumPy array; None on CUDA
+    on_host: NDArray[np.int32] | None  # the same as a NumPy array; None on CUDA
     groups: "list[_Group]"
 
 

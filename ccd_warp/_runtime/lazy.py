@@ -20,12 +20,12 @@ class lazy_property(Generic[_T]):
         self.__doc__ = function.__doc__
 
     @overload
-    def __get__(self, instance: None, owner: Any = None) -> "lazy_property[_T]": ...
+    def __get__(self, instance: None, owner: type | None = None) -> "lazy_property[_T]": ...
 
     @overload
-    def __get__(self, instance: Any, owner: Any = None) -> _T: ...
+    def __get__(self, instance: object, owner: type | None = None) -> _T: ...
 
-    def __get__(self, instance: Any, owner: Any = None) -> Any:
+    def __get__(self, instance: object, owner: type | None = None) -> Any:
         """The value; after the first access Python finds it in the object itself."""
         if instance is None:
             return self

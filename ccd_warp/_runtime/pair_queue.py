@@ -5,6 +5,7 @@ from typing import Any
 
 import warp as wp
 
+from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.structs import dtypes_of, struct_of
 from ccd_warp.kernels.narrow_phase.pair_queue import Queue
 
@@ -25,11 +26,13 @@ def new_queue(count: int, device: wp.Device, *, keeps_contacts: bool) -> Any:
     return struct_of(Queue, {name: wp.empty(count, dtype=dtype, device=device) for name, dtype in dtypes.items()})
 
 
-def launch_queued(launcher: Any, kernels: Mapping[str, Any], most_pairs: int, inputs: list, outputs: list) -> None:
+def launch_queued(
+    launcher: Execution | Recording, kernels: Mapping[str, Any], most_pairs: int, inputs: list, outputs: list
+) -> None:
     """Launch, or record, the kernels of a round: all pairs, the first in the queue, and what these leave open.
 
     Args:
-        launcher: An ``Execution`` or a ``Recording``.
+        launcher: Where to launch, or what records it.
         kernels: Those of ``queued_kernels``.
         most_pairs: Number of pairs, or the most that there can be.
         inputs: Inputs of the kernels after the number of threads.

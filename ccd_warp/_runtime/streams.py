@@ -1,4 +1,4 @@
-"""Launches beside the work of another library on CUDA, in the order of its stream.
+"""Launches on CUDA in the order of the stream of another library.
 
 Warp frees an array in the order of the null stream. That stream waits for the streams that Warp makes, but for none
 that does not block, as those of PyTorch and JAX: what such a stream still reads would be given away. So launches are on
@@ -20,7 +20,7 @@ _streams: dict[tuple[int, int], Any] = {}
 _captured_by_libraries: set[Any] = set()
 
 
-def beside(device: wp.Device, handle: int) -> AbstractContextManager[Any]:
+def in_order_of_library(device: wp.Device, handle: int) -> AbstractContextManager[Any]:
     """A block whose launches come after all that a stream has been given, and before what it is given next.
 
     Args:
@@ -61,6 +61,16 @@ def in_order_with(library_stream: Any) -> Iterator[None]:
     finally:
         for other in others.values():
             other.wait_stream(blocking)
+
+
+def in_current_order(device: wp.Device) -> AbstractContextManager[Any]:
+    """A block whose launches are on a stream that blocks, in the order of the current one of a device.
+
+    On the CPU, and in a capture, which keeps what is freed, launches are where they are.
+    """
+    if device.is_cpu or device.is_capturing or device.stream.is_blocking:
+        return nullcontext()
+    return in_order_with(device.stream)
 
 
 def is_captured_by_library(stream: Any) -> bool:

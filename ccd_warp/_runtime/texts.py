@@ -14,7 +14,7 @@ _ENTRY = re.compile(r"\n(?=    \S)")
 _Documented = TypeVar("_Documented", bound=Any)
 
 
-def text_completed_by(source: Any, *, without: Collection[str] = ()) -> Callable[[_Documented], _Documented]:
+def text_completed_by(source: object, *, without: Collection[str] = ()) -> Callable[[_Documented], _Documented]:
     """A decorator that adds to a docstring the sections that it lacks, and the entries that its sections lack.
 
     They are those of the docstring of ``source``: of arguments and fields those that what is decorated has, and of

@@ -242,7 +242,7 @@ def run_aside(task: Callable[[], Any], tick: Callable[[], None] | None = None) -
         raise error
 
 
-def run_beside(tasks: Sequence[Callable[[], Any]]) -> None:
+def run_side_by_side(tasks: Sequence[Callable[[], Any]]) -> None:
     """Call tasks at once on this thread, which is that of :func:`run_aside`, and on others that stay."""
     pending = iter(tasks)
     others = [_begin_aside(pending, k) for k in range(1, min(len(tasks), default_num_threads()))]

@@ -14,7 +14,7 @@ from ccd_warp._runtime.read_only import ReadOnly
 class HalfSpace:
     """A half-space, such as the ground: a body of a :class:`ccd_warp.CollisionMesh` without a mesh.
 
-    It stands in the list of bodies beside the others, has an index and a name as they have, and is static. All vertices
+    It stands in the list of bodies as the others do, has an index and a name as they have, and is static. All vertices
     of bodies that are free meet its plane, those of every world; edges and faces meet it with a vertex first. A vertex
     that is in the solid at the start is in contact with it, toi 0, wherever it moves. Of a mesh in the plane it is a
     half-plane.

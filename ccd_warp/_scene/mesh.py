@@ -7,7 +7,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import pairwise
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,7 +27,7 @@ from ccd_warp._scene.input.arrays import (
 )
 from ccd_warp._scene.input.body_arrays import check_bodies, joined_bodies
 from ccd_warp._scene.input.body_options import BodyOptions
-from ccd_warp._scene.input.cells import cells_by_type, with_surfaces
+from ccd_warp._scene.input.cells import Cells, cells_by_type, with_surfaces
 from ccd_warp._scene.input.edges import unique_edges
 from ccd_warp._scene.input.excluded_pairs import ExcludedPairs, PairsFound, joined_pairs, validated_excluded_pairs
 from ccd_warp._scene.input.half_spaces import planes_of, points_of
@@ -46,6 +46,11 @@ from ccd_warp._scene.input.names import body_label, is_default_name, of_body, va
 from ccd_warp._scene.input.trimesh_bodies import check_single_body, objects_of, trimesh_bodies
 from ccd_warp._scene.input.worlds import aligned_forms, move_alone, worlds_of_bodies
 from ccd_warp._scene.replicate import replicated
+
+if TYPE_CHECKING:
+    from trimesh.parent import Geometry
+
+    from ccd_warp._scene.input.trimesh_bodies import TrimeshObject
 
 # Ranges of rows up to which each is a slice.
 _MOST_SLICES = 16
@@ -366,7 +371,7 @@ class CollisionMesh(ReadOnly):
     @text_completed_by(from_arrays)
     def from_trimesh(
         cls,
-        bodies: Any,
+        bodies: TrimeshObject | Iterable[TrimeshObject],
         static: Iterable[int | str] | None = (),
         self_collision: bool | Sequence[bool] = True,
         codimensional_points: bool | Sequence[bool] = False,
@@ -421,7 +426,7 @@ class CollisionMesh(ReadOnly):
     def from_volume(
         cls,
         vertices: ArrayLike,
-        cells: Any,
+        cells: Cells,
         others: Sequence[tuple[ArrayLike | Mapping[str, ArrayLike], ...] | HalfSpace] = (),
         **options: Unpack[BodyOptions],
     ) -> CollisionMesh:
@@ -497,9 +502,9 @@ class CollisionMesh(ReadOnly):
     @classmethod
     def from_instances(
         cls,
-        shape: Any,
+        shape: Geometry,
         count: int,
-        others: Any = (),
+        others: TrimeshObject | Iterable[TrimeshObject] = (),
         static: Iterable[int | str] | None = (),
         *,
         rigid: Iterable[int | str] | None = (),

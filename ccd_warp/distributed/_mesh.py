@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,9 @@ from ccd_warp._scene.input.mesh_checks import (
 from ccd_warp._scene.input.worlds import move_alone, worlds_of_bodies
 from ccd_warp.distributed._exchange import Exchange
 from ccd_warp.distributed._ranks import Ranks, mpi
+
+if TYPE_CHECKING:
+    from mpi4py.MPI import Intracomm
 
 _Floats = NDArray[np.float64]
 
@@ -57,7 +60,7 @@ class DistributedMesh:
 
     def __init__(
         self,
-        comm: Any,
+        comm: Intracomm | None,
         vertices: ArrayLike,
         faces: ArrayLike | None = None,
         *,

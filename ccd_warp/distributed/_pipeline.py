@@ -32,11 +32,11 @@ from ccd_warp._engine.motion import moved
 from ccd_warp._results.results import MeshResult
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.texts import text_completed_by
-from ccd_warp._scene.input.arguments import Per, check_count, check_instance
+from ccd_warp._scene.input.arguments import Per, check_count, check_instance, shown
 from ccd_warp._scene.input.option_types import MeshOptions
 from ccd_warp._scene.input.options import naming, options_of, resolve_device
 from ccd_warp.distributed._mesh import DistributedMesh
-from ccd_warp.distributed._plan import Plan, make_plan
+from ccd_warp.distributed._plan import RankPlan, make_plan
 from ccd_warp.distributed._ranks import Sent
 from ccd_warp.distributed._results import (
     DistributedLineSearch,
@@ -80,7 +80,7 @@ class DistributedPipeline:
         check_instance("mesh", mesh, DistributedMesh)
         self.mesh = mesh
         self.work: RankWork | None = None
-        self._plan: Plan | None = None
+        self._plan: RankPlan | None = None
         self._ranks, self._number = mesh.ranks, mesh.ranks.next_pipeline()
         of_all = {name: value for name, value in options.items() if name not in _OF_RANK}
         with self._ranks.together(f"DistributedPipeline({', '.join(f'{k}={v!r}' for k, v in sorted(of_all.items()))})"):
@@ -95,7 +95,8 @@ class DistributedPipeline:
             scale = length_scale_of(mesh, o)  # type: ignore[arg-type]
             # how near pairs come that a step is to find, radii besides, and where what starts within may part and slide
             self._distance = add_rounded_up(o.separation(scale), min(o.tolerance * scale, 1e308))
-            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps_start_distances(mesh, o) else 0.0
+            keeps = keeps_start_distances(mesh, o)  # type: ignore[arg-type]
+            within = largest_start_distance(mesh, o, mesh.largest_radius) if keeps else 0.0  # type: ignore[arg-type]
             self._parting_distance = max(self._distance, within)
             self._device = resolve_device(o.device)
             if mesh.is_thick and o.minimum_separation > 0.0:
@@ -104,13 +105,14 @@ class DistributedPipeline:
     def __repr__(self) -> str:
         return f"DistributedPipeline({self.mesh!r}, on {self._device})"
 
-    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> DistributedResult:
+    def mesh_ccd(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> DistributedResult:
         """Earliest times of impact of a step of the whole mesh; all ranks call it together.
 
         Args:
             vertices_t0: Start positions of the vertices on this rank, shape [n, 3], or [n, 2] of a mesh in the plane.
                 Rows of ghosts are ignored: the positions of the owners count.
             vertices_t1: End positions, of the same shape. Static bodies are where they start.
+            motion: None, as bodies that turn are for one process.
 
         Returns:
             What concerns this rank, and the toi of the whole mesh.
@@ -121,7 +123,7 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.mesh_ccd`, for the whole mesh.
         """
-        with self._called("mesh_ccd", vertices_t0, vertices_t1) as (plan, start, end):
+        with self._called("mesh_ccd", vertices_t0, vertices_t1, motion=motion) as (plan, start, end):
             result = plan.pipeline.mesh_ccd(start, end)
             vertex_toi = self._to_owners(plan, result.vertex_toi)
             least = self._ranks.least(np.concatenate([[result.toi], result.body_toi, result.world_toi]))
@@ -130,7 +132,7 @@ class DistributedPipeline:
         return DistributedResult(float(least[0]), vertex_toi, least[1:body], least[body:], contacts)
 
     @text_completed_by(mesh_ccd)
-    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> float:
+    def collision_free_step(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> float:
         """Largest fraction of a step of the whole mesh certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -138,10 +140,11 @@ class DistributedPipeline:
 
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
-        with self._called("collision_free_step", vertices_t0, vertices_t1, lambda: self._parting_distance) as of_part:
+        call, check = "collision_free_step", lambda: self._parting_distance
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as of_part:
             return min(self._least_toi(*of_part), self._options.t_max)
 
-    def _least_toi(self, plan: Plan, start: _Floats, end: _Floats) -> float:
+    def _least_toi(self, plan: RankPlan, start: _Floats, end: _Floats) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close may part."""
 
         on_step: Any = partial(plan.pipeline._on_step, LeastToiStep, start, end)
@@ -156,7 +159,7 @@ class DistributedPipeline:
         return least
 
     @text_completed_by(mesh_ccd)
-    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike) -> bool:
+    def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> bool:
         """Whether a step of the whole mesh is certain to be free of collisions; all ranks call it together.
 
         Returns:
@@ -164,12 +167,12 @@ class DistributedPipeline:
 
         Guarantee: True is certain.
         """
-        with self._called("is_step_collision_free", vertices_t0, vertices_t1) as (plan, start, end):
+        with self._called("is_step_collision_free", vertices_t0, vertices_t1, motion=motion) as (plan, start, end):
             return self._ranks.agree(float(plan.pipeline.is_step_collision_free(start, end)))[0] == 1.0
 
     @text_completed_by(mesh_ccd)
     def find_candidates(
-        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0
+        self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, inflation: float = 0.0, *, motion: None = None
     ) -> DistributedPairs:
         """Find the pairs of the whole mesh whose swept boxes overlap; all ranks call it together.
 
@@ -182,7 +185,7 @@ class DistributedPipeline:
         Guarantee: every pair that passes the filter and whose boxes overlap is found once, on one rank.
         """
         call, check = f"find_candidates(inflation={inflation})", lambda: 2.0 * validated_inflation(inflation)
-        with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
             return self._pairs(plan, plan.pipeline.find_candidates(start, end, inflation))
 
     @text_completed_by(find_candidates)
@@ -243,6 +246,7 @@ class DistributedPipeline:
         per: Per = "scene",
         safety: float = DEFAULT_SAFETY,
         max_rounds: int = DEFAULT_MAX_ROUNDS,
+        motion: None = None,
     ) -> DistributedLineSearch:
         """Shorten a step of the whole mesh until it is free of collisions; all ranks call it together.
 
@@ -267,7 +271,7 @@ class DistributedPipeline:
             return self._parting_distance
 
         call = f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})"
-        with self._called(call, vertices_t0, vertices_t1, check) as (plan, start, end):
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
 
             def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
                 return plan.pipeline._on_step(ContactStep, ends.start, ends.end, work)
@@ -289,7 +293,7 @@ class DistributedPipeline:
             of_rounds |= {name: self._pairs(plan, getattr(result, name)) for name in tables}
             return DistributedLineSearch(vertices, fraction, **of_rounds)
 
-    def _pairs(self, plan: Plan, pairs: Any) -> DistributedPairs:
+    def _pairs(self, plan: RankPlan, pairs: Any) -> DistributedPairs:
         """Those pairs of a part that count on this rank."""
         columns = columns_of(plan, pairs)
         return DistributedPairs(columns, int(self._ranks.total(np.array(len(columns["kind"])))), self._ranks)
@@ -308,7 +312,7 @@ class DistributedPipeline:
         least = self._ranks.least(least)
         fraction[mesh.is_unused] = np.where(is_free, least[group], 1.0)[mesh.is_unused]
 
-    def _least(self, plan: Plan, values: _Floats, per: Per) -> _Floats:
+    def _least(self, plan: RankPlan, values: _Floats, per: Per) -> _Floats:
         """The least of some values over all ranks, of the vertices of a part or of what all ranks have."""
         if per != "vertex":
             return self._ranks.least(values)
@@ -318,7 +322,7 @@ class DistributedPipeline:
         plan.exchange.forward([owned], [result])
         return result
 
-    def _to_owners(self, plan: Plan, values: _Floats) -> _Floats:
+    def _to_owners(self, plan: RankPlan, values: _Floats) -> _Floats:
         """The least value of each vertex on this rank, ghosts too, given those of the vertices of the parts."""
         result = np.full(len(self.mesh.vertex_ids), np.inf)
         plan.exchange.back([values], [result])
@@ -327,8 +331,13 @@ class DistributedPipeline:
 
     @contextmanager
     def _called(
-        self, call: str, start: ArrayLike, end: ArrayLike | None = None, distance: Callable[[], float] | None = None
-    ) -> Iterator[tuple[Plan, _Floats, _Floats]]:
+        self,
+        call: str,
+        start: ArrayLike,
+        end: ArrayLike | None = None,
+        distance: Callable[[], float] | None = None,
+        motion: object = None,
+    ) -> Iterator[tuple[RankPlan, _Floats, _Floats]]:
         """A call of all ranks: a plan that serves it, and the positions of this rank's part at both ends.
 
         ``call`` says what must be the same on all ranks. There is no end at one time. ``distance`` checks arguments,
@@ -338,6 +347,10 @@ class DistributedPipeline:
         begin, seconds, ranks.sent = time.perf_counter(), dict[str, float](), Sent()
         with ranks.together(call if self._number == 1 else f"{call} of pipeline {self._number}"):
             with naming(name):
+                if motion is not None:
+                    raise ValueError(
+                        f"motion is {shown(motion)}; expected None, as bodies that turn are for one process"
+                    )
                 inflation = half_rounded_up(self._distance if distance is None else distance())
             self._ends = ends = self.mesh._frames(start, end)
             plan, self._plan = self._plan, None  # what was half done is not used again, on no rank

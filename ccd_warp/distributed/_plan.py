@@ -97,7 +97,7 @@ def _outward(lower: _Floats, upper: _Floats, more: _Floats) -> _Ends:
 
 
 @dataclass
-class Plan:
+class RankPlan:
     """What stays from step to step.
 
     Attributes:
@@ -148,7 +148,9 @@ class Plan:
         return self.regions.holds(self.rank, lower)
 
 
-def make_plan(whole: DistributedMesh, start: _Floats, end: _Floats, inflation: float, options: dict[str, Any]) -> Plan:
+def make_plan(
+    whole: DistributedMesh, start: _Floats, end: _Floats, inflation: float, options: dict[str, Any]
+) -> RankPlan:
     """Choose regions, and send every primitive to the ranks whose regions its box meets; collective.
 
     It is for a step with these positions of the vertices on this rank, of which ghosts are ignored, for boxes that are
@@ -185,7 +187,7 @@ def make_plan(whole: DistributedMesh, start: _Floats, end: _Floats, inflation: f
     for limits, farthest in zip(boxes.limits, (-np.inf, np.inf), strict=True):
         limits[~whole.is_owned | whole.is_unused] = farthest
     num_ghosts = len(ids) - int(regions.holds(ranks.rank, part_boxes.lower).sum())
-    return Plan(inflation, boxes.limits, regions, ranks.rank, ids, exchange, part_boxes, pipeline, num_ghosts)
+    return RankPlan(inflation, boxes.limits, regions, ranks.rank, ids, exchange, part_boxes, pipeline, num_ghosts)
 
 
 def _regions(whole: DistributedMesh, start: _Floats) -> Regions:

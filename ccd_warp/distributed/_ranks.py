@@ -50,7 +50,7 @@ class Sent:
 
 
 class _Duplicate:
-    """The communicator of our own beside one of the caller's: one for all its meshes, as MPI has few to give."""
+    """The communicator of our own for one of the caller's: one for all its meshes, as MPI has few to give."""
 
     _key: int | None = None
 

@@ -18,7 +18,7 @@ from ccd_warp._runtime.display import counted
 from ccd_warp._runtime.status import IntersectionKind, PairKind
 
 if TYPE_CHECKING:
-    from ccd_warp.distributed._plan import Plan
+    from ccd_warp.distributed._plan import RankPlan
     from ccd_warp.distributed._ranks import Ranks, Sent
 
 # What tables of one process have besides kinds, vertices and bodies.
@@ -74,7 +74,7 @@ class DistributedPairs:
         return DistributedPairs(columns, self.total) if ranks.rank == 0 else None
 
 
-def columns_of(plan: Plan, pairs: Any) -> dict[str, NDArray[Any]]:
+def columns_of(plan: RankPlan, pairs: Any) -> dict[str, NDArray[Any]]:
     """The columns of those pairs of a table of a part that count on this rank, or of candidates."""
     if isinstance(pairs, Candidates):
         lists = [getattr(pairs, kind.name.lower()) for kind in PairKind]

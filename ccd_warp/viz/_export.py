@@ -2,7 +2,7 @@
 
 from __future__ import annotations  # ArrayLike, written out, would fill a screen of help()
 
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from ccd_warp.viz._moving import moving_vertices
 from ccd_warp.viz._scene import check_result, middle_of, plane_squares
 from ccd_warp.viz._window import import_pyvista
 
+if TYPE_CHECKING:
+    import pyvista
+
 
 def to_pyvista(
     mesh: CollisionMesh,
@@ -25,7 +28,7 @@ def to_pyvista(
     *,
     t: float = 0.0,
     motion: BodyMotion | None = None,
-) -> Any:
+) -> pyvista.MultiBlock:
     """A step as a ``pyvista.MultiBlock``: a block for each body, called by its name, and one for the contacts.
 
     A body has its faces, its codimensional edges as lines and its codimensional points as vertices. Its points have the

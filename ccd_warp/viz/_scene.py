@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -103,7 +102,7 @@ class StepScene:
 
     @lazy_property
     def pale_colours(self) -> NDArray[np.uint8]:
-        """Colours of vertices that touch nothing beside those that show a toi: pale, but for static bodies."""
+        """Colours of vertices that touch nothing, where others show a toi: pale, but for static bodies."""
         pale = (_PALE * 255.0 + (1.0 - _PALE) * self.vertex_colours).astype(np.uint8)
         is_static = self.static[self.vertex_body]
         pale[is_static] = self.vertex_colours[is_static]
@@ -151,7 +150,7 @@ class StepScene:
         return trails + self.arcs
 
 
-def check_result(result: Any) -> None:
+def check_result(result: object) -> None:
     """Raise a ValueError if it is no result with the contacts of a step on the host."""
     if not isinstance(result, HostLaunchResult):
         check_instance("result", result, MeshResult)

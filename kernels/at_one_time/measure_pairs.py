@@ -104,7 +104,7 @@ def list_lanes(
             listed -= 1
 
 
-@wp.kernel(module=module)
+@wp.kernel(module=module, cuda_max_registers=128)
 def measure_pairs(
     begin: int,
     # in

@@ -110,7 +110,7 @@ def at_end(h_t0: wp.vec3d, h_t1: wp.vec3d, t_end: wp.float64) -> wp.vec3d:
     return h_t1
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def fill_frame_aabbs(
     begin: int,
     # in

@@ -86,7 +86,7 @@ def record_meeting(
         flag_world(step.minima, v, CONTACTS_OVERFLOW)
 
 
-@wp.kernel
+@wp.kernel(cuda_max_registers=128)
 def meet_planes(
     begin: int,
     # in

@@ -1,14 +1,20 @@
 """What a type checker says of calls: mistakes in options are found before anything runs, right calls pass."""
 
+import inspect
 import re
 from pathlib import Path
+from typing import Any, get_overloads
 
 import pytest
 import warp as wp
 
+import ccd_warp as ccd
+
 SETUP = """
 import numpy as np
+import warp as wp
 import ccd_warp as ccd
+on_device = wp.zeros((1, 4), dtype=wp.vec3d)
 x = np.zeros((1, 4, 3))
 mesh = ccd.CollisionMesh.from_arrays([(x[0], np.array([[0, 1, 2]]))])
 pair_options: ccd.PairOptions = {"tolerance": 1e-9, "device": None, "num_threads": 2}
@@ -38,6 +44,10 @@ motion = ccd.RigidMotion([[0, 0, 0, 0, 0, 0, 1]], twist=[[0.0] * 6], path="screw
 turned = ccd.RigidMotion.from_scalar_first(x, x, pivot=x[0, 0]).poses_t1
 angle: float = motion.at(0.5)[0, 0] + motion.turns[0] + turned[0, 0]
 bodies: int = motion.num_bodies + motion.num_worlds
+earliest: float = ccd.edge_edge_ccd(x, x).toi.min() + ccd.edge_edge_ccd(x.tolist(), x.tolist()).gap.max()
+address = ccd.edge_edge_ccd(on_device, on_device).toi.ptr
+searched = ccd.line_search(mesh, x[0], x[0], motion=motion).motion
+ccd.mesh_ccd(mesh, x[0], x[0], motion=searched)
 height: float = contacts[0].point[2] + contacts[1:].points[0, 2] + sum(contact.toi for contact in contacts)
 """
 WRONG = """
@@ -58,7 +68,33 @@ ccd.read_frames("a.stl", "b.stl", static=3)
 ccd.mesh_ccd(mesh, x[0], x[0]).first.toi
 ccd.vertex_face_ccd(x, None)
 ccd.CollisionPipeline(mesh).launch(x[0], x[0]).contacts.sorted_by_toi()
+ccd.edge_edge_ccd(x, x).toi.numpy()
+ccd.edge_edge_ccd(on_device, on_device).toi.min()
+searched and searched.poses_t2
+ccd.CollisionMesh.from_trimesh(3)
 """
+
+_WRAPPED = ("fget", "__func__", "_function")  # where properties and methods of classes have their function
+
+
+def _unknown(hints: dict) -> list[str]:
+    return [name for name, hint in hints.items() if hint in ("Any", Any) and name[0] != "_"]
+
+
+def test_no_public_argument_attribute_or_result_is_any():
+    """Of overloaded functions those of the overloads count; a type checker sees no others."""
+    unknown = []
+    for name in ccd.__all__:
+        public = getattr(ccd, name)
+        classes = [of for of in getattr(public, "__mro__", ()) if of.__module__.startswith("ccd_warp")]
+        members = {name: public} | {k: v for of in classes[::-1] for k, v in vars(of).items()}
+        for member, value in members.items():
+            function = next((f for of in _WRAPPED if (f := getattr(value, of, None))), value)
+            if inspect.isfunction(function) and (member[0] != "_" or member in ("__init__", "__getitem__")):
+                for each in get_overloads(function) or [function]:
+                    unknown += [f"{name}.{member}: {hint}" for hint in _unknown(inspect.unwrap(each).__annotations__)]
+        unknown += [f"{name}.{hint}" for of in classes for hint in _unknown(inspect.get_annotations(of))]
+    assert not unknown
 
 
 def test_mistakes_in_options_are_found_and_right_calls_pass(monkeypatch):

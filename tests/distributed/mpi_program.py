@@ -317,6 +317,7 @@ def refused_calls(mesh, x, y):
         yield parts, lambda calls=calls: getattr(pipeline, by_rank(*calls))(x, y)
     searches = by_rank(lambda: pipeline.find_intersections(x), lambda: pipeline.find_proximity(x, 0.1))
     yield ["rank 0 calls find_intersections", "and rank 1 find_proximity"], searches
+    yield ["rank 0: mesh_ccd: motion is 1; expected None"], lambda: pipeline.mesh_ccd(x, y, motion=1 - RANK or None)
     yield ["rank 0: line_search: per is"], lambda: pipeline.line_search(x, y, per="hour")
     for name, values in (("per", ("body", "vertex")), ("safety", (0.5, 0.6)), ("max_rounds", (3, 4))):
         given = {name: by_rank(*values)}
@@ -399,12 +400,23 @@ def together():
     # the same pairs, in the integers that each rank has; and none at all
     made(exclude_pairs={"vertices": np.array([[0, 1]], dtype=np.int32 if RANK == 0 else np.int64)})()
     made(exclude_pairs={"vertices": []})()
+    in_plane = made(TRIANGLE[:, :2], None, edges=[[0, 1]])()
+    assert ["in the plane" in repr(each) for each in (in_plane, cut.mesh)] == [True, False]
     # MPI has few communicators to give, some thousands; a program may make a mesh in every step
     assert made()().ranks.comm == cut.mesh.ranks.comm
     grounded = DistributedPipeline(made(half_spaces={1: GROUND})())
     assert 0.499 < grounded.mesh_ccd(TRIANGLE, TRIANGLE - [0, 0, 2]).toi <= 0.5
     # and after all that the pipeline works
     compare_call(COMM, cut, pipeline, one, start, end, "mesh_ccd")
+
+
+def on_the_emulated_device():
+    """Each rank takes the host's path for CUDA, and runs the CUDA source of the kernels."""
+    from emulated.device import emulation
+
+    mesh, start, end = wavy_sheets(8)
+    with emulation():
+        check(mesh, start, end, in_blocks, ["mesh_ccd", "collision_free_step", "find_proximity", "line_search vertex"])
 
 
 def killed():
@@ -426,7 +438,7 @@ def main(given):
     wp.config.log_level = wp.LOG_ERROR
     every_rank = EVERY.Get_rank()
     pair = EVERY.Split(every_rank < 2, every_rank)
-    chosen = [case for case in [*CASES, killed] if case.__name__ in given] or CASES
+    chosen = [case for case in [*CASES, killed, on_the_emulated_device] if case.__name__ in given] or CASES
     for number, case in enumerate(chosen):
         is_of_all = case is the_page  # a program of its own
         of_two = EVERY.Get_size() == 3 and chosen is CASES and number % 2 == 0 and not is_of_all

@@ -13,6 +13,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from emulated import MARKS
 
 from ccd_warp.distributed._plan import Boxes
 from ccd_warp.distributed._regions import bisected
@@ -31,14 +32,24 @@ needs_ranks = pytest.mark.skipif(
 )
 
 
-def run_ranks(count, seconds=1200):
-    """Run the program on ranks, more of them than there are cores if need be."""
+def run_ranks(count, *cases, seconds=1200):
+    """Run the program, or some of its cases, on ranks, more of them than there are cores if need be."""
     version = subprocess.run([mpiexec(), "--version"], capture_output=True, text=True).stdout
     flags = ["--oversubscribe"] if any(name in version for name in ("Open MPI", "OpenRTE", "prte")) else []
     # the program prints what matters; a container has no other user; and who waits leaves the core to others
     of_mpi = ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM", "MCA_mpi_yield_when_idle")
     environment = os.environ | {f"OMPI_{name}": "1" for name in of_mpi}
-    command = [mpiexec(), *flags, "-n", str(count), sys.executable, "-m", "mpi4py", str(FOLDER / "mpi_program.py")]
+    command = [
+        mpiexec(),
+        *flags,
+        "-n",
+        str(count),
+        sys.executable,
+        "-m",
+        "mpi4py",
+        str(FOLDER / "mpi_program.py"),
+        *cases,
+    ]
     return subprocess.run(
         command, capture_output=True, text=True, errors="replace", timeout=seconds, env=environment, cwd=FOLDER
     )
@@ -51,6 +62,13 @@ def test_every_cut_over_ranks_gives_the_bits_of_one_process_and_errors_of_one_ar
     done = run_ranks(num_ranks)
     assert (done.returncode == 0) == (num_ranks != 3), done.stdout + done.stderr
     assert re.search(r"^the_page on \d ranks: done.*\nall of 12 cases$", done.stdout, re.M), done.stdout + done.stderr
+
+
+@needs_ranks
+@pytest.mark.parametrize("case", [pytest.param("on_the_emulated_device", marks=MARKS)])
+def test_ranks_with_devices_of_cuda_give_the_bits_of_one_process(case):
+    done = run_ranks(2, case)
+    assert done.returncode == 0 and f"{case} on 2 ranks: done" in done.stdout, done.stdout + done.stderr
 
 
 def test_without_mpi4py_the_error_names_the_extra(monkeypatch):

@@ -130,6 +130,8 @@ class _Event:
 class _Stream:
     """Stands for the only stream of a device."""
 
+    is_blocking = True
+
     def __init__(self, device: Any = None) -> None:
         self.device = wp.get_device(device)
 

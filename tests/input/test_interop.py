@@ -12,7 +12,9 @@ import pytest
 import warp as wp
 
 import ccd_warp as ccd
+from ccd_warp._calls import pipeline as pipeline_calls
 from ccd_warp._calls.small_batch import CAPACITY
+from ccd_warp._engine.host.contact_step import ContactStep
 from ccd_warp._runtime import streams
 from ccd_warp._runtime.launch import Execution, leaves_out_launches
 from ccd_warp._scene.input.interop import as_warp
@@ -315,7 +317,7 @@ def test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides(man
     if current != 1:
         device.stream = Stream(device, current)
     for _ in range(2):
-        with streams.beside(device, theirs):
+        with streams.in_order_of_library(device, theirs):
             assert device.stream.cuda_stream == own and device.waits == {(own, other) for other in others}
             device.waits.clear()
         assert device.stream.cuda_stream == current and device.waits == {(other, own) for other in others}
@@ -323,12 +325,26 @@ def test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides(man
     assert len(device.made) - 2 == len({current, theirs} - {0, 1})  # one object a stream, which is kept
 
 
+def test_a_call_of_the_host_is_in_order_with_a_current_stream_that_does_not_block(many_streams, monkeypatch):
+    device, calls = many_streams, []
+    device.stream = Stream(device, 7)
+    monkeypatch.setattr(
+        pipeline_calls, "in_current_order", lambda on: calls.append(on) or streams.in_current_order(device)
+    )
+    monkeypatch.setattr(ContactStep, "contacts", lambda *_, **__: calls.append(device.stream.cuda_stream))
+    ON_CPU.mesh_ccd(START, END)
+    assert calls == [ON_CPU._topology.device, None] and device.waits == {(None, 7), (7, None)}
+    device.stream, device.waits = Stream(device, 1, is_blocking=True), set()
+    ON_CPU.mesh_ccd(START, END)
+    assert calls[-1] == 1 and not device.waits
+
+
 @pytest.mark.parametrize("is_known", [True, False])
 def test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches(many_streams, is_known):
     device = many_streams
     device.is_known, device.captured = is_known, {7}
     for _ in range(2):
-        with streams.beside(device, 7):
+        with streams.in_order_of_library(device, 7):
             assert device.stream.cuda_stream == 7 and device.captures == {device.stream: True}
             assert not leaves_out_launches(device)
         assert not device.captures and device.stream.cuda_stream == 1
@@ -340,9 +356,9 @@ def test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches(m
 def test_a_capture_by_warp_is_not_left_for_the_stream_of_a_library(many_streams):
     device = many_streams
     device.captured, device.captures[device.stream] = {1}, False
-    with streams.beside(device, 1):
+    with streams.in_order_of_library(device, 1):
         assert device.stream.cuda_stream == 1 and leaves_out_launches(device)
     for handle in (0, 7):
         with pytest.raises(RuntimeError, match="Warp captures a graph, of which the current stream of the library"):
-            streams.beside(device, handle)
+            streams.in_order_of_library(device, handle)
     assert not device.waits

@@ -59,7 +59,7 @@ PLANTED = [
           "bound = _SIDES * dot(m, size)", "bound = _QUARTER * _SIDES * dot(m, size)", (_COUNTED,)),
     # --- worlds of a motion ---
     Fault("bodies of slices as if half-spaces were last in the mesh", "ccd_warp/_rigid/motion_worlds.py",
-          "bodies[np.ix_(rows, copied)]", "bodies[rows, : len(copied)]",
+          "else bodies[:, copied]", "else bodies[:, : len(copied)]",
           ("laws/test_bodies_that_turn.py::test_contacts_of_a_step",)),
     # --- pairs on arcs ---
     Fault("the slack of a vertex on an arc below what places lose", "kernels/rigid/place_bodies.py",
@@ -428,6 +428,9 @@ PLANTED = [
     Fault("a stream that does not wait for launches", "ccd_warp/_runtime/streams.py",
           "other.wait_stream(blocking)", "_ = other",
           ("input/test_interop.py::test_launches_are_on_a_stream_that_blocks_and_streams_wait_on_both_sides",)),
+    Fault("a call of the host on a stream that does not block", "ccd_warp/_calls/pipeline.py",
+          "with self._lock, in_current_order(self._topology.device):", "with self._lock:",
+          ("input/test_interop.py::test_a_call_of_the_host_is_in_order_with_a_current_stream_that_does_not_block",)),
     Fault("a captured stream that waits", "ccd_warp/_runtime/streams.py",
           "if handle and library_stream.is_capturing:", "if library_stream is None:",
           ("input/test_interop.py::test_launches_of_a_capture_by_a_library_are_on_its_stream_without_branches",)),

@@ -8,8 +8,8 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.step.contacts import NO_CONTACT, reset_first
 
+from ccd_warp._runtime.joint_memory import joint_arrays
 from ccd_warp._runtime.packed import PackedLaunch
-from ccd_warp._runtime.parts import new_parts
 
 RANGES = [(0, 3), (3, 5), (5, 9), (9, 10)]
 
@@ -69,7 +69,7 @@ def test_a_version_of_warp_that_packs_otherwise_launches_the_whole(error, monkey
 
 
 def test_parts_and_their_gradients_do_not_overlap_and_stay_while_one_is_held():
-    parts = new_parts({"a": 3, "b": 1, "c": 4}, wp.get_device("cpu"))
+    parts = joint_arrays({"a": 3, "b": 1, "c": 4}, wp.get_device("cpu"))
     for k, part in enumerate(parts.values()):
         assert part.requires_grad and not part.numpy().any() and not part.grad.numpy().any()
         part.fill_(k + 1.0)

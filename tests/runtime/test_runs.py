@@ -17,7 +17,7 @@ def test_hangs():
     time.sleep(60)
 
 def test_compiles_longer_than_a_test_may_take():
-    launch.build_beside([lambda: time.sleep(4.0)], Progress())
+    launch.build_side_by_side([lambda: time.sleep(4.0)], Progress())
 
 def test_runs_on_the_device():
     assert wp.get_device().is_cpu and signal.getsignal(signal.SIGINT) is signal.default_int_handler

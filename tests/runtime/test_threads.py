@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from ccd_warp._runtime.threads import run, run_aside, run_beside
+from ccd_warp._runtime.threads import run, run_aside, run_side_by_side
 
 
 @pytest.mark.parametrize(
@@ -39,5 +39,5 @@ def test_what_is_done_aside_has_a_thread_that_stays_and_tasks_beside_each_other_
         run_aside(lambda: threads.add(threading.get_ident()))
     assert len(threads) == 1 and threading.get_ident() not in threads
     with pytest.raises(ValueError, match=str(failing)):
-        run_aside(lambda: run_beside([lambda k=k: task(k) for k in range(3)]))
+        run_aside(lambda: run_side_by_side([lambda k=k: task(k) for k in range(3)]))
     assert running == []

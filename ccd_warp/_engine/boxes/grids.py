@@ -1,9 +1,9 @@
-"""Spatial hashes of boxes, which stand beside the trees of `trees` as a second broad phase."""
+"""Spatial hashes of boxes, a second broad phase in place of the trees of `trees`."""
 
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import warp as wp
 
@@ -12,6 +12,9 @@ from ccd_warp._engine.boxes.trees import fill_in_half_warps
 from ccd_warp._engine.mesh.topology import BLOCK_CORNERS, WIDTH, Positions, PrimitiveSet, Topology, large_half_side
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp.kernels.boxes import box_groups, box_tree, hash_grid
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.boxes.box_tree import Quantization
 
 # A cell of the finest level, as a multiple of the length that so many of the boxes do not exceed.
 _CELL_FACTOR, _QUANTILE = 1.4, 0.95
@@ -131,7 +134,7 @@ class Grid(BoxSet):
         return searches
 
 
-def choose_cell(topology: Topology, positions: Positions, quantization: Any, *, spare: float = 1.0) -> float:
+def choose_cell(topology: Topology, positions: Positions, quantization: "Quantization", *, spare: float = 1.0) -> float:
     """Side of a cell of the finest level in quantized coordinates, from samples of the step.
 
     It is ``spare`` times as large where motions are still to come: too small a cell costs more than a large one. It is

@@ -288,7 +288,7 @@ class StepBoxes:
         self._are_neighbours |= dict.fromkeys((tree.name for tree in itertools.compress(trees, is_new)), True)
         return any(is_new)
 
-    def note_large_blocks(self, tree: Any, count: int) -> bool:
+    def note_large_blocks(self, tree: BoxSet, count: int) -> bool:
         """Note how many of the blocks that are looked at are large; returns whether most consist of neighbours."""
         self._are_neighbours[tree.name] = count < CHECKED_BLOCKS // 2
         return self._are_neighbours[tree.name]

@@ -227,7 +227,7 @@ class TreePair:
 
 
 @dataclass(frozen=True)
-class Part:
+class SearchPart:
     """Items of a tree pair: blocks of queries (level 1) or single queries (level 0)."""
 
     tree_pair: TreePair
@@ -236,11 +236,11 @@ class Part:
     number: int = 0  # of the tree pair
 
     @staticmethod
-    def whole(tree_pair: TreePair, *, is_cuda: bool, number: int = 0) -> "Part":
+    def whole(tree_pair: TreePair, *, is_cuda: bool, number: int = 0) -> "SearchPart":
         """All items of a tree pair."""
         query = tree_pair.query
         count = query.primitives.count if is_cuda else query.levels[0]
-        return Part(tree_pair, 0 if is_cuda else 1, range(count), number)
+        return SearchPart(tree_pair, 0 if is_cuda else 1, range(count), number)
 
     @property
     def num_queries(self) -> int:
@@ -257,7 +257,7 @@ class Part:
         """Number of pairs of boxes, most of which the tree rejects early."""
         return self.num_queries * self.tree_pair.target.primitives.count
 
-    def split(self, count: int) -> list["Part"]:
+    def split(self, count: int) -> list["SearchPart"]:
         """These items in at least ``count`` parts, as far as that is possible."""
         if len(self.items) == 1 and self.level == 1:
             first = WIDTH * self.items[0]

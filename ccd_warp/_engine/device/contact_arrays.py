@@ -1,4 +1,4 @@
-"""What the pairs that a launch lists are asked for beside its arrays, computed on the device at that moment."""
+"""What the pairs that a launch lists are asked for besides its arrays, computed on the device at that moment."""
 
 from collections.abc import Callable, Mapping
 from functools import partial

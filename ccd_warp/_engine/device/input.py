@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import warp as wp
@@ -12,10 +12,13 @@ from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Topology
 from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Execution, Recording, Slot
-from ccd_warp._scene.input.interop import as_positions, vector_of
+from ccd_warp._scene.input.interop import DeviceArray, as_positions, vector_of
 from ccd_warp.kernels.boxes import thickness
 from ccd_warp.kernels.step import device_step as kernels
 from ccd_warp.kernels.template import specialised
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.step.minima import Minima
 
 _REALS = (np.float64, np.float32)
 SAFETY = Slot("safety")
@@ -128,8 +131,8 @@ class DeviceInput:
 
     def prepare(
         self,
-        vertices_t0: Any,
-        vertices_t1: Any,
+        vertices_t0: DeviceArray,
+        vertices_t1: DeviceArray,
         *,
         name_t0: str = "vertices_t0",
         name_t1: str = "vertices_t1",
@@ -144,7 +147,7 @@ class DeviceInput:
         rows = {mesh.num_vertices: "one a vertex"}
         if self.has_static:
             rows[len(mesh.moving_vertices)] = "one a moving vertex"
-        arrays = [vertices_t0, vertices_t1]
+        arrays: list[Any] = [vertices_t0, vertices_t1]
         is_copied = self._may_be_copied(arrays, rows)
         if is_copied:
             start, end = (self._own_array(name, values)[0] for name, values in zip(("t0", "t1"), arrays, strict=True))
@@ -246,7 +249,7 @@ class DeviceInput:
         if is_first and self._radius is not None:
             self._record_radius(recording, minima)
 
-    def _record_radius(self, recording: Recording, minima: Any) -> None:
+    def _record_radius(self, recording: Recording, minima: "Minima") -> None:
         """Record the launches that read the radii, which may have changed, and mark static boxes that then do."""
         topology = self._topology
         for vertices, is_changed in (

@@ -137,14 +137,14 @@ class DeviceLineSearch(DeviceStep):
         self.on_pass()
 
     def _record_shortened(
-        self, recording: Recording, form: Form, per: str, share: Any, *, is_searched_again: bool
+        self, recording: Recording, form: Form, per: str, share: wp.array, *, is_searched_again: bool
     ) -> None:
         """Record which bodies a next pass searches, where there is one, and what shortens the motion."""
         if is_searched_again:
             self._record_touched(recording)
         self._record_shorten(recording, form, _PER[per], share)
 
-    def _record_shorten(self, recording: Recording, form: Form, per: int, share: Any) -> None:
+    def _record_shorten(self, recording: Recording, form: Form, per: int, share: wp.array) -> None:
         """Record the launch that shortens the motion of what touches."""
         moving = self.topology.moving_vertices
         by_vertex = int(form.t0_by_vertex), int(form.t1_by_vertex)

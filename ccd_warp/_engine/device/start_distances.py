@@ -9,7 +9,7 @@ import warp as wp
 
 from ccd_warp._engine.boxes.trees import search_options
 from ccd_warp._engine.mesh.lengths import next_above
-from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, reach_of
+from ccd_warp._engine.mesh.scene import length_scale_of, norm_of, packed_reach
 from ccd_warp._engine.mesh.start_distances import corners_by_kind, largest_start_distance
 from ccd_warp._engine.stages import Stages
 from ccd_warp._results.device_pairs import DeviceContacts
@@ -71,7 +71,7 @@ class DeviceStartDistances:
         self._of_start: dict[str, Any] = {
             "inflation": inflation,
             "search_options": search_options(1.0, inflation, distance, norm, flag, (radii, stages.box_radius)),
-            "reach": reach_of(radii, distance, flag.array, separation),
+            "reach": packed_reach(radii, distance, flag.array, separation),
             "start_distances": self.of_vertex.view(wp.int64),
         }
         self._no_end: wp.array | None = wp.empty(0, dtype=wp.vec3d, device=device) if on_arcs else None

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._engine.boxes.box_sets import Layout, Order
 from ccd_warp._engine.boxes.grids import choose_cell
@@ -31,12 +31,15 @@ from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.pair_queue import new_queue, queue_bytes
 from ccd_warp._runtime.threads import StopFlag
-from ccd_warp._scene.input.interop import as_positions, without_worlds
+from ccd_warp._scene.input.interop import DeviceArray, as_positions, without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step import device_step as kernels
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, MOST_LISTED
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.boxes.box_tree import Quantization
 
 MOST_PAIRS = 1 << 28
 MOST_CONTACTS = np.iinfo(np.int32).max
@@ -73,8 +76,8 @@ class DeviceStep(Plan):
 
     Attributes:
         result: The arrays of the result.
-        contact_arrays: What its contacts are asked for beside their own arrays.
-        beside: What rings keep with this step, by their classes.
+        contact_arrays: What its contacts are asked for besides their own arrays.
+        kept_by_rings: What rings keep with this step, by their classes.
     """
 
     goal: Goal = "contacts"
@@ -105,7 +108,7 @@ class DeviceStep(Plan):
         self._near_bodies = NearBodies.of(topology)
         self._is_any_unlisted = low_half(self._counts, int(ANY_UNLISTED))
         self._last: PreparedLaunch | None = None
-        self.beside: dict[type, Any] = {}
+        self.kept_by_rings: dict[type, Any] = {}
         self._recordings: dict[Form, Recording] = {}  # in the order in which they were made
         quantization = choose_quantization(topology, (vertices, vertices), self._num_aabbs)
         layout = Layout(
@@ -132,7 +135,7 @@ class DeviceStep(Plan):
         """Radii of the vertices, and of the primitives around them; empty where the mesh has none."""
         return self.topology.radius if self._radius is None else self._radius, self._input.box_radius
 
-    def _arrays(self, capacities: Capacities, quantization: Any) -> dict[str, Any]:
+    def _arrays(self, capacities: Capacities, quantization: "Quantization") -> dict[str, Any]:
         """The arrays and values of the stages."""
         topology, options, result, mesh = self.topology, self._options, self.result, self._mesh
         is_cuda, max_pairs = self.execution.is_cuda, capacities.max_pairs
@@ -208,7 +211,7 @@ class DeviceStep(Plan):
             return rest_order(self.topology, primitives, self.execution)
         return order_at(self.topology, self._vertices, primitives, self.execution)
 
-    def prepare(self, vertices_t0: Any, vertices_t1: Any, **options: Any) -> PreparedLaunch:
+    def prepare(self, vertices_t0: DeviceArray, vertices_t1: DeviceArray, **options: Any) -> PreparedLaunch:
         """Check the arguments of a launch; see :meth:`DeviceInput.prepare`."""
         prepared, device = self._input.prepare(vertices_t0, vertices_t1, **options), self.topology.device
         if prepared.form not in self._recordings and device.is_capturing and device.is_cuda:
@@ -240,13 +243,13 @@ class DeviceStep(Plan):
         self._input.copy_out(prepared)
         self._last = prepared._replace(copied_arrays=None)
 
-    def locate(self, contacts: Contacts, vertices_t0: Any, vertices_t1: Any) -> Contacts:
+    def locate(self, contacts: Contacts, vertices_t0: ArrayLike | None, vertices_t1: ArrayLike | None) -> Contacts:
         """Contacts of a launch that know their mesh, and their points in a step between these positions.
 
         If these are None, they are what the arrays of the last launch hold now; this waits for the device.
         """
         if vertices_t0 is not None:
-            frames = (v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1))
+            frames: list[Any] = [v.numpy() if isinstance(v, wp.array) else v for v in (vertices_t0, vertices_t1)]
             start, end = self._mesh.frames(*frames)
         else:
             last = self.last_positions()
@@ -284,7 +287,7 @@ class DeviceStep(Plan):
             raise ValueError("contacts.points are not known, as no launch has read positions; expected a launch before")
         return self.contact_arrays.points("points", last)
 
-    def contact_points_at(self, vertices_t0: Any, vertices_t1: Any) -> wp.array:
+    def contact_points_at(self, vertices_t0: DeviceArray, vertices_t1: DeviceArray) -> wp.array:
         """Points of the contacts at given positions, those at the start of every vertex, as for a launch otherwise."""
         mesh, device = self._mesh, self.topology.device
         every = {mesh.num_vertices: "one a vertex"}

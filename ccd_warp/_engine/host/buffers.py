@@ -1,7 +1,5 @@
 """Device arrays that are kept for the next step, and the memory they occupy."""
 
-from typing import Any
-
 import warp as wp
 
 _GROWTH = 1.25
@@ -15,13 +13,13 @@ class Buffers:
         capacity: Pairs for which a search for candidates allocates capacity, as learned from earlier steps.
     """
 
-    def __init__(self, device: Any) -> None:
+    def __init__(self, device: wp.Device) -> None:
         self.device = device
         self.num_allocations = 0
         self.capacity = 0
         self._arrays: dict[str, wp.array] = {}
 
-    def get(self, name: str, count: int, dtype: Any) -> wp.array:
+    def get(self, name: str, count: int, dtype: type) -> wp.array:
         """An array of at least ``count`` elements with arbitrary contents; every caller with this name shares it."""
         array = self._arrays.get(name)
         if array is None or len(array) < count:
@@ -31,12 +29,12 @@ class Buffers:
             self.num_allocations += 1
         return array
 
-    def rows(self, name: str, count: int, width: int, dtype: Any) -> wp.array:
+    def rows(self, name: str, count: int, width: int, dtype: type) -> wp.array:
         """An array of at least ``count`` rows; a row of eight 64-bit numbers fills a cache line of its own."""
         array = self.get(name, -(-count // 64) * 64 * width, dtype)
         return array[: len(array) // width * width].reshape((-1, width))
 
-    def grown(self, name: str, used: int, count: int, dtype: Any) -> wp.array:
+    def grown(self, name: str, used: int, count: int, dtype: type) -> wp.array:
         """The array of a name with at least ``count`` elements, of which the first ``used`` are kept."""
         array = self._arrays.get(name)
         if array is None or len(array) >= count or used == 0:

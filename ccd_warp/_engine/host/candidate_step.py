@@ -5,20 +5,20 @@ from dataclasses import replace
 from ccd_warp._engine.host.candidates import Candidates, Collector, union
 from ccd_warp._engine.host.pair_memory import KEY_BYTES
 from ccd_warp._engine.host.search import PairSearch
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
 
-class CandidateStep(Step):
+class CandidateStep(HostStep):
     """The candidates."""
 
     goal = "candidates"
 
     def candidates(self, inflation: float) -> Candidates:
         """All pairs whose boxes, enlarged by ``inflation``, overlap, in a slice where the step has several."""
-        of_slices = [self._find(part, inflation) for part in self.motion.slices]
+        of_slices = [self._find(time_slice, inflation) for time_slice in self.motion.slices]
         candidates = of_slices[0] if len(of_slices) == 1 else union(of_slices)
         if self.planes is not None:
             self.plan.num_searches[PairKind.VERTEX_PLANE] = 1
@@ -26,9 +26,9 @@ class CandidateStep(Step):
         self.finish()
         return candidates
 
-    def _find(self, part: Slice, inflation: float) -> Candidates:
+    def _find(self, time_slice: Slice, inflation: float) -> Candidates:
         """The candidates of a slice, or of the whole step."""
-        plan = self.begin(1.0, inflation, part)
+        plan = self.begin(1.0, inflation, time_slice)
         # the threads of a GPU write in arbitrary order, and that of a spatial hash means nothing
         is_sorted = self.execution.is_cuda or self.options.broad_phase == "hash"
         collector = Collector(self.execution, is_sorted=is_sorted)

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import Part
+from ccd_warp._engine.boxes.trees import SearchPart
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads, run
@@ -80,7 +80,7 @@ class Found:
         count: Number of keys.
     """
 
-    part: Part
+    part: SearchPart
     keys: wp.array
     begin: int
     count: int
@@ -99,7 +99,7 @@ class Collector:
     def __init__(self, execution: Execution, *, is_sorted: bool) -> None:
         self._execution, self._is_sorted = execution, is_sorted
         self._batches: dict[PairKind, list[NDArray[np.int32]]] = {kind: [] for kind in PairKind}
-        self._pieces: dict[PairKind, list[tuple[Part, NDArray[np.int32]]]] = {kind: [] for kind in PairKind}
+        self._pieces: dict[PairKind, list[tuple[SearchPart, NDArray[np.int32]]]] = {kind: [] for kind in PairKind}
 
     def take(self, ranges: list[Found]) -> None:
         """Copy the pairs of a batch to an array for each kind, which is the result if no other batch follows."""

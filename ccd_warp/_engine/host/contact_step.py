@@ -26,31 +26,31 @@ class ContactStep(ImpactStep):
     """The contacts.
 
     Attributes:
-        beside: Contacts of the step of which those without such a vertex are part of the result.
+        known: Contacts of the step of which those without such a vertex are part of the result.
     """
 
     goal = "contacts"
-    beside: Contacts | None = None
-    bytes_beside = BYTES_PER_CONTACT
+    known: Contacts | None = None
+    result_bytes = BYTES_PER_CONTACT
     counts_survivors = True
 
-    def of_vertices(self, among: NDArray[np.bool_] | None, beside: Contacts | None = None) -> Self:
+    def of_vertices(self, among: NDArray[np.bool_] | None, known: Contacts | None = None) -> Self:
         """This step, of which only the contacts are wanted that have one of these vertices; others may be known.
 
         Contacts of float32 are none of a step that is made again in float64.
         """
-        if beside is None or self.options.precision == "float64":
-            self.among, self.beside = among, beside
+        if known is None or self.options.precision == "float64":
+            self.among, self.known = among, known
         return self
 
-    def _with_those_beside(self, contacts: Contacts) -> Contacts:
-        """Contacts with one of the vertices, and those beside them without any."""
-        among, beside = self.among, self.beside
-        if among is None or beside is None:
+    def _with_known(self, contacts: Contacts) -> Contacts:
+        """Contacts with one of the vertices, and the known ones without any."""
+        among, known = self.among, self.known
+        if among is None or known is None:
             return contacts
         of_step = np.flatnonzero(among[pair_vertices(self.mesh, contacts)].any(axis=1))
-        beside = beside[np.flatnonzero(~among[pair_vertices(self.mesh, beside)].any(axis=1))]
-        parts = contacts[of_step], replace(beside, normal=self.mesh._in_space(beside.normal))
+        known = known[np.flatnonzero(~among[pair_vertices(self.mesh, known)].any(axis=1))]
+        parts = contacts[of_step], replace(known, normal=self.mesh._in_space(known.normal))
         columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in vars(contacts)}
         return Contacts(**columns)
 
@@ -62,8 +62,8 @@ class ContactStep(ImpactStep):
         """
         store = self.workspace.contacts
         if self.played_whole() is None:
-            for part in self.motion.slices:
-                self._find(part, store)
+            for time_slice in self.motion.slices:
+                self._find(time_slice, store)
         if not store.is_complete:
             least = self.fixed_bytes + 2 * store.total * BYTES_KEPT
             raise ValueError(
@@ -75,7 +75,7 @@ class ContactStep(ImpactStep):
                 store.keep_earliest()
             gathered = store.gather(is_ordered=is_ordered)
             place = self._place() if is_placed else ()
-            contacts = located(self._with_those_beside(gathered["contacts"]), self.mesh, *place)
+            contacts = located(self._with_known(gathered["contacts"]), self.mesh, *place)
         # NumPy would ask an enumeration for attributes, and lose an interrupt that arrives meanwhile
         of_kind = np.bincount(contacts.kind, minlength=len(PairKind)).tolist()
         of_status = np.bincount(contacts.status, minlength=len(CCDStatus)).tolist()
@@ -92,11 +92,11 @@ class ContactStep(ImpactStep):
         gathered |= {"contacts": contacts, "counts": self.counts, "timings": self.timings, "hidden_gaps": hidden}
         return of_values(MeshResult, gathered | {"start": None})
 
-    def _find(self, part: Slice, store: ContactStore) -> None:
+    def _find(self, time_slice: Slice, store: ContactStore) -> None:
         """Add the contacts of a slice, or of the whole step."""
-        plan = self.begin_slice(part)
+        plan = self.begin_slice(time_slice)
         with self.timed("pairs"):
-            if part is self.motion.slices[0]:
+            if time_slice is self.motion.slices[0]:
                 limit = self.options.memory_limit
                 store.begin(
                     self.execution, MOST_PAIRS if limit is None else (limit - self.fixed_bytes) // 2 // BYTES_KEPT
@@ -104,7 +104,7 @@ class ContactStep(ImpactStep):
                 plan.reset_minima()
             if self.is_idle():
                 return
-            self.bind_options(part)
+            self.bind_options(time_slice)
             plan.set_search(self.motion.t_end, self.inflation, self.separation)
             # a search of some queries takes a copy of the boxes, and is not shared
             among = self.among if self.options.memory_limit is None else None

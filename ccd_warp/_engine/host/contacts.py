@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -20,6 +20,10 @@ from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.step import ContactList
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.step.minima import Minima
+    from ccd_warp.kernels.step.step import ContactList
 
 CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
@@ -62,7 +66,7 @@ class _Ordered:
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
-    def __init__(self, topology: Topology, count: wp.array, minima: Any, capacity: int, is_cuda: bool) -> None:
+    def __init__(self, topology: Topology, count: wp.array, minima: "Minima", capacity: int, is_cuda: bool) -> None:
         """Make arrays for the contacts of a list, whose number is ``count``, and which have these minima."""
         device, mesh = topology.device, topology.mesh
         self._topology, self._minima, self._capacity = topology, minima, capacity
@@ -104,7 +108,7 @@ class _Ordered:
             first = np.full(len(first), _NO_CONTACT)
         return columns, [first[rows] for rows in self._owners]
 
-    def fill_keys(self, launcher: Execution | Recording, contacts: Any) -> None:
+    def fill_keys(self, launcher: Execution | Recording, contacts: "ContactList") -> None:
         """Compute the keys of the contacts of a list."""
         launcher.launch(kernels.contact_keys, self._capacity, inputs=[contacts], outputs=[self.keys])
 
@@ -116,7 +120,7 @@ class _Ordered:
             keys, order = self.keys.numpy(), self.order.numpy()
             order[:count] = _sorted_places(keys[:count], execution)
 
-    def fill(self, launcher: Execution | Recording, contacts: Any) -> None:
+    def fill(self, launcher: Execution | Recording, contacts: "ContactList") -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
         launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
         inputs = [self.order, contacts]
@@ -300,7 +304,7 @@ class _FewOrdered:
         self.ordered, self._count = ordered, 0
         self._recording: Recording | None = None
 
-    def order(self, contacts: Any, count: int, execution: Execution) -> None:
+    def order(self, contacts: "ContactList", count: int, execution: Execution) -> None:
         """Order the contacts of a list, of which there are so many; recorded at its first use."""
         self._count, recording = count, self._recording
         if recording is None or recording.num_threads != execution.num_threads:
@@ -308,7 +312,7 @@ class _FewOrdered:
         recording.bind("found", contacts)
         recording.play("ordered")
 
-    def _recorded(self, contacts: Any, execution: Execution) -> Recording:
+    def _recorded(self, contacts: "ContactList", execution: Execution) -> Recording:
         recording, ordered, of_step = Recording(execution, {"found": contacts}), self.ordered, Slot("found")
         with recording.section("ordered"):
             ordered.fill_keys(recording, of_step)

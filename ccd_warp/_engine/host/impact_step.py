@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import warp as wp
@@ -10,16 +10,19 @@ from numpy.typing import NDArray
 
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import Batch, HostPlan
-from ccd_warp._engine.host.step import Step
+from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
 from ccd_warp._runtime.status import PairKind
 
+if TYPE_CHECKING:
+    from ccd_warp.kernels.pair.turns import Turns
+
 _STAGES = "input", "boxes", "pairs", "narrow phase"
 
 
-class ImpactStep(Step):
+class ImpactStep(HostStep):
     """A step whose pairs are solved for their times of impact.
 
     Attributes:
@@ -60,18 +63,18 @@ class ImpactStep(Step):
         """
         if self.options.memory_limit is not None or len(self.motion.slices) > 1:
             return None
-        plan, part = self.plan_of_step(), self.motion.slices[0]
+        plan, time_slice = self.plan_of_step(), self.motion.slices[0]
         if not self.plays_whole(plan):
             return None
         begin, plan.now = self.timer.now(), self.timer.now
-        self.begin_plan(plan, part)
+        self.begin_plan(plan, time_slice)
         plan.set_positions(self.positions)
         self.inflation = self._inflation()
         if self.far_distance is not None:
             return None
         marks = [begin, self.timer.now()]
         self.begin_boxes(self.motion.t_end, None if plan.near_bodies else self._bodies_near())
-        self.bind_options(part)
+        self.bind_options(time_slice)
         plan.set_search(self.motion.t_end, self.inflation, self.separation)
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
@@ -102,9 +105,9 @@ class ImpactStep(Step):
         """Whether that was large enough."""
         return True
 
-    def begin_slice(self, part: Slice) -> HostPlan:
+    def begin_slice(self, time_slice: Slice) -> HostPlan:
         """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""
-        return self.begin(self.motion.t_end, self._inflation, part)
+        return self.begin(self.motion.t_end, self._inflation, time_slice)
 
     def _inflation(self) -> float:
         self.length_scale = length_scale_of(self.mesh, self.options)
@@ -128,18 +131,18 @@ class ImpactStep(Step):
             self.timings.setdefault(stage, 0.0)
         return True
 
-    def bind_options(self, part: Slice) -> None:
+    def bind_options(self, time_slice: Slice) -> None:
         """Let the kernels have the options, how bodies turn in a slice, and what half-spaces are asked for."""
-        turns = self.motion.turns(part)
+        turns = self.motion.turns(time_slice)
         # the arrays of how bodies turn are the same for all slices and steps
         key = self.options, self.length_scale, self.start_distances is not None, turns is not None
         if key != self.plan.of_options:
             self.plan.bind(options=self.workspace.packed_once(key, lambda: self._packed(turns)), turns=turns)
             self.plan.of_options = key
         if self.planes is not None:
-            self.planes.bind(self.options, self.length_scale, part.active, lets_part=self.lets_part)
+            self.planes.bind(self.options, self.length_scale, time_slice.active, lets_part=self.lets_part)
 
-    def _packed(self, turns: Any = None) -> Any:
+    def _packed(self, turns: "Turns | None" = None) -> Any:
         """The options as a struct of the kernels, and how bodies turn."""
         return self.options.for_kernel(
             self.length_scale,

@@ -50,7 +50,7 @@ class LeastToiStep(ImpactStep):
     """The earliest toi of all pairs."""
 
     goal = "bound"
-    bytes_beside = 8  # of a toi
+    result_bytes = 8  # of a toi
     _any_suffices = _lists_pairs = _is_cut_short = False
 
     def earliest(self) -> Earliest:
@@ -79,10 +79,10 @@ class LeastToiStep(ImpactStep):
         batch, best = self.played_whole(), np.inf
         if batch is not None:
             best = self._least_of_whole(batch)
-        for part in self.motion.slices if batch is None else ():
-            if best <= np.min(part.t_begin):
+        for time_slice in self.motion.slices if batch is None else ():
+            if best <= np.min(time_slice.t_begin):
                 break
-            best = self._least_of(part, best)
+            best = self._least_of(time_slice, best)
         self.oddities.is_stuck = self.oddities.touches_at_start = best <= 0.0
         self.finish()
         return 0.0 if start_distances is not None and self._is_lost(best) else best
@@ -98,14 +98,14 @@ class LeastToiStep(ImpactStep):
         """Whether no earlier toi is looked for."""
         return toi <= 0.0 or (self._any_suffices and toi < np.inf)
 
-    def _least_of(self, part: Slice, best: float) -> float:
+    def _least_of(self, time_slice: Slice, best: float) -> float:
         """The least of a toi and those in a slice, or in the whole step."""
-        plan = self.begin_slice(part)
-        if part is self.motion.slices[0]:
+        plan = self.begin_slice(time_slice)
+        if time_slice is self.motion.slices[0]:
             self._begin_list(plan)
         if self.is_idle():
             return best
-        self.bind_options(part)
+        self.bind_options(time_slice)
         num_with_planes = 0
         if self.planes is not None:
             with self.timed("planes"):

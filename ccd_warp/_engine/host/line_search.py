@@ -131,7 +131,7 @@ class LineSearchRounds:
 
         def work(step: ContactStep) -> MeshResult:
             if strict is not None and self.distances is not None:
-                step.of_vertices(np.isfinite(self.distances[:, 0]), beside=strict)
+                step.of_vertices(np.isfinite(self.distances[:, 0]), known=strict)
             else:
                 step.of_vertices(self._changed)
             return step.parting(self.distances).contacts(is_ordered=False)

@@ -77,7 +77,7 @@ class Farthest(NamedTuple):
 
 
 class DistanceInEdges(NamedTuple):
-    """A distance beside the edges of the bodies that collide with themselves.
+    """A distance in comparison with the edges of the bodies that collide with themselves.
 
     Attributes:
         distance: At which a typical pair counts as touching, a length.

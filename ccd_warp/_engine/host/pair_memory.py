@@ -42,7 +42,7 @@ class PairMemory:
             buffers: Where the memory comes from, which plans share.
             kinds: The kinds.
             is_cuda: Whether it is for a search on CUDA.
-            keeps_toi: Whether there is a toi beside each key.
+            keeps_toi: Whether there is a toi for each key.
             has_queue: Whether there is a queue.
         """
         self.kinds = kinds
@@ -73,7 +73,7 @@ class PairMemory:
         return keys
 
     def open_toi(self, kind: PairKind, count: int) -> wp.array:
-        """What stands beside these keys."""
+        """What there is for these keys."""
         toi: wp.array = self._recording.values[f"{kind.name} open_toi"][:count]
         return toi
 
@@ -105,7 +105,7 @@ class PairMemory:
         begin = 0
         for kind, capacity in capacities.items():
             end = begin + capacity
-            parts = [None if array is None else array[begin:end] for array in (keys, toi)]
+            parts: list[Any] = [None if array is None else array[begin:end] for array in (keys, toi)]
             if candidates is not None:
                 parts.append(candidates[CANDIDATES_EACH * begin : CANDIDATES_EACH * end])
             self._give(kind, *parts)
@@ -133,7 +133,9 @@ class PairMemory:
         candidates = get("keys candidates", CANDIDATES_EACH * count, wp.int64) if self._is_cuda else None
         return get("keys", count, wp.int64), toi, candidates
 
-    def _give(self, kind: PairKind, keys: Any, toi: wp.array | None = None, candidates: wp.array | None = None) -> None:
+    def _give(
+        self, kind: PairKind, keys: wp.array, toi: wp.array | None = None, candidates: wp.array | None = None
+    ) -> None:
         for name, array in {"keys": keys, "open_toi": toi, "candidates": candidates}.items():
             if array is not None:
                 self._recording.bind(f"{kind.name} {name}", array)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.near_bodies import NearBodies
 from ccd_warp._engine.boxes.some_queries import has_many_blocks, with_some_queries
-from ccd_warp._engine.boxes.trees import Part, TreePair, search_options
+from ccd_warp._engine.boxes.trees import SearchPart, TreePair, search_options
 from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
@@ -113,7 +113,7 @@ class HostPlan(Plan):
         self.now: Callable[[], Any] = time.perf_counter
         is_straight = self._has_narrow_phase and not motion.on_arcs
         self.near_bodies = NearBodies.of(topology, fewest=2) if is_straight else None
-        # what boxes depend on beside positions and trees: objects by their identities, as the recording keeps them
+        # what boxes depend on besides positions and trees: objects by their identities, as the recording keeps them
         self._of_boxes: tuple[Any, ...] = ()
         self.of_options: tuple[Any, ...] = ()
         self._positions: tuple[wp.array, ...] = ()
@@ -165,7 +165,7 @@ class HostPlan(Plan):
         self.begin_candidates()
 
     def begin_candidates(self, num_with_planes: int = 0) -> None:
-        """Count the candidates of the next search, beside so many pairs of vertices and planes."""
+        """Count the candidates of the next search, besides so many pairs of vertices and planes."""
         self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: num_with_planes}
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
@@ -494,7 +494,7 @@ class HostPlan(Plan):
         stages = self.stages_now()
         for tree_pair in filter(self.may_meet, self.tree_pairs):
             count = tree_pair.query.primitives.count
-            self._search_part(stages, Part(tree_pair, 0, range(0, count, -(-count // _FEW_QUERIES))))
+            self._search_part(stages, SearchPart(tree_pair, 0, range(0, count, -(-count // _FEW_QUERIES))))
             found = {kind: min(count, largest) for kind, count in self._num_found().items()}
             if found[tree_pair.kind] > 0:
                 yield self._batch(found, is_only=False)
@@ -503,9 +503,9 @@ class HostPlan(Plan):
         self, section: str, tree_pairs: list[TreePair], largest: int, expected: Mapping[PairKind, int]
     ) -> Iterator[Batch]:
         """Batches of at most ``largest`` pairs, given how many there may be of each kind."""
-        pending: deque[Part] = deque()
+        pending: deque[SearchPart] = deque()
         for tree_pair in filter(self.may_meet, tree_pairs):
-            whole = Part.whole(tree_pair, is_cuda=self.execution.is_cuda)
+            whole = SearchPart.whole(tree_pair, is_cuda=self.execution.is_cuda)
             pending += whole.split(_pieces(expected[tree_pair.kind], largest))
         total = sum(part.num_queries for part in pending)
         total_needed: Counter[PairKind] = Counter()
@@ -532,7 +532,7 @@ class HostPlan(Plan):
         else:
             self._excess.pop(section, None)
 
-    def _search_part(self, stages: Stages, part: Part) -> None:
+    def _search_part(self, stages: Stages, part: SearchPart) -> None:
         """Search some items of a tree pair alone, now."""
         self.counters.clear()
         stages.find_some_pairs(self.execution, part.tree_pair, part.items, part.level)

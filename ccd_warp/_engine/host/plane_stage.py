@@ -1,4 +1,4 @@
-"""Vertices and half-spaces in a step: beside the narrow phase, or in place of it at one time; and as candidates."""
+"""Vertices and half-spaces in a step: with the narrow phase, or in place of it at one time; and as candidates."""
 
 from collections.abc import Callable
 
@@ -60,7 +60,7 @@ class PlaneStage:
         return num_pairs
 
     def _in_narrow_phase(self, stages: Stages, recording: Recording) -> None:
-        """Record that vertices meet planes beside the narrow phase."""
+        """Record that vertices meet planes, with the narrow phase."""
         stages.meet_planes(recording, self._plan.sink, Slot("searched"))
 
     def listed(self, expected: int, begin: Callable[[int], None], record: _Record | None = None) -> int:

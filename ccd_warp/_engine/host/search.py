@@ -4,13 +4,12 @@ import threading
 from collections import Counter, deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, Part, TreePair, range_of_warps, search_range
+from ccd_warp._engine.boxes.trees import LONG_SEARCH, MOST_QUERIES, SearchPart, TreePair, range_of_warps, search_range
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.candidates import Found
 from ccd_warp._engine.host.pair_memory import MOST_PAIRS
@@ -105,8 +104,8 @@ class PairSearch:
             num_workers = self.num_workers if found else 1
             capacity = min(2 * capacity, self.largest_capacity)
 
-    def _parts(self, tree_pair: TreePair, number: int) -> list[Part]:
-        whole = Part.whole(tree_pair, is_cuda=self.execution.is_cuda, number=number)
+    def _parts(self, tree_pair: TreePair, number: int) -> list[SearchPart]:
+        whole = SearchPart.whole(tree_pair, is_cuda=self.execution.is_cuda, number=number)
         count = len(whole.items)
         parts = -(-count // MOST_QUERIES)
         if not self.execution.is_cuda:
@@ -126,7 +125,7 @@ class PairSearch:
             block_dim=block_dim_of(self._kernel, self.execution.device),
         )
 
-    def _launch(self, command: wp.Launch, part: Part, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
+    def _launch(self, command: wp.Launch, part: SearchPart, slot: int, begin: int, capacity: int) -> NDArray[np.int64]:
         """Search a part, and return its counts."""
         if self._counts_view is None:
             self._counts.zero_()
@@ -142,7 +141,7 @@ class PairSearch:
         command.launch()
         return self._counts.numpy()[slot] if self._counts_view is None else self._counts_view[slot]
 
-    def _keep(self, region: _Region, part: Part, begin: int, counts: Any) -> None:
+    def _keep(self, region: _Region, part: SearchPart, begin: int, counts: NDArray[np.int64]) -> None:
         self.num_launches[part.tree_pair.kind] += 1
         count = int(counts[_FOUND])
         self.candidates[part.tree_pair.kind] += count
@@ -152,7 +151,7 @@ class PairSearch:
         keys = self.buffers.get("keys", 0, wp.int64)
         region.found.append(Found(part, keys, begin, count))
 
-    def _batch(self, pending: deque[Part], capacity: int, num_workers: int, is_long: bool) -> list[_Region]:
+    def _batch(self, pending: deque[SearchPart], capacity: int, num_workers: int, is_long: bool) -> list[_Region]:
         """Threads take parts until none is left or their capacity is exhausted; on CUDA this thread alone."""
         bounds = [capacity * k // num_workers for k in range(num_workers + 1)]
         regions = [_Region(k, bounds[k], bounds[k + 1]) for k in range(num_workers)]

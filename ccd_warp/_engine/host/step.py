@@ -26,12 +26,12 @@ _DEFAULT_PAIR_BYTES = 1 << 30
 _LEAST_KEYS = 1 << 12
 
 
-class Step:
+class HostStep:
     """A step on the host.
 
     Attributes:
         goal: What it looks for.
-        bytes_beside: Bytes that a pair takes beside what the search of it does.
+        result_bytes: Bytes that a pair takes for what is found of it, besides what its search takes.
         plan: What is searched, from `begin` on.
         planes: The stage in which vertices meet half-spaces; None in scenes without.
         vertices_t0: Positions at the start, on the device.
@@ -44,7 +44,7 @@ class Step:
     """
 
     goal: Goal
-    bytes_beside = 0
+    result_bytes = 0
     counts_survivors = is_for_impacts = _has_boxes = False
     _active: NDArray[np.bool_] | None = None
     counts = Counts()
@@ -92,14 +92,14 @@ class Step:
         """The norm of separations (``kernels.pair.norm``)."""
         return norm_of(self.mesh, self.options, on_arcs=self.motion.on_arcs)
 
-    def begin(self, t_end: float, inflation: float | Callable[[], float], part: Slice | None = None) -> HostPlan:
+    def begin(self, t_end: float, inflation: float | Callable[[], float], time_slice: Slice | None = None) -> HostPlan:
         """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box.
 
         What returns the inflation of the boxes is called when the positions are known.
         """
         with self.timed("input"):
             plan = self.plan_of_step()
-            self.begin_plan(plan, part)
+            self.begin_plan(plan, time_slice)
             self.vertices_t0 = plan.set_positions(self.positions)[0]
             self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
@@ -111,15 +111,15 @@ class Step:
         """The plan."""
         return HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
 
-    def begin_plan(self, plan: HostPlan, part: Slice | None) -> None:
+    def begin_plan(self, plan: HostPlan, time_slice: Slice | None) -> None:
         """Begin a step, or a slice of it, with a plan."""
         self.plan, self.execution = plan, plan.execution
         self.planes = PlaneStage(plan, self.workspace) if plan.has_planes else None
-        if part is None or part is self.motion.slices[0]:
+        if time_slice is None or time_slice is self.motion.slices[0]:
             plan.begin_counts()
         self._active = None
-        if part is not None:
-            self.positions, self._active = self.motion.placed(part, self.execution), part.active
+        if time_slice is not None:
+            self.positions, self._active = self.motion.placed(time_slice, self.execution), time_slice.active
 
     def begin_boxes(self, t_end: float, near: NDArray[np.bool_] | None) -> bool:
         """Begin the boxes over [0, t_end] of the bodies that are near others; returns whether there are any."""
@@ -150,7 +150,7 @@ class Step:
         Every part needs capacity for all partners of one query.
         """
         if bytes_per_pair is None:
-            bytes_per_pair = self.plan.memory.pair_bytes + self.bytes_beside
+            bytes_per_pair = self.plan.memory.pair_bytes + self.result_bytes
         least = num_parts * max(_LEAST_KEYS, self.plan.most_partners)
         limit = self.options.memory_limit
         if limit is None:

@@ -31,7 +31,11 @@ class Workspace:
     """
 
     def __init__(
-        self, mesh: CollisionMesh, device: Any, topology: Topology | None = None, beside: "Workspace | None" = None
+        self,
+        mesh: CollisionMesh,
+        device: wp.Device,
+        topology: Topology | None = None,
+        warns_with: "Workspace | None" = None,
     ) -> None:
         """The state for a mesh.
 
@@ -39,7 +43,7 @@ class Workspace:
             mesh: The mesh.
             device: The Warp device.
             topology: Another than that of the mesh, for a search of another kind.
-            beside: The state of which this is a part for a search of its own: each warns of what the other has not.
+            warns_with: The state of which this is a part for a search of its own: each warns of what the other has not.
         """
         self.topology = topology or Topology.of(mesh, device)
         self.buffers = Buffers(device)
@@ -54,9 +58,9 @@ class Workspace:
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
         self._said: set[object] = set()
-        self.warn_beside(beside)
+        self.warn_with(warns_with)
 
-    def warn_beside(self, other: "Workspace | None") -> None:
+    def warn_with(self, other: "Workspace | None") -> None:
         """Warn from now on of what another has not warned of, which then does not, either."""
         if other is not None:
             self._said = other._said
@@ -80,7 +84,7 @@ class Workspace:
         """
         if goal not in self._at_one_time:
             topology = self.topology if topology_of is None else topology_of(self.topology)
-            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology, beside=self)
+            self._at_one_time[goal] = Workspace(self.topology.mesh, self.topology.device, topology, warns_with=self)
         return self._at_one_time[goal]
 
     @lazy_property

@@ -3,6 +3,8 @@
 from dataclasses import dataclass, field
 from typing import Any
 
+from ccd_warp._scene.mesh import CollisionMesh
+
 
 @dataclass(frozen=True)
 class MeshCache:
@@ -24,10 +26,12 @@ class MeshCache:
     parts: dict[str, Any] = field(default_factory=dict)
 
     @staticmethod
-    def of(mesh: Any) -> "MeshCache":
+    def of(mesh: CollisionMesh) -> "MeshCache":
         """The cache of a mesh, which lives as long as the mesh and is part of no copy or pickle of it.
 
         It is stored in the mesh's own dictionary, not in a weak one: a topology refers to its mesh, which would then
         never be freed.
         """
-        return vars(mesh).setdefault("_cache", MeshCache())
+        of_mesh: dict[str, Any] = mesh.__dict__
+        cache: MeshCache = of_mesh.setdefault("_cache", MeshCache())
+        return cache

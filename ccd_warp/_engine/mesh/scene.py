@@ -72,7 +72,7 @@ def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:
     return mesh.length_scale if options.length_scale is None else options.length_scale
 
 
-def reach_of(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
+def packed_reach(radius: wp.array, distance: float, stop: wp.array, kept: float = 0.0) -> Any:
     """What is near at one time, as the struct of the kernels, for radii of the vertices."""
     from ccd_warp.kernels.at_one_time.proximity import Reach  # not before a scene needs it
 

@@ -83,7 +83,7 @@ def _are_same(positions: NDArray[np.float64] | None, start: NDArray[np.float64])
     return positions is start or (positions is not None and np.array_equal(positions, start))
 
 
-def reach_of(mesh: CollisionMesh, options: Options) -> float:
+def touching_distance(mesh: CollisionMesh, options: Options) -> float:
     """A Euclidean distance beyond which pairs do not count as touching, besides their radii: with the tolerance."""
     length_scale = length_scale_of(mesh, options)
     return 2.0 * (options.separation(length_scale) + options.tolerance * length_scale)

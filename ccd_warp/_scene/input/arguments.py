@@ -24,7 +24,7 @@ _repr.maxstring = _repr.maxother = _repr.maxlong = _MOST_CHARACTERS
 _repr.maxlist = _repr.maxtuple = _repr.maxset = _repr.maxfrozenset = _repr.maxdict = 6
 
 
-def shown(value: Any) -> str:
+def shown(value: object) -> str:
     """A value as shown in a message: on one line, and short however large it is."""
     if isinstance(value, int) and value.bit_length() > _MOST_BITS:
         return f"an integer of {value.bit_length()} bits"
@@ -41,7 +41,7 @@ def on_one_line(text: str) -> str:
     return text if len(text) <= _MOST_CHARACTERS else f"{text[: _MOST_CHARACTERS - 3]}..."
 
 
-def check_real(name: str, value: Any, expected: str, is_valid: Callable[[float], bool]) -> float:
+def check_real(name: str, value: object, expected: str, is_valid: Callable[[float], bool]) -> float:
     """A finite number as float64, with -0.0 as 0.0.
 
     Raises:
@@ -63,21 +63,22 @@ def check_real(name: str, value: Any, expected: str, is_valid: Callable[[float],
     return number + 0.0
 
 
-def check_count(name: str, value: Any, largest: int, least: int = 1) -> int:
+def check_count(name: str, value: object, largest: int, least: int = 1) -> int:
     """An integer that counts something.
 
     Raises:
         ValueError: If it is not an integer, too small or too large.
     """
-    is_count = isinstance(value, numbers.Integral) and not isinstance(value, (bool, np.bool_))
-    if not is_count or not least <= value <= largest:
-        limit = f" up to {largest}" if is_count and value > largest else ""
+    is_bool = isinstance(value, (bool, np.bool_))
+    count = int(value) if isinstance(value, numbers.Integral) and not is_bool else None
+    if count is None or not least <= count <= largest:
+        limit = f" up to {largest}" if count is not None and count > largest else ""
         kind = "a positive integer" if least == 1 else f"an integer of at least {least}"
         raise ValueError(f"{name} is {shown(value)}; expected {kind}{limit}")
-    return int(value)
+    return count
 
 
-def check_choice(name: str, value: Any, choices: Collection[_Choice]) -> _Choice:
+def check_choice(name: str, value: object, choices: Collection[_Choice]) -> _Choice:
     """A string out of a few choices.
 
     Raises:
@@ -90,7 +91,7 @@ def check_choice(name: str, value: Any, choices: Collection[_Choice]) -> _Choice
     return next(choice for choice in choices if choice == value)
 
 
-def check_flag(name: str, value: Any) -> bool:
+def check_flag(name: str, value: object) -> bool:
     """True or False.
 
     Raises:
@@ -101,7 +102,7 @@ def check_flag(name: str, value: Any) -> bool:
     return bool(value)
 
 
-def check_instance(name: str, value: Any, kind: type) -> None:
+def check_instance(name: str, value: object, kind: type) -> None:
     """An object of a class of this library.
 
     Raises:
@@ -111,7 +112,7 @@ def check_instance(name: str, value: Any, kind: type) -> None:
         raise ValueError(f"{name} is {shown(value)}; expected a {kind.__name__}")
 
 
-def check_items(name: str, value: Any, expected: str) -> list[Any]:
+def check_items(name: str, value: object, expected: str) -> list[Any]:
     """The items of an iterable, read once; strings and bytes are not accepted.
 
     Raises:
@@ -126,7 +127,7 @@ def check_items(name: str, value: Any, expected: str) -> list[Any]:
         raise ValueError(f"{name} is {shown(value)}; expected {expected}") from error
 
 
-def check_path(name: str, value: Any) -> Path:
+def check_path(name: str, value: object) -> Path:
     """A path of the file system.
 
     Raises:
@@ -138,7 +139,7 @@ def check_path(name: str, value: Any) -> Path:
     return Path(text)
 
 
-def check_unmasked(name: str, values: Any, depth: int = 0) -> None:
+def check_unmasked(name: str, values: object, depth: int = 0) -> None:
     """Check that no mask hides a value, in lists nested up to ``depth``: NumPy would read the hidden values.
 
     Raises:

@@ -1,17 +1,20 @@
 """Conversion to NumPy arrays on the host, without a copy where possible, and of arrays never with rounding.
 
-Lists are first what NumPy makes of them, which rounds an integer from 2^53 on that stands beside floats.
+Lists are first what NumPy makes of them, which rounds an integer from 2^53 on in a list with floats.
 """
 
 import math
 import sys
 from collections.abc import Callable, Collection
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._scene.input.arguments import check_unmasked, on_one_line, shown
+
+if TYPE_CHECKING:
+    import warp as wp
 
 _FEW = 1 << 13
 _EXACT_BELOW = 2**53  # float64 represents all integers below it, and rounds none that is not below to one that is
@@ -19,7 +22,13 @@ _EXACT_BELOW = 2**53  # float64 represents all integers below it, and rounds non
 _HOST_MEMORY = (1, 3, 13)
 
 
-def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
+class SupportsDLPack(Protocol):
+    """An array of a library that shares its memory by DLPack."""
+
+    def __dlpack__(self, *, stream: Any = ...) -> Any: ...
+
+
+def as_array(values: object, name: str, expected: str) -> NDArray[Any]:
     """A NumPy array of at least one dimension.
 
     Raises:
@@ -31,7 +40,7 @@ def as_array(values: Any, name: str, expected: str) -> NDArray[Any]:
     return array
 
 
-def as_any_array(values: Any, name: str, expected: str) -> NDArray[Any]:
+def as_any_array(values: object, name: str, expected: str) -> NDArray[Any]:
     """A NumPy array of any dimension, including 0, of values that are on the host.
 
     Raises:
@@ -202,30 +211,30 @@ def validated_indices(values: ArrayLike, columns: int, num_vertices: int, name: 
     return array.astype(np.int64)
 
 
-def is_device_array(value: Any) -> bool:
+def is_device_array(value: object) -> bool:
     """Whether a value is an array of Warp, or of a library other than NumPy that supports DLPack."""
     if type(value) is np.ndarray:
         return False  # as found below, but at once
     return is_of_warp(value) or (has_dlpack(value) and not isinstance(value, np.ndarray))
 
 
-def is_of_warp(value: Any) -> bool:
+def is_of_warp(value: object) -> "TypeGuard[wp.array]":
     """Whether a value is an array of Warp, which readers of data sets do not import."""
     array = getattr(sys.modules.get("warp"), "array", None)
     return array is not None and isinstance(value, array)
 
 
-def has_dlpack(value: Any) -> bool:
+def has_dlpack(value: object) -> TypeGuard[SupportsDLPack]:
     """Whether a value is an array that can be shared, and not a class of such arrays."""
     return hasattr(value, "__dlpack__") and not isinstance(value, type)
 
 
-def is_of_jax(value: Any) -> bool:
+def is_of_jax(value: object) -> bool:
     """Whether a value is an array of JAX."""
     return type(value).__module__.partition(".")[0] in ("jax", "jaxlib")
 
 
-def is_on_gpu(value: Any, name: str) -> bool:
+def is_on_gpu(value: object, name: str) -> bool:
     """Whether a value is an array in the memory of a GPU, which the host cannot read."""
     return is_device_array(value) and place_of(value, name)[0] not in _HOST_MEMORY
 

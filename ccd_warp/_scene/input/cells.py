@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import shown
@@ -42,6 +42,9 @@ _BY_CORNERS |= {10: "tetra10", 13: "pyramid13", 15: "wedge15", 20: "hexahedron20
 _EXPECTED = f"cells by type, {', '.join(_SIDES)}, {' or '.join(_SHELLS)}, or quadratic {', '.join(_QUADRATIC)}"
 # A node is on its edge if it is within so many lengths of this, more than single precision rounds.
 _STRAIGHT = 1e-6
+
+# Indices into vertices, by the type of the cells or in an array for each; the last are the blocks of meshio.
+Cells = ArrayLike | Mapping[str, ArrayLike] | Sequence[Any]
 
 
 class _Sides(NamedTuple):
@@ -95,14 +98,14 @@ def with_surfaces(bodies: list[Any], names: Sequence[str]) -> tuple[list[Any], N
     return bodies, is_of_cells
 
 
-def _is_cell(row: Any) -> bool:
+def _is_cell(row: object) -> bool:
     """Whether it is the corners of one cell, and not an array of cells."""
     if isinstance(row, (list, tuple)):
         return len(row) > 0 and isinstance(row[0], numbers.Number)
     return getattr(row, "ndim", None) == 1
 
 
-def _is_typed(block: Any) -> bool:
+def _is_typed(block: object) -> bool:
     """Whether cells come with their type, as a pair or as a block of meshio."""
     if isinstance(block, tuple):
         return len(block) == 2 and isinstance(block[0], str)

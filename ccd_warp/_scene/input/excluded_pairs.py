@@ -71,7 +71,7 @@ def joined_pairs(*parts: Mapping[str, NDArray[np.int32]]) -> ExcludedPairs:
     return ExcludedPairs({key: np.concatenate([part[key] for part in parts if key in part]) for key in keys})
 
 
-def validated_excluded_pairs(values: Any, mesh: Any) -> ExcludedPairs:
+def validated_excluded_pairs(values: object, mesh: Any) -> ExcludedPairs:
     """Pairs of bodies, vertices or primitives of a mesh, by what is paired.
 
     Raises:
@@ -119,7 +119,7 @@ def _columns(key: str, mesh: Any) -> tuple[tuple[str, int, NDArray[np.int32] | N
 
 
 def with_indices(
-    pairs: Any, name: str, names: Sequence[str], expected: str = "pairs of body indices or names of bodies"
+    pairs: object, name: str, names: Sequence[str], expected: str = "pairs of body indices or names of bodies"
 ) -> Any:
     """Pairs of bodies in which an index stands for each name."""
     if hasattr(pairs, "dtype") and getattr(pairs.dtype, "kind", None) != "U":
@@ -136,7 +136,7 @@ def with_indices(
 
 
 def validated_rows(
-    values: Any, name: str, *columns: tuple[str, int, NDArray[np.int32] | None]
+    values: object, name: str, *columns: tuple[str, int, NDArray[np.int32] | None]
 ) -> NDArray[np.integer[Any]]:
     """Pairs of indices, shape [k, 2], or a ValueError; ``columns`` says what each column holds."""
     array = as_array(values, name, "integers and shape (k, 2)")

@@ -2,7 +2,6 @@
 
 import numbers
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,7 +46,7 @@ def points_of(half_space: HalfSpace, label: str, dimension: int, *, is_kinematic
     return _vector(half_space.point, f"point of {label}", dimension)[None][: int(is_kinematic)]
 
 
-def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
+def half_spaces_by_body(values: object) -> dict[int, HalfSpace]:
     """Half-spaces by the number of the body that each of them is, ascending.
 
     Raises:
@@ -66,7 +65,7 @@ def half_spaces_by_body(values: Any) -> dict[int, HalfSpace]:
     return dict(sorted(by_body.items()))
 
 
-def _vector(values: Any, name: str, dimension: int) -> NDArray[np.float64]:
+def _vector(values: object, name: str, dimension: int) -> NDArray[np.float64]:
     """As many finite float64 numbers as there are coordinates, or a ValueError."""
     array = as_array(values, name, f"{dimension} numbers")
     if array.shape != (dimension,):

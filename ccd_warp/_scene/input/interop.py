@@ -1,7 +1,7 @@
 """Arrays of other libraries as Warp arrays, in the same memory."""
 
 from collections.abc import Collection
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._scene.input.arguments import check_unmasked, shown
-from ccd_warp._scene.input.arrays import has_dlpack, is_of_jax, place_of, reason_of
+from ccd_warp._scene.input.arrays import SupportsDLPack, has_dlpack, is_of_jax, place_of, reason_of
 
 # Device types of CUDA in DLPack: memory of a GPU, host memory that CUDA has pinned, and memory that it manages.
 _CUDA, _PINNED, _MANAGED = 2, 3, 13
@@ -21,17 +21,11 @@ _VECTORS = {
 }
 
 
-class SupportsDLPack(Protocol):
-    """An array of a library that shares its memory by DLPack."""
-
-    def __dlpack__(self, *, stream: Any = ...) -> Any: ...
-
-
 # An array that a launch reads where it is.
 DeviceArray = wp.array | NDArray[np.floating[Any]] | SupportsDLPack
 
 
-def as_warp(value: Any, name: str) -> wp.array:
+def as_warp(value: object, name: str) -> wp.array:
     """A Warp array that shares the memory of an array of Warp, NumPy, or any library that supports DLPack.
 
     Raises:
@@ -74,7 +68,7 @@ def _without_odd_strides(array: Any) -> wp.array:
     return dense
 
 
-def _exported(value: Any, kind: int, index: int) -> Any:
+def _exported(value: SupportsDLPack, kind: int, index: int) -> Any:
     """What ``wp.from_dlpack`` can take for an array: itself, or a capsule where Warp would name a wrong stream.
 
     Warp names its current stream, and the library that owns the array lets that stream wait for its own: it records an
@@ -99,7 +93,7 @@ def vector_of(array: np.ndarray) -> Any:
     return _VECTORS[array.shape[1]][wp.dtype_from_numpy(array.dtype)]
 
 
-def check_writable(value: Any, name: str) -> None:
+def check_writable(value: object, name: str) -> None:
     """Check that an array may be written to.
 
     Raises:
@@ -142,7 +136,7 @@ def without_worlds(value: Any, name: str, by_world: Collection[tuple[int, int]],
     return array.reshape(rows if is_vector else (rows, dimension))
 
 
-def as_positions(value: Any, name: str, device: wp.Device, expected: dict[int, str], dimension: int) -> wp.array:
+def as_positions(value: object, name: str, device: wp.Device, expected: dict[int, str], dimension: int) -> wp.array:
     """Positions as vec3f or vec3d of shape [n], or vec2f or vec2d, sharing the memory of the given array.
 
     Args:

@@ -75,7 +75,7 @@ def validated_flags(values: bool | Sequence[bool], num_bodies: int, name: str) -
     return np.array(np.broadcast_to(array, (num_bodies,)))
 
 
-def validated_body_pairs(values: Any, names: Sequence[str]) -> NDArray[np.bool_] | None:
+def validated_body_pairs(values: object, names: Sequence[str]) -> NDArray[np.bool_] | None:
     """Which bodies may collide, symmetric, bool, shape [B, B], of flags or of the pairs that may; or a ValueError."""
     if values is None:
         return None

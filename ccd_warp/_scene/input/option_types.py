@@ -45,12 +45,12 @@ class _Memory(TypedDict, total=False):
     memory_limit: int | None
 
 
-class _Place(TypedDict, total=False):
+class _Resources(TypedDict, total=False):
     device: wp.DeviceLike
     num_threads: int | None
 
 
-class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Place, total=False):
+class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Resources, total=False):
     """Options of :func:`mesh_ccd`, :func:`collision_free_step` and :class:`CollisionPipeline`: all options.
 
     This is the table of all options; :class:`PairOptions`, :class:`LineSearchOptions` and :class:`CandidateOptions`
@@ -104,7 +104,7 @@ class MeshOptions(_Solver, _Distance, _End, _Search, _Work, _Memory, _Place, tot
     """
 
 
-class PairOptions(_Solver, _Distance, _End, _Place, total=False):
+class PairOptions(_Solver, _Distance, _End, _Resources, total=False):
     """Options of the pair functions: those of :class:`MeshOptions` that do not concern a mesh.
 
     They are ``tolerance``, ``minimum_separation``, ``minimum_distance``, ``start_gap_fraction``, ``t_max``,
@@ -112,18 +112,18 @@ class PairOptions(_Solver, _Distance, _End, _Place, total=False):
     """
 
 
-class LineSearchOptions(_Solver, _Distance, _Search, _Work, _Memory, _Place, total=False):
+class LineSearchOptions(_Solver, _Distance, _Search, _Work, _Memory, _Resources, total=False):
     """Options of :func:`line_search`: those of :class:`MeshOptions` except ``t_max``, as it covers whole steps."""
 
 
-class CandidateOptions(_Search, _Place, total=False):
+class CandidateOptions(_Search, _Resources, total=False):
     """Options of :func:`find_candidates`: some of :class:`MeshOptions`.
 
     They are ``broad_phase``, ``pair_kinds``, ``device`` and ``num_threads``.
     """
 
 
-class IntersectionOptions(_Memory, _Place, total=False):
+class IntersectionOptions(_Memory, _Resources, total=False):
     """Options of :func:`find_intersections`: ``memory_limit``, ``device`` and ``num_threads`` of :class:`MeshOptions`.
 
     The pairs that are found come on top of ``memory_limit``, which bounds the boxes and the pairs that are tested at a
@@ -131,7 +131,7 @@ class IntersectionOptions(_Memory, _Place, total=False):
     """
 
 
-class ProximityOptions(_Search, _Memory, _Place, total=False):
+class ProximityOptions(_Search, _Memory, _Resources, total=False):
     """Options of :func:`find_proximity`: some of :class:`MeshOptions`.
 
     They are ``broad_phase``, ``pair_kinds``, ``memory_limit``, ``device`` and ``num_threads``. The pairs that are found
@@ -139,5 +139,5 @@ class ProximityOptions(_Search, _Memory, _Place, total=False):
     """
 
 
-class DisplacementOptions(_Distance, _Search, _Memory, _Place, total=False):
+class DisplacementOptions(_Distance, _Search, _Memory, _Resources, total=False):
     """Options of :func:`displacement_bounds`: those of :class:`ProximityOptions`, and ``minimum_distance``."""

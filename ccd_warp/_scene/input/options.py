@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, cast, get_args
+from typing import TYPE_CHECKING, Any, Literal, cast, get_args
 
 import numpy as np
 import warp as wp
@@ -19,6 +19,9 @@ from ccd_warp._scene.input.arguments import check_choice, check_count, check_ite
 from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp.kernels.pair import norm, query
 from ccd_warp.kernels.template import specialised
+
+if TYPE_CHECKING:
+    from ccd_warp.kernels.pair.turns import Turns
 
 MOST_THREADS = 1024  # far beyond any use: a step gets no more threads than there are cores
 
@@ -165,7 +168,7 @@ class Options:
         stop: wp.array | None = None,
         radius: wp.array | None = None,
         start_distances: wp.array | None = None,
-        turns: Any = None,
+        turns: "Turns | None" = None,
     ) -> Any:
         """The options as the struct that the kernels take.
 
@@ -322,7 +325,7 @@ def resolve_device(device: wp.DeviceLike, of_arrays: wp.Device | None = None) ->
     return resolved
 
 
-def _validated_kinds(values: Any) -> tuple[PairKind, ...]:
+def _validated_kinds(values: object) -> tuple[PairKind, ...]:
     """Kinds given as themselves, by name or by number, each once and in their order, or a ValueError."""
     names = {kind.name.lower(): kind for kind in PairKind}
     expected = f"a list of {', '.join(map(repr, names))}"

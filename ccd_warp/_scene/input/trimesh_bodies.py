@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 from ccd_warp._scene.half_space import HalfSpace
 from ccd_warp._scene.input.arguments import shown
 from ccd_warp._scene.input.names import distinct_names
+
+if TYPE_CHECKING:
+    from trimesh.parent import Geometry
+
+# trimesh itself is loaded by who has such an object.
+TrimeshObject: TypeAlias = "Geometry | HalfSpace"
 
 _OBJECTS = "a trimesh.Trimesh, Path3D, PointCloud or Scene, or a HalfSpace"
 
@@ -30,7 +36,7 @@ class TrimeshBody:
     is_cloud: bool
 
 
-def trimesh_bodies(objects: Any) -> list[TrimeshBody]:
+def trimesh_bodies(objects: object) -> list[TrimeshBody]:
     """The bodies of one object, or of a list of objects.
 
     Raises:
@@ -51,7 +57,7 @@ def trimesh_bodies(objects: Any) -> list[TrimeshBody]:
     return bodies
 
 
-def check_single_body(name: str, body: Any) -> None:
+def check_single_body(name: str, body: object) -> None:
     """Check that an argument is an object of trimesh that is one body.
 
     Raises:
@@ -65,7 +71,7 @@ def check_single_body(name: str, body: Any) -> None:
         raise ValueError(f"{name} is {num_bodies} bodies; expected an object of trimesh that is one")
 
 
-def objects_of(objects: Any, name: str = "others") -> list[Any]:
+def objects_of(objects: object, name: str = "others") -> list[Any]:
     """One object, or the objects of a list, of an argument.
 
     Raises:
@@ -93,11 +99,11 @@ def transformed(vertices: ArrayLike, matrix: ArrayLike) -> NDArray[np.float64]:
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def _is_scene(value: Any) -> bool:
+def _is_scene(value: object) -> bool:
     return not isinstance(value, type) and hasattr(value, "graph") and hasattr(value, "geometry")
 
 
-def _is_shape(value: Any) -> bool:
+def _is_shape(value: object) -> bool:
     return not isinstance(value, type) and hasattr(value, "vertices")
 
 

@@ -1,5 +1,6 @@
 """Boxes and orders as CUDA makes them, run on the CPU and the emulated device: equal to those of the CPU's kernels."""
 
+import time
 from contextlib import nullcontext
 
 import numpy as np
@@ -8,8 +9,9 @@ import warp as wp
 from ccd_warp.kernels.boxes.box_tree import fill_vertex_aabbs
 from emulated import MARKS
 from emulated.device import emulation
-from scenes import single, soup
+from scenes import sheet, single, soup
 
+from ccd_warp import CollisionPipeline
 from ccd_warp._engine.boxes.rest_order import order_at, rest_order
 from ccd_warp._engine.boxes.trees import Tree
 from ccd_warp._engine.mesh.topology import Topology, choose_quantization
@@ -61,6 +63,29 @@ def test_half_warps_fill_the_same_boxes(count, num_aabbs):
         nodes.append(np.concatenate([tree.arrays.nodes.numpy() for tree in trees]))
     assert not np.isnan(nodes[0]).any()
     np.testing.assert_array_equal(*nodes)
+
+
+def test_boxes_of_every_level_are_those_of_the_cpu_launch_after_launch(device):
+    """With a GPU a million faces, whose last block of a level may end in any block of threads, for half a minute."""
+    num_sides, seconds = (708, 30.0) if "cuda" in device else (30, 0.0)
+    mesh, rng = single(*sheet(num_sides)), np.random.default_rng(0)
+    waves = mesh.vertices + 0.1 * np.sin(37.0 * mesh.vertices[:, :1]) * [0, 0, 1]
+    ends, steps = [mesh.vertices, mesh.vertices + [0.3, 0, 0], waves], [(0, 1), (1, 2), (2, 0)]
+    found: list[dict] = []
+    for at in ("cpu", device):
+        pipeline, of_steps, until = CollisionPipeline(mesh, device=at), {}, time.monotonic() + seconds * (at != "cpu")
+        arrays = [wp.array(x, dtype=wp.vec3d, device=at) for x in ends]
+        while len(of_steps) < 3 or time.monotonic() < until:
+            for k in (*rng.integers(0, 3, 5), len(of_steps) % 3):  # what stands there before is of another step
+                trees = pipeline.launch(*(arrays[end] for end in steps[k]))._step.trees
+            boxes = [x.numpy().view(np.int32) for tree in trees for x in (tree.arrays.nodes, tree.arrays.primitive)]
+            kept = of_steps.setdefault(k, [x.copy() for x in boxes])
+            for one, other in zip(boxes, kept, strict=True):
+                np.testing.assert_array_equal(one, other)
+        found.append(of_steps)
+    for k, boxes in found[0].items():
+        for one, other in zip(boxes, found[1][k], strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("num_faces", [1234, 5])
