@@ -557,7 +557,7 @@ def main() -> None:
     new = {page: with_tables(text, options.results) for page, text in texts.items()}
     other = [page for page in pages if new[page] != texts[page]]
     if options.check:
-        sys.exit("\n".join(f"{page} has other tables than its figures" for page in other))
+        sys.exit("\n".join(f"{page} has other tables than its figures" for page in other) or None)
     draw_all(options.results, options.docs / "docs" / "figures")
     for page in other:
         page.write_text(new[page], encoding="utf-8")
