@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from methods import CUBIC, DEFAULT_TOLERANCE, ENDS, PEERS, REFERENCE, SHOWN
+from methods import CUBIC, ENDS, PEERS, REFERENCE, SHOWN
 from texts import set_name, time_text
 
 # Errors of zero are drawn at the left edge.
@@ -44,32 +44,30 @@ def draw_all(folder: Path, to: Path) -> list[Path]:
         if not len(rows):
             continue
         figure = draw(rows, folder)
-        about = raw.described(folder, part) if name.startswith("bench") else ""
-        figure.text(0.995, 0.002, about, ha="right", va="bottom", fontsize=6, color="0.35")
+        figure.text(0.995, 0.002, raw.described(folder, part), ha="right", va="bottom", fontsize=6, color="0.35")
         written.append(to / f"{name}.png")
         figure.savefig(written[-1], dpi=110, metadata={"Software": None})
         plt.close(figure)
     return written
 
 
-def _panels(count: int, columns: int, width: float = 4.0, height: float = 3.3) -> tuple[Figure, list[Axes]]:
-    columns = min(columns, count)
-    rows = -(-count // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(width * columns, height * rows + 0.9), layout="constrained", squeeze=False
-    )
+def _panels(count: int) -> tuple[Figure, list[Axes]]:
+    """Two in a row."""
+    rows = -(-count // 2)
+    size = 9.2, 3.1 * rows + 0.9
+    figure, axes = plt.subplots(rows, min(count, 2), figsize=size, layout="constrained", squeeze=False)
     figure.get_layout_engine().set(rect=(0, 0.015, 1, 0.98))
     for unused in axes.flat[count:]:
         unused.set_axis_off()
     return figure, list(axes.flat[:count])
 
 
-def _legend_below(figure: Figure, axes: list[Axes], columns: int = 5) -> None:
+def _legend_below(figure: Figure, axes: list[Axes]) -> None:
     handles: dict[str, Any] = {}
     for ax in axes:
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    options = {"ncols": columns, "frameon": False, "fontsize": 8}
+    options = {"ncols": 5, "frameon": False, "fontsize": 8}
     figure.legend(handles.values(), handles.keys(), loc="outside upper center", **options)
 
 
@@ -77,7 +75,7 @@ def _speed_error(sweep: pd.DataFrame, _: Path) -> Figure:
     """Time of a query against the 99th percentile of the error, for a few sets: the picture of the README."""
     names = set_name(sweep)
     chosen = [name for name in _FEW_SETS if name in set(names)] or list(names.unique()[:4])
-    figure, axes = _panels(len(chosen), 2, 4.6, 3.1)
+    figure, axes = _panels(len(chosen))
     sweep = sweep.assign(error=sweep["error.p99"])
     for ax, name in zip(axes, chosen, strict=True):
         _plot_frontier(ax, sweep[names == name])
@@ -92,7 +90,7 @@ def _steps(rows: pd.DataFrame, _: Path) -> Figure:
     rows = rows[(rows.threads == 1) & rows.step.notna() & ~rows.setting.fillna("").str.startswith("mesh_ccd")]
     rows = rows.assign(error=rows.short.abs(), limited=0.0, queries=1)
     names = list(rows[rows.method == ENDS].scene.unique())  # those that have every method
-    figure, axes = _panels(len(names), 2, 4.6, 3.1)
+    figure, axes = _panels(len(names))
     for ax, name in zip(axes, names, strict=True):
         _plot_frontier(ax, rows[rows.scene == name].sort_values("error"))
         ax.set(xlabel="part of the exact toi by which a step is short", ylabel="time of a step")
@@ -120,38 +118,8 @@ def _plot_frontier(ax: Axes, rows: pd.DataFrame) -> None:
     ax.grid(alpha=0.3)
 
 
-def _scaling(batches: pd.DataFrame, folder: Path) -> Figure:
-    """Throughput against the batch, and seconds of a call with the first call's."""
-    figure, (rate, call) = _panels(2, 2, 5.4, 3.9)
-    for method, rows in batches[batches.method.isin(SHOWN)].groupby("method", sort=False):
-        drawn = {"markersize": 4.5, **_STYLES[method]}
-        rate.loglog(rows["count"], rows["count"] / rows.seconds, label=method, **drawn)
-        call.loglog(rows["count"], rows.seconds, **drawn)
-    sweep = raw.read(folder, "sweep")
-    if len(sweep):
-        at = (sweep["set"] == "random_colliding") & (sweep.kind == "vertex-face")
-        for row in sweep[at & (sweep.tolerance == DEFAULT_TOLERANCE) & sweep.method.isin(PEERS)].itertuples():
-            line = {k: v for k, v in _STYLES[row.method].items() if k != "marker"}
-            rate.axhline(1 / (row.seconds + row.call_overhead), label=f"{row.method}, one by one", **line)
-    start = raw.read(folder, "start")
-    if len(start):
-        first = start[start.call == start.call.iloc[0]]
-        for row, line in zip(first.itertuples(), ("-", "--", "-.", ":") * 4, strict=False):
-            for color, seconds, how in (("0.3", row.compile, "compiling"), ("0.7", row.load, "cached")):
-                label = f"first call, {how}: {row.precision}, {row.device}"
-                call.axhline(seconds, color=color, linestyle=line, linewidth=1, label=label)
-    rate.set(xlabel="queries of a call", ylabel="queries a second", title="random colliding, vertex-face")
-    call.set(xlabel="queries of a call", ylabel="seconds of the call", title="launch and compile overhead")
-    for ax in (rate, call):
-        ax.grid(alpha=0.3)
-        if ax.get_legend_handles_labels()[0]:
-            ax.legend(frameon=False, fontsize=7)
-    return figure
-
-
 # How each picture is drawn, and of which part.
 _PICTURES: dict[str, tuple[Callable[[pd.DataFrame, Path], Figure], str]] = {
     "bench_speed_error": (_speed_error, "sweep"),
-    "bench_scaling": (_scaling, "batches"),
     "bench_steps": (_steps, "steps"),
 }

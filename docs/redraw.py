@@ -74,7 +74,7 @@ MAKERS = [
     Maker(
         "benchmark",
         "benchmarks/report.py --docs {root}",
-        (*(f"bench_{name}" for name in ("speed_error", "scaling", "steps")),),
+        (*(f"bench_{name}" for name in ("speed_error", "steps")),),
         ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))),
     ),
 ]
