@@ -8,7 +8,11 @@ from dataclasses import dataclass
 import checkout  # noqa: F401
 import numpy as np
 from exact_toi import ExactToi
-from oracle import exact_tois
+from oracle import certainly_apart, exact_tois
+
+import ccd_warp as ccd
+
+_CHUNK = 200_000  # pairs at a time
 
 
 @dataclass(frozen=True)
@@ -92,3 +96,61 @@ def judged(exact: ExactTimes, toi: np.ndarray) -> dict:
         **exact.faults(toi),
         "error": error_statistics(exact.early_by(toi)),
     }
+
+
+def corners_of(mesh: ccd.CollisionMesh, kind: str, pairs: np.ndarray) -> np.ndarray:
+    """Vertices of pairs of primitives, [n, 4]."""
+    first, second = pairs.reshape(-1, 2).T
+    if kind == "edge-edge":
+        return np.hstack([mesh.edges[first], mesh.edges[second]])
+    return np.hstack([first[:, None], mesh.faces[second]])
+
+
+def apart_along(kind: str, start: np.ndarray, end: np.ndarray, directions: np.ndarray, reach: float) -> np.ndarray:
+    """Whether a direction of each pair, [n, 3], has its primitives, [n, 4, 3], more than a reach apart throughout, [n].
+
+    Each primitive's extreme vertices along it at both ends bound all others at all times.
+    """
+    split, apart = 2 if kind == "edge-edge" else 1, np.ones((2, len(start)), dtype=bool)
+    for points in (start, end):
+        along = np.einsum("nik,nk->in", points, directions)
+        first, second = along[:split], along[split:]
+        gaps = first.min(axis=0) - second.max(axis=0), second.min(axis=0) - first.max(axis=0)
+        apart &= np.array(gaps) > reach * np.abs(directions).sum(axis=1)
+    return apart.any(axis=0)
+
+
+def first_contact(
+    mesh: ccd.CollisionMesh, start: np.ndarray, end: np.ndarray, of_kinds: tuple, likely: ccd.Contact | None
+) -> ExactTimes:
+    """The exact toi of the first of candidates, [n, 2] vertex-face and [m, 2] edge-edge.
+
+    The exact toi of a pair that is likely to be first bounds the answer from above, whichever it is. All pairs are
+    asked for the time up to it: most are free by a direction, with rigorous bounds of its rounding and of that of
+    positions at that time, and the others are solved in exact arithmetic.
+    """
+    kinds = ("vertex-face", "edge-edge")
+    best, bound = ExactToi(None), 1.0
+    if likely is not None:
+        kind = kinds[int(likely.kind)]
+        corners = corners_of(mesh, kind, np.array([likely.primitives]))
+        (best,) = exact_tois(kind, start[corners], end[corners])
+    for kind, pairs in zip(kinds, of_kinds, strict=True):
+        for begin in range(0, len(pairs), _CHUNK):
+            if best.hit:
+                bound = min(1.0, math.nextafter(best.approx, math.inf))
+            corners = corners_of(mesh, kind, pairs[begin : begin + _CHUNK])
+            x, y = start[corners], end[corners]
+            until = y if bound == 1.0 else x + bound * (y - x)
+            # positions at the bound take three roundings, products along a direction as many: of numbers below 4 each
+            reach = 2.0**-48 * float(max(np.abs(x).max(), np.abs(y).max()))
+            near = np.arange(len(x))
+            split = 2 if kind == "edge-edge" else 1
+            between = (x + until)[:, :split].mean(axis=1) - (x + until)[:, split:].mean(axis=1)
+            for directions in (*np.broadcast_to(np.eye(3)[:, None], (3, *between.shape)), between):
+                near = near[~apart_along(kind, x[near], until[near], directions[near], 2 * reach)]
+            near = near[~certainly_apart(kind, x[near], until[near], reach)]
+            for toi in exact_tois(kind, x[near], y[near], t_max=bound):
+                if toi.hit and (not best.hit or toi.lo < best.lo):
+                    best = toi
+    return ExactTimes.from_oracle([best])

@@ -21,8 +21,8 @@ class Scene:
     self_collision: bool = True
     worlds: int = 1  # all alike, whose vertices follow one another; faces are those of the first
 
-    def mesh(self, ccd, **options):
-        """The ``CollisionMesh`` of the scene; options are those of meshes beside."""
+    def mesh(self, ccd, *more, **options):
+        """The ``CollisionMesh`` of the scene, with half-spaces besides; options are those of meshes."""
         options |= {"self_collision": self.self_collision}
         if not self.body_faces:
             return ccd.CollisionMesh.from_arrays([(self.vertices_t0, self.faces)], **options)
@@ -30,7 +30,7 @@ class Scene:
         for faces in np.split(self.faces, np.cumsum(self.body_faces)[:-1]):
             low, high = faces.min(), faces.max() + 1
             bodies.append((self.vertices_t0[low:high], faces - low))
-        mesh = ccd.CollisionMesh.from_arrays(bodies, static=self.static, **options)
+        mesh = ccd.CollisionMesh.from_arrays([*bodies, *more], static=self.static, **options)
         return mesh if self.worlds == 1 else mesh.replicate(self.worlds)
 
 
@@ -71,9 +71,10 @@ def joined(name: str, parts: list, **options) -> Scene:
     )
 
 
-def spheres_through_each_other(num_faces: int) -> Scene:
-    """Two dense spheres pass through each other within the step."""
+def spheres_through_each_other(
+    num_faces: int, name: str = "two spheres", apart: float = 0.6, move: float = 0.15
+) -> Scene:
+    """Two dense spheres of radius 0.5, so far from the middle, move so far into or through each other."""
     ball, faces = sphere(num_faces // 2, 0.5)
-    left, right = ball - [0.6, 0, 0], ball + [0.6, 0.013, 0.017]
-    move = np.array([0.15, 0, 0])
-    return joined(f"two spheres, {num_faces:,}", [(left, left + move, faces), (right, right - move, faces)])
+    left, right, along = ball - [apart, 0, 0], ball + [apart, 0.013, 0.017], np.array([move, 0, 0])
+    return joined(f"{name}, {num_faces:,}", [(left, left + along, faces), (right, right - along, faces)])

@@ -11,6 +11,7 @@ from memory import PeakMemory
 from methods import Answer, Method
 from peers import Peer
 from query_sets import QuerySet
+from timing import quartiles
 
 
 @dataclass(frozen=True)
@@ -92,8 +93,7 @@ class _Batch:
 def _speed(per_query: list[float]) -> dict:
     return {
         "seconds": float(np.median(per_query)),
-        "seconds_low": float(min(per_query)),
-        "seconds_high": float(max(per_query)),
+        "quartiles": quartiles(per_query),
     }
 
 

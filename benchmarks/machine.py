@@ -65,15 +65,25 @@ def commit() -> str:
     return _git("rev-parse", "--short=12", "HEAD") + ("-dirty" if is_changed else "")
 
 
-def why_stale(code: str) -> str:
-    """Why figures of a commit may not be those of this checkout; empty if they are."""
+def why_refused(code: str) -> str:
+    """Why figures of a commit cannot be traced to code: it is not of the history of this checkout; empty if it is."""
     if not code or code.endswith("-dirty"):
         return "of code that was not committed"
     known = _git("rev-parse", "--verify", f"{code}^{{commit}}")
-    if not known or _git("merge-base", known, "HEAD") != known:
-        return f"of {code}, which is not in the history"
+    return "" if known and _git("merge-base", known, "HEAD") == known else f"of {code}, which is not in the history"
+
+
+def why_stale(code: str) -> str:
+    """Why figures of a commit may not be those of this checkout; empty if they are."""
+    if why := why_refused(code):
+        return why
     changed = _git("diff", "--name-only", code, "--", *_MEASURED).splitlines()
     return f"of {code}, since which {len(changed)} files have changed" if changed else ""
+
+
+def has_history() -> bool:
+    """Whether this is a checkout with all of its history, which tells commits that are in it from others."""
+    return _git("rev-parse", "--is-shallow-repository") == "false"
 
 
 def _git(*command: str) -> str:

@@ -16,11 +16,13 @@ import ccd_warp as ccd
 from ccd_warp._runtime.threads import default_num_threads
 
 KINDS = ("vertex-face", "edge-edge")
-SHORT = {"vertex-face": "VF", "edge-edge": "EE"}
 OURS, REFERENCE = "ours float64", "Tight-Inclusion"
 PEERS = (REFERENCE, "additive CCD")
+CUBIC, ENDS = "cubic, closed form", "both ends"
+# What tables and pictures show, on one thread.
+SHOWN = (OURS, "ours float32", "plain bisection", *PEERS, CUBIC, ENDS)
 DEFAULT_TOLERANCE = 1e-6
-_BISECTION_ITERATIONS = 100_000
+BISECTION_ITERATIONS = 100_000
 
 
 @dataclass(frozen=True)
@@ -81,15 +83,11 @@ def _ours(
     return solve
 
 
-def _univariate(roots: str) -> Callable[..., Answer]:
+def _baseline(ccd_of: Callable[..., np.ndarray]) -> Callable[..., Answer]:
     def solve(kind: str, points_t0: Any, points_t1: Any, tolerance: float, _: float, scale: float | None) -> Answer:
-        return Answer(univariate_ccd(kind, points_t0, points_t1, tolerance=tolerance, roots=roots, length_scale=scale))
+        return Answer(ccd_of(kind, points_t0, points_t1, tolerance=tolerance, length_scale=scale))
 
     return solve
-
-
-def _ends(kind: str, points_t0: Any, points_t1: Any, tolerance: float, _: float, scale: float | None) -> Answer:
-    return Answer(ends_ccd(kind, points_t0, points_t1, tolerance=tolerance, length_scale=scale))
 
 
 def all_methods(devices: list[str]) -> list[Method]:
@@ -108,10 +106,10 @@ def all_methods(devices: list[str]) -> list[Method]:
                 methods.append(Method(f"ours {precision}, {device}", "ours", note, _ours(precision, None, device)))
     note = (
         "Ablation: the literature's inclusion test on boxes and its bisection, in our kernel, one thread, with "
-        f"ten times our limit of iterations ({_BISECTION_ITERATIONS:,}). Where it reaches the limit its toi is early, "
+        f"ten times our limit of iterations ({BISECTION_ITERATIONS:,}). Where it reaches the limit its toi is early, "
         "so that its errors grow again at small tolerances."
     )
-    bisection = _ours("float64", 1, "cpu", "bisection", max_iterations=_BISECTION_ITERATIONS)
+    bisection = _ours("float64", 1, "cpu", "bisection", max_iterations=BISECTION_ITERATIONS)
     methods.append(Method("plain bisection", "ablation", note, bisection))
     note = (
         "ipctk.tight_inclusion, raw: no rescaling of its toi, no refinement at zero. One call a query; the cost of a "
@@ -126,16 +124,14 @@ def all_methods(devices: list[str]) -> list[Method]:
         "another question than ours, and is not compared."
     )
     methods.append(Method("additive CCD", "peer", note, peer="additive", has_separation=False))
-    for roots in ("closed_form", "companion", "newton"):
-        name = f"cubic, {roots.replace('_', ' ')}"
-        note = (
-            "Univariate: the roots of the coplanarity cubic and both ends of the step, each tested for a distance "
-            "within the tolerance, a Euclidean distance; its error is over the contacts that it finds. Vectorised "
-            "NumPy; a compiled loop would be faster."
-        )
-        methods.append(Method(name, "baseline", note, _univariate(roots), has_separation=False))
+    note = (
+        "Univariate: the roots of the coplanarity cubic in closed form and both ends of the step, each tested for a "
+        "distance within the tolerance, a Euclidean distance; its error is over the contacts that it finds. Vectorised "
+        "NumPy; a compiled loop would be faster."
+    )
+    methods.append(Method(CUBIC, "baseline", note, _baseline(univariate_ccd), has_separation=False))
     note = "The discrete test: is the distance within the tolerance at t = 0, or at t = 1. NumPy, as the cubic."
-    methods.append(Method("both ends", "baseline", note, _ends, has_separation=False))
+    methods.append(Method(ENDS, "baseline", note, _baseline(ends_ccd), has_separation=False))
     return methods
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import ipctk
 import numpy as np
+from fine_meshes import grid
 
 import ccd_warp as ccd
 
@@ -21,11 +22,8 @@ REACH = 0.9  # grid spacings, as all lengths here
 
 def layers(across: int, gap: float) -> ccd.CollisionMesh:
     """Two layers above each other."""
-    x, y = np.meshgrid(*2 * [np.linspace(0, 1, across)], indexing="ij")
-    lower = np.stack([x, y, 0.02 * np.sin(9 * x) * np.cos(8 * y)], axis=-1).reshape(-1, 3)
-    i = np.arange(across * across).reshape(across, across)
-    a, b, c, d = (corner.ravel() for corner in (i[:-1, :-1], i[1:, :-1], i[1:, 1:], i[:-1, 1:]))
-    faces = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    lower, faces = grid(across, across, 1.0, 1.0)
+    lower[:, 2] = 0.02 * np.sin(9 * lower[:, 0]) * np.cos(8 * lower[:, 1])
     return ccd.CollisionMesh.from_arrays([(lower, faces), (lower + [0, 0, gap / (across - 1)], faces)])
 
 

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from itertools import product
 from pathlib import Path
 
-import broad_phases
 import checkout
-import gradients
 import many_worlds
 import numpy as np
 import raw
 import rigid
+import rigid_peers
 import scaling
 import separation
 import small_scenes
@@ -27,7 +28,7 @@ from interleaved import Effort, measure
 from machine import commit, machine
 from methods import DEFAULT_TOLERANCE, KINDS, all_methods, check_devices
 from query_sets import GENERATED, QuerySet, default_data, generated_sets, make_set, published_sets
-from scenes import all_scenes, cloth_over_sphere
+from scenes import FRONTIER, all_scenes
 from scenes import small_scenes as all_small_scenes
 
 Rows = Iterator[dict]
@@ -130,19 +131,10 @@ class Run:
     def start(self) -> Rows:
         yield from scaling.measure_start(self.devices)
 
-    def threads(self) -> Rows:
-        yield from scaling.measure_threads(200_000, self.sizes.rounds)
-        yield from scaling.measure_mesh_threads(cloth_over_sphere(100_000), self.sizes.rounds)
-
-    def _scenes(self, of: Callable[..., dict]) -> Rows:
-        for (_, make), device in product(all_scenes(self.data, self.is_quick), self.devices):
-            yield of(make(), device, self.sizes.step_seconds, self.sizes.step_rounds)
-
     def steps(self) -> Rows:
-        return self._scenes(whole_step.measure)
-
-    def broad(self) -> Rows:
-        return self._scenes(broad_phases.measure)
+        for (name, make), device in product(all_scenes(self.data, self.is_quick), self.devices):
+            sizes, shown = self.sizes, FRONTIER[: 2 if self.is_quick else None]
+            yield from whole_step.measure(make(), device, sizes.step_seconds, sizes.step_rounds, name in shown)
 
     def worlds(self) -> Rows:
         for name, count, device in product(many_worlds.SCENES, self.sizes.worlds, self.devices):
@@ -165,12 +157,16 @@ class Run:
     def separation(self) -> Rows:
         yield from separation.measure(separation.NUM_FACES)
 
-    def gradients(self) -> Rows:
-        for scene in gradients.all_scenes(0.1 if self.is_quick else 1.0):
-            yield from gradients.measure(scene, 5 if self.is_quick else 31)
-
 
 PARTS = [name for name in vars(Run) if not name.startswith("_") and name != "all_sets"]
+# What --all runs besides, after the parts: counts of the code for GPUs, then pictures and tables.
+PROGRAMS = (
+    "benchmarks/cuda_code.py --output benchmarks/results/cuda_code.csv",
+    "benchmarks/report.py",
+    "docs/redraw.py method rigid readme stale",
+)
+# What --all needs and a part would do without, by the extra that brings it.
+NEEDED = {name: "rigid-peers" for name in rigid_peers.PEERS.values()} | {"pyvista": "viz", "nvidia": "cuda-tools"}
 
 
 def main(about: str | None) -> None:
@@ -182,14 +178,21 @@ def main(about: str | None) -> None:
     parser.add_argument("--devices", metavar="NAME", nargs="+", help="Warp devices of ours (the CPU and every GPU)")
     parser.add_argument("--output", type=Path, default=Path("bench_results"), help="folder of CSV files")
     parser.add_argument("--stale", action="store_true", help="say which figures of the pages are of other code")
+    parser.add_argument("--all", action="store_true", help="all parts, then every table and figure of the pages")
     options = parser.parse_args()
     if options.stale:
-        print("\n".join(f"{part}: {why}" for part, why in raw.stale(checkout.RESULTS).items() if why))
+        print("\n".join(f"{part}: {why}" for part, why in raw.stale(checkout.RESULTS).items()))
         return
     if not options.quick and (code := commit()).endswith("-dirty"):
         parser.error(f"files have changed since {code.removesuffix('-dirty')}; commit them, or measure with --quick")
     if unknown := set(options.parts) - set(PARTS):
         parser.error(f"{min(unknown)}: expected some of {', '.join(PARTS)}")
+    if options.all:
+        if absent := {extra for name, extra in NEEDED.items() if find_spec(name) is None}:
+            parser.error(f"--all needs pip install '.[{','.join(sorted(absent))}]'")
+        if options.quick or options.parts or options.data is None:
+            parser.error("--all takes every part and the published queries (--data), and no --quick")
+        options.output = checkout.RESULTS
     wp.config.log_level = wp.LOG_ERROR
     run = Run(options.quick, options.data, check_devices(options.devices))
     for part in options.parts or PARTS:
@@ -198,5 +201,9 @@ def main(about: str | None) -> None:
             rows.append(row)
             words = " ".join(str(value) for value in row.values() if isinstance(value, str))
             print(f"\r{part}, {time.monotonic() - begin:.0f} s: {words:.90}\033[K", end="", file=sys.stderr, flush=True)
-        raw.write(options.output, part, rows, quick=options.quick)
-        print(f"\r{part}: {len(rows)} rows in {time.monotonic() - begin:.0f} s\033[K", flush=True)
+        seconds = round(time.monotonic() - begin)
+        raw.write(options.output, part, rows, quick=options.quick, seconds=seconds)
+        print(f"\r{part}: {len(rows)} rows in {seconds} s\033[K", flush=True)
+    for program in PROGRAMS if options.all else ():
+        print(f"python {program}", flush=True)
+        subprocess.run([sys.executable, *program.split()], cwd=checkout.ROOT, check=True)

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-from machine import machine, why_stale
+from machine import machine, why_refused, why_stale
 
 RUNS = "runs"
 
 
-def write(folder: Path, part: str, rows: list[dict], *, quick: bool = False) -> None:
-    """Write the rows of a part, and about them a row of runs.csv in place of an older one."""
+def write(folder: Path, part: str, rows: list[dict], **about: object) -> None:
+    """Write the rows of a part, and about them a row of runs.csv."""
     folder.mkdir(parents=True, exist_ok=True)
     _save(pd.DataFrame([flat(row) for row in rows], dtype=object), folder / f"{part}.csv")
-    about = pd.DataFrame([{"part": part, **machine(), "quick": quick}])
+    note(folder, part, **about)
+
+
+def note(folder: Path, part: str, **about: object) -> None:
+    """Say in runs.csv that a part was measured just now, at this commit and on this machine."""
+    row = pd.DataFrame([{"part": part, **machine(), **about}])
     kept = read(folder, RUNS)
     others = [kept[kept.part != part]] if len(kept) else []
-    _save(pd.concat([*others, about]).sort_values("part"), folder / f"{RUNS}.csv")
+    _save(pd.concat([*others, row]).sort_values("part"), folder / f"{RUNS}.csv")
 
 
 def _save(table: pd.DataFrame, path: Path) -> None:
@@ -37,10 +43,17 @@ def read(folder: Path, part: str) -> pd.DataFrame:
     return pd.read_csv(path, keep_default_na=False, na_values=[""]) if path.is_file() else pd.DataFrame()
 
 
-def stale(folder: Path) -> dict[str, str]:
-    """Why the figures of each part may not be those of this checkout; empty where they are."""
+def stale(folder: Path, why: Callable[[str], str] = why_stale) -> dict[str, str]:
+    """Parts whose figures are not those of this checkout, and why."""
     runs = read(folder, RUNS)
-    return {part: why_stale(code) for part, code in zip(runs.part, runs.code.fillna(""), strict=True)}
+    found = {part: why(code) for part, code in zip(runs.part, runs.code.fillna(""), strict=True)} if len(runs) else {}
+    return {part: text for part, text in found.items() if text}
+
+
+def refused(folder: Path) -> list[str]:
+    """Parts of a folder that pages must not show, with the command that measures each."""
+    why = stale(folder, why_refused)
+    return [f"{part} is {text}: python benchmarks/run.py {part} --output {folder}" for part, text in why.items()]
 
 
 def described(folder: Path, part: str) -> str:

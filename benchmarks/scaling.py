@@ -1,4 +1,4 @@
-"""Dependence of the speed on the batch size and the number of threads, and the cost of the first call."""
+"""Dependence of the speed on the batch size, and the cost of the first call."""
 
 from __future__ import annotations
 
@@ -7,20 +7,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
 from functools import partial
 from itertools import product
-from typing import Any
 
 import checkout  # noqa: F401
 import numpy as np
-from distance_queries import SOLVE
 from hard_cases import FAMILIES
-from methods import Method
+from methods import CUBIC, Method
 from timing import interleaved
-
-import ccd_warp as ccd
-from ccd_warp._runtime.threads import default_num_threads
 
 FAMILY = "random_colliding"
 # A first call, between what prepares it and its seconds, of the clock and of the processor.
@@ -45,7 +39,7 @@ _FIRST_CALLS = {
 def measure_batches(methods: list[Method], counts: tuple[int, ...], rounds: int, memory_gib: int) -> list[dict]:
     """Seconds of a warm call for each number of pairs, for ours and the cubic; none beyond the memory."""
     few = FAMILIES[FAMILY]("vertex-face", 100_000, np.random.default_rng(4))
-    chosen = [m for m in methods if m.group == "ours" or m.name == "cubic, closed form"]
+    chosen = [m for m in methods if m.group == "ours" or m.name == CUBIC]
     rows = []
     for count in counts:
         # positions of twelve float64 at both ends, once in NumPy and once in Warp, and as much again for results and
@@ -103,35 +97,3 @@ def run_apart(command: list[str], environment: dict[str, str] | None = None) -> 
         said = done.stderr.strip().splitlines()[-1:] or ["nothing"]
         raise ValueError(f"a process of the benchmark ended with {done.returncode} and said: {said[0]}")
     return done.stdout
-
-
-def thread_counts() -> list[int]:
-    """Powers of two up to the number of cores, and that number."""
-    cores = default_num_threads()
-    return sorted({2**k for k in range(cores.bit_length()) if 2**k <= cores} | {cores})
-
-
-def measure_threads(batch: int, rounds: int) -> list[dict]:
-    """Speed-up of a batch of pairs by threads on the CPU."""
-    rows = []
-    for kind in ("vertex-face", "edge-edge"):
-        points = [np.resize(p, (batch, 4, 3)) for p in FAMILIES[FAMILY](kind, 10_000, np.random.default_rng(5))]
-        points = [np.ascontiguousarray(p) for p in points]
-        calls = {n: partial(SOLVE[kind], *points, device="cpu", num_threads=n) for n in thread_counts()}
-        rows += _speedups(kind, calls, rounds)
-    return rows
-
-
-def measure_mesh_threads(scene, rounds: int) -> list[dict]:
-    """Speed-up of ``mesh_ccd`` on a scene by threads on the CPU."""
-    mesh = scene.mesh(ccd)
-    frames = (scene.vertices_t0, scene.vertices_t1)
-    pipelines = {n: ccd.CollisionPipeline(mesh, device="cpu", num_threads=n) for n in thread_counts()}
-    calls = {n: partial(pipeline.mesh_ccd, *frames) for n, pipeline in pipelines.items()}
-    return _speedups(f"mesh_ccd, {scene.name}", calls, rounds)
-
-
-def _speedups(what: str, calls: dict[int, Callable[[], Any]], rounds: int) -> list[dict]:
-    """Medians of the ratios of interleaved rounds to those of one thread, by numbers of threads."""
-    times = {n: np.array(seconds) for n, seconds in interleaved(calls, rounds, is_settled=True).items()}
-    return [{"what": what, "threads": n, "speedup": float(np.median(times[1] / times[n]))} for n in times]

@@ -1,7 +1,7 @@
 """Scenes of a few faces and single pairs, where the fixed cost of a call dominates: ours beside ipc-toolkit.
 
-Peers: `Candidates.build` with `LBVH`, then `compute_collision_free_stepsize` with `TightInclusionCCD` and with
-`AdditiveCCD`; for a single pair, the query of `AdditiveCCD`. A round calls each in turn, as often in a row as fits some
+Peers: `Candidates.build` with `LBVH`, then `compute_collision_free_stepsize` with the narrow phases of `whole_step`, on
+all threads; for a single pair, the query of `AdditiveCCD`. A round calls each in turn, as often in a row as fits some
 milliseconds, and takes the mean; medians over the rounds.
 """
 
@@ -14,11 +14,13 @@ import warp as wp
 from hard_cases import FAMILIES
 from scenes import Scene
 from timing import figures, interleaved
-from whole_step import ToolkitScene
+from whole_step import NARROW, ToolkitScene
 
 import ccd_warp as ccd
 
-PEERS = ("LBVH, Tight-Inclusion", "LBVH, additive")
+# The narrow phases by what the tables call them, each with LBVH before it.
+PEERS = {", ".join(filter(None, name)): phase for name, phase in NARROW.items()}
+ADDITIVE = "additive CCD"
 CALLS = ("collision_free_step", "mesh_ccd", "pipeline.collision_free_step", "pipeline.mesh_ccd", "launch")
 PAIR_KINDS = ("vertex_face", "edge_edge", "point_segment", "point_point")
 _SECONDS = 4e-3  # of a call's repetitions in a round
@@ -40,8 +42,7 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
         return result
 
     calls = {
-        PEERS[0]: lambda: peer.step(peer.build()),
-        PEERS[1]: lambda: peer.step(peer.build(), ipctk.AdditiveCCD()),
+        **{name: lambda phase=phase: peer.step(peer.build(), phase) for name, phase in PEERS.items()},
         "collision_free_step": lambda: ccd.collision_free_step(mesh, *frames, device=device),
         "mesh_ccd": lambda: ccd.mesh_ccd(mesh, *frames, device=device),
         "pipeline.collision_free_step": lambda: pipeline.collision_free_step(*frames),
@@ -56,10 +57,7 @@ def measure(scene: Scene, device: str, rounds: int) -> dict:
         "contacts": len(result.contacts),
         "toi": result.toi,
         "step": calls["collision_free_step"](),
-        "launch_toi": float(launch().toi.numpy()[0]),
-        "launch_flags": int(launch().flags.numpy()[0]),
-        "peer_step": calls[PEERS[0]](),
-        "additive_step": calls[PEERS[1]](),
+        "peer_step": {name: calls[name]() for name in PEERS},
     }
     return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))
 
@@ -72,6 +70,6 @@ def measure_pair(kind: str, device: str, rounds: int) -> dict:
     query = getattr(ipctk.AdditiveCCD(), f"{names.get(kind, kind)}_ccd")
     corners = [*points[0], *points[1]]
     batch = [x[None] for x in points]
-    calls = {PEERS[1]: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
+    calls = {ADDITIVE: lambda: query(*corners), "ours": lambda: solve(*batch, device=device)}
     row = {"pair": kind, "device": device, "toi": float(calls["ours"]().toi[0])}
     return row | figures(interleaved(calls, rounds, is_settled=True, fill=_SECONDS))

@@ -18,53 +18,31 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import scenes
 
-_SCENES = ("40 faces", "160", "196, one static", "with a ground", "640", "2,560", "16,000, one static", "pile of 125")
+_SPHERES = ("40 faces", "160", "640", "2,560")
+_SCENES = (*_SPHERES, "178, one static", "with a ground", "20,000, one static", "pile of 125")
 _CALLS = ("mesh_ccd", "collision_free_step", "launch")
 _STEPS, _FASTEST = 200, 10
 _MOTION = 1e-3  # of each coordinate from one step of the loop to the next, beside the motion of the step
 
 
-def scene(name: str) -> tuple:
-    """Mesh, start and end of a scene."""
-    import trimesh
-
-    import ccd_warp as ccd
-
-    bodies, options, moves = [], {}, {}
-    if name in ("40 faces", "160", "640", "2,560"):
-        ball = trimesh.creation.icosphere({"40 faces": 0, "160": 1, "640": 2, "2,560": 3}[name], radius=0.5)
-        bodies = [(ball.vertices + [x, y, 0], ball.faces) for x, y in ((-0.8, 0.1), (0.8, 0.0))]
-        moves = {0: [0.6, 0, 0], 1: [-0.6, 0, 0]}
-    elif name == "pile of 125":
-        ball, rng = trimesh.creation.icosphere(1, radius=0.5), np.random.default_rng(0)
-        places = 1.02 * np.stack(np.meshgrid(*[np.arange(5)] * 3), -1).reshape(-1, 3)
-        bodies, options = [(ball.vertices, ball.faces)] * len(places), {"self_collision": False}
-        mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
-        start = (ball.vertices + places[:, None]).reshape(-1, 3)
-        return mesh, start, start + np.repeat(0.05 * rng.standard_normal((125, 3)), len(ball.vertices), axis=0)
-    else:
-        many = name.startswith("16,000")
-        side, ball = (88, 4) if many else (8, 1)
-        along = np.linspace(-0.65, 0.72, side)
-        x, y = np.meshgrid(along, along, indexing="ij")
-        number = np.arange(side * side).reshape(side, side)
-        a, b, c, d = (number[i : i + side - 1, j : j + side - 1].ravel() for i in (0, 1) for j in (0, 1))
-        faces = np.concatenate([np.stack([a, c, b], 1), np.stack([b, c, d], 1)])
-        ball = trimesh.creation.icosphere(ball, radius=0.3)
-        bodies = [(np.stack([x, y, 0 * x + 0.33], -1).reshape(-1, 3), faces), (ball.vertices, ball.faces)]
-        options, moves = {"static": [1]}, {0: [0, 0, -0.1]}
-        if name == "with a ground":
-            bodies.append(ccd.HalfSpace([0, 0, -0.32], [0, 0, 1]))
-    mesh = ccd.CollisionMesh.from_arrays(bodies, **options)
-    return mesh, mesh.vertices, mesh.vertices + np.array([moves.get(b, [0, 0, 0]) for b in mesh.vertex_body])
+def scene(name: str) -> scenes.Scene:
+    """One of the scenes."""
+    if name in _SPHERES:
+        return scenes.two_small_spheres(_SPHERES.index(name))
+    if name.startswith("pile"):
+        return scenes.pile(125, 80)
+    return scenes.sheet_on_ball(88, 4) if name.startswith("20,000") else scenes.sheet_on_ball(8, 1)
 
 
 def seconds_of(name: str) -> dict[str, float]:
     """Processor seconds of each call in the loop of a scene."""
     import ccd_warp as ccd
 
-    mesh, start, end = scene(name)
+    made = scene(name)
+    ground = [ccd.HalfSpace([0, 0, -0.32], [0, 0, 1])] if name == "with a ground" else []
+    mesh, start, end = made.mesh(ccd, *ground), made.vertices_t0, made.vertices_t1
     host, device = (ccd.CollisionPipeline(mesh, device="cpu", num_threads=1) for _ in range(2))
     device.reserve(vertices=start)
     calls: dict[str, Callable] = {"launch": device.launch}

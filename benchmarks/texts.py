@@ -15,14 +15,6 @@ def time_text(seconds: float) -> str:
     return f"{seconds * 1e9:.3g} ns"
 
 
-def count_text(value: float) -> str:
-    """A count or a rate, in words of thousands and millions."""
-    for letter, size in (("G", 1e9), ("M", 1e6), ("k", 1e3)):
-        if value >= size:
-            return f"{value / size:.3g} {letter}"
-    return f"{value:.3g}"
-
-
 def error_text(value: float | None) -> str:
     return "–" if value is None or value != value else ("0" if value == 0 else f"{value:.0e}")
 

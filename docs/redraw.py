@@ -74,7 +74,7 @@ MAKERS = [
     Maker(
         "benchmark",
         "benchmarks/report.py --docs {root}",
-        (*(f"bench_{name}" for name in ("speed_error", "pareto", "phantoms", "cases", "scaling", "steps", "growth")),),
+        (*(f"bench_{name}" for name in ("speed_error", "steps")),),
         ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted((ROOT / "docs").glob("*.md")))),
     ),
 ]
@@ -228,7 +228,7 @@ def main() -> int:
         1 where ``--check`` has found something stale, else 0.
     """
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", metavar="NAME", nargs="*", help="makers, or `examples` for all of these")
+    parser.add_argument("names", metavar="NAME", nargs="*", help="makers, `examples` for all of these, or `stale` ones")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--check", action="store_true", help="name what is stale")
     what.add_argument("--list", action="store_true", help="name figures, tables and their commands")
@@ -237,6 +237,7 @@ def main() -> int:
     of_examples = examples()
     by_name = {maker.name: maker for maker in [*MAKERS, *of_examples]}
     groups = {"examples": [maker.name for maker in of_examples]}
+    groups["stale"] = [maker.name for maker in of_examples if "stale" in options.names and stale_example(maker)]
     names = [each for name in options.names for each in groups.get(name, [name])]
     if unknown := [name for name in names if name not in by_name]:
         parser.error(f"{', '.join(unknown)}; expected some of {', '.join(by_name)}, or examples")
