@@ -106,6 +106,7 @@ nitpick_ignore_regex = [
     ("py:.*", r"(np|numpy|trimesh|warp|wp|torch|jax|pathlib|collections|dataclasses|pyvista)\..*"),
     ("py:.*", "NDArray|ArrayLike|Colour|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
     ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence|DeviceArray"),
+    ("py:.*", r"(.*\.)?(BodyMotion|Geometry|Intracomm|TrimeshObject|SupportsDLPack|MotionT|_ArrayT)"),
 ]
 
 
