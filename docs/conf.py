@@ -73,7 +73,7 @@ html_css_files = ["site.css"]
 autosummary_generate = False  # a table of names that stand on the same page
 autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
 autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
-autodoc_type_aliases = {"ArrayLike": "ArrayLike", "DeviceArray": "DeviceArray"}  # written out, unions of many words
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Cells", "DeviceArray", "Points")}  # written out, unions of many words
 python_maximum_signature_line_length = 90
 napoleon_use_ivar = True
 # Of any shape, as NumPy 2 and NumPy 1 have it.
@@ -81,7 +81,7 @@ _ANY = r"(?:tuple\[~?(?:typing\.)?Any, \.\.\.\]|~?(?:typing\.)?Any)"
 # What a signature says in other words, which docs/reference.md explains.
 _WORDS = [
     (r"TypeAliasForwardRef\('(\w+)'\)", r"\1"),
-    (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|DeviceArray)", r"\1: Positions"),
+    (r"\b(vertices_t[01]|positions|points_t[01]|displacements): (?:ArrayLike|DeviceArray|Points)", r"\1: Positions"),
     (rf"~numpy\.ndarray\[{_ANY}, ~numpy\.dtype\[(~?[\w.]+?)_?\]\]", r"NDArray[\1]"),
     (r"~?ccd_warp\._scene\.input\.excluded_pairs\.PairsFound", "~ccd_warp.Contacts | ~ccd_warp.Proximities"),
     (r"~?ccd_warp\._results\.contact_place\.BodyMotion", "~ccd_warp.RigidMotion"),
@@ -106,7 +106,7 @@ nitpick_ignore_regex = [
     ("py:.*", r"(np|numpy|trimesh|warp|wp|torch|jax|pathlib|collections|dataclasses|pyvista)\..*"),
     ("py:.*", "NDArray|ArrayLike|Colour|Positions|Motion|Per|bool_|u?int(8|32|64)|float64"),
     ("py:.*", "Any|Callable|Iterable|Literal|Mapping|Path|Sequence|DeviceArray"),
-    ("py:.*", r"(.*\.)?(BodyMotion|Geometry|Intracomm|TrimeshObject|SupportsDLPack|MotionT|_ArrayT)"),
+    ("py:.*", r"(.*\.)?(BodyMotion|Cells|Geometry|Points|Intracomm|TrimeshObject|SupportsDLPack|MotionT|_ArrayT)"),
 ]
 
 
