@@ -92,6 +92,58 @@ def tangents_of_arcs(
     return r
 
 
+@wp.struct
+class Chords:
+    """A pair in a window of its slice as if its points moved straight, and how far they are from that, per axis."""
+
+    at_begin: Points
+    at_end: Points
+    sagitta: wp.vec3d
+    is_corotating: bool  # seen from a body, with which everything turns
+
+
+@wp.func
+def chords_of(
+    kind: int,
+    a: Points,
+    b: Points,
+    turning: arcs.Arcs,
+    amplitudes: wp.vec3d,
+    window: Window,
+    end: wp.float64,
+    is_shared: bool,
+) -> Chords:
+    """The chords of a window, those seen from one of both bodies where their spins are alike and that is nearer."""
+    r = Chords()
+    r.at_begin = points_at(kind, a, b, turning, window.begin)
+    r.at_end = points_at(kind, a, b, turning, end)
+    r.sagitta = arcs.sagitta(amplitudes, window.h)
+    if is_shared:
+        of_body = corotating.corotating_window(kind, a, b, turning, r.at_begin, r.at_end, window.begin, window.h)
+        off = of_body.sagitta + of_body.error
+        r.is_corotating = off < wp.max(r.sagitta)
+        if r.is_corotating:
+            r.at_end = of_body.at_end
+            r.sagitta = wp.vec3d(off, off, off)
+    return r
+
+
+@wp.func
+def in_whole_step(
+    outcome: solver.Outcome, t_reached: wp.float64, is_limit: bool, turning: arcs.Arcs, h: wp.float64, options: Options
+) -> solver.Outcome:
+    """What a window of this length has found, as times of the step."""
+    outcome.toi = in_step(t_reached, turning.t_begin, turning.t_length)
+    if outcome.status == STATUS_INVALID:
+        outcome.toi = zero
+    if outcome.status == STATUS_INITIAL_CONTACT and outcome.toi > zero:
+        outcome.status = STATUS_COLLISION
+    if outcome.status == STATUS_COLLISION and outcome.toi == zero:
+        outcome.status = STATUS_INITIAL_CONTACT
+    outcome.width = wp.where(is_limit, options.t_max - outcome.toi, outcome.width * h)
+    return outcome
+
+
 @wp.func(inline=only_method != "")
 def solve_on_arcs(
     kind: int,
@@ -132,40 +184,22 @@ def solve_on_arcs(
     while is_open and not is_stopped(options.stop):
         end = wp.min(window.begin + window.h, one)
         window.h = end - window.begin
-        at_begin = points_at(kind, a, b, turning, window.begin)
-        at_end = points_at(kind, a, b, turning, end)
-        chords = arcs.sagitta(amplitudes, window.h)
-        is_corotating = bool(False)
-        if is_shared:
-            window_of_body = corotating.corotating_window(kind, a, b, turning, at_begin, at_end, window.begin, window.h)
-            of_body = window_of_body.sagitta + window_of_body.error
-            is_corotating = of_body < wp.max(chords)
-            if is_corotating:
-                at_end = window_of_body.at_end
-                chords = wp.vec3d(of_body, of_body, of_body)
-        of_window.sagitta = lane_windows.enlarged(chords, error)
-        outcome = solver.solve(
-            kind, solver.normalise(kind, at_begin, at_end, of_window), of_window, real(0.0), 0, cap - used
-        )
+        chords = chords_of(kind, a, b, turning, amplitudes, window, end, is_shared)
+        of_window.sagitta = lane_windows.enlarged(chords.sagitta, error)
+        n = solver.normalise(kind, chords.at_begin, chords.at_end, of_window)
+        outcome = solver.solve(kind, n, of_window, real(0.0), 0, cap - used)
         used += outcome.iterations
         if outcome.status != STATUS_NO_COLLISION:
             outcome.gap += two * wp.max(of_window.sagitta)
-        if is_corotating:
+        if chords.is_corotating:
             outcome.gap = corotating.longest_turned * outcome.gap
         is_free = outcome.status == STATUS_NO_COLLISION
         is_limit = outcome.status == STATUS_ITERATION_LIMIT or outcome.status == STATUS_INVALID
-        is_sharp = wp.max(chords) <= lane_windows.sharpness(rounding, kind, at_begin)
+        is_sharp = wp.max(chords.sagitta) <= lane_windows.sharpness(rounding, kind, chords.at_begin)
         t_reached = reached(window, end, is_free, wp.where(is_free, one, outcome.toi))
         is_open = not is_limit and ((is_free and end < one) or not (is_free or is_sharp))
         if not is_open and not is_free:
-            outcome.toi = in_step(t_reached, turning.t_begin, turning.t_length)
-            if outcome.status == STATUS_INVALID:
-                outcome.toi = zero
-            if outcome.status == STATUS_INITIAL_CONTACT and outcome.toi > zero:
-                outcome.status = STATUS_COLLISION
-            if outcome.status == STATUS_COLLISION and outcome.toi == zero:
-                outcome.status = STATUS_INITIAL_CONTACT
-            outcome.width = wp.where(is_limit, options.t_max - outcome.toi, outcome.width * window.h)
+            outcome = in_whole_step(outcome, t_reached, is_limit, turning, window.h, options)
         window = next_window(window, t_reached, is_free)
     outcome.iterations = used
     return outcome

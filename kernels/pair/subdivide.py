@@ -70,6 +70,47 @@ def closest_along(reached: Reached, along_u: bool) -> real:
 
 
 @wp.func
+def sub_patch(root: Patch, entry: vec5) -> Patch:
+    """The part of a patch that an entry of the stack is: (t, u0, u1, v0, v1)."""
+    patch = Patch()
+    patch.t0 = sub_corners(root.t0, entry[1], entry[2], entry[3], entry[4])
+    patch.t1 = sub_corners(root.t1, entry[1], entry[2], entry[3], entry[4])
+    patch.is_face = root.is_face
+    patch.is_triangle = root.is_triangle and entry[2] == real(1.0)
+    patch.narrowing = real(1.0)
+    if root.is_face:
+        patch.narrowing = (real(1.0) - entry[2]) / (real(1.0) - entry[1])
+    return patch
+
+
+@wp.func
+def is_wide(entry: vec5) -> bool:
+    """Whether a part of a patch can be halved."""
+    return entry[2] - entry[1] > narrowest or entry[4] - entry[3] > narrowest
+
+
+@wp.func
+def halves_of(patch: Patch, entry: vec5, t: real, reached: Reached):
+    """The halves of a part that is free up to t, across its longer side that can be halved, the closer one last."""
+    u0 = entry[1]
+    u1 = entry[2]
+    v0 = entry[3]
+    v1 = entry[4]
+    can_split_u = u1 - u0 > narrowest
+    can_split_v = v1 - v0 > narrowest
+    split_u = (length_u(patch) >= length_v(patch) and can_split_u) or not can_split_v
+    # lower half [u0, mu] × [v0, mv], upper half [nu, u1] × [nv, v1]
+    mu = wp.where(split_u, half * (u0 + u1), u1)
+    nu = wp.where(split_u, mu, u0)
+    mv = wp.where(split_u, v1, half * (v0 + v1))
+    nv = wp.where(split_u, v0, mv)
+    is_upper_first = closest_along(reached, split_u) > half
+    lower = vec5(t, u0, mu, v0, mv)
+    upper = vec5(t, nu, u1, nv, v1)
+    return wp.where(is_upper_first, lower, upper), wp.where(is_upper_first, upper, lower)
+
+
+@wp.func
 def advance_and_subdivide(
     kind: int,
     root: Patch,
@@ -106,20 +147,9 @@ def advance_and_subdivide(
         else:
             entry = stack[top]
         t = entry[0]
-        u0 = entry[1]
-        u1 = entry[2]
-        v0 = entry[3]
-        v1 = entry[4]
         if not t < answer.toi:
             continue
-        patch = Patch()
-        patch.t0 = sub_corners(root.t0, u0, u1, v0, v1)
-        patch.t1 = sub_corners(root.t1, u0, u1, v0, v1)
-        patch.is_face = root.is_face
-        patch.is_triangle = root.is_triangle and u1 == real(1.0)
-        patch.narrowing = real(1.0)
-        if root.is_face:
-            patch.narrowing = (real(1.0) - u1) / (real(1.0) - u0)
+        patch = sub_patch(root, entry)
         end = wp.min(answer.toi, t_max)
         reached = advance(patch, problem, t, end, max_iterations - answer.iterations)
         answer.iterations += reached.iterations
@@ -135,26 +165,14 @@ def advance_and_subdivide(
             top = 1
             continue
         if reached.outcome == SLOW and t < answer.toi:
-            can_split_u = u1 - u0 > narrowest
-            can_split_v = v1 - v0 > narrowest
-            if (can_split_u or can_split_v) and top + 2 <= depth:
-                split_u = (length_u(patch) >= length_v(patch) and can_split_u) or not can_split_v
-                # lower half [u0, mu] × [v0, mv], upper half [nu, u1] × [nv, v1]
-                mu = wp.where(split_u, half * (u0 + u1), u1)
-                nu = wp.where(split_u, mu, u0)
-                mv = wp.where(split_u, v1, half * (v0 + v1))
-                nv = wp.where(split_u, v0, mv)
-                is_upper_first = closest_along(reached, split_u) > half
-                lower = vec5(t, u0, mu, v0, mv)
-                upper = vec5(t, nu, u1, nv, v1)
-                first = wp.where(is_upper_first, upper, lower)
-                second = wp.where(is_upper_first, lower, upper)
+            if is_wide(entry) and top + 2 <= depth:
+                farther, closer = halves_of(patch, entry, t, reached)
                 if wp.static(on_warp):
-                    shared_entry(top, True, second)
-                    shared_entry(top + 1, True, first)
+                    shared_entry(top, True, farther)
+                    shared_entry(top + 1, True, closer)
                 else:
-                    stack[top] = second
-                    stack[top + 1] = first
+                    stack[top] = farther
+                    stack[top + 1] = closer
                 top += 2
                 continue
         status = STATUS_NO_COLLISION
@@ -166,16 +184,17 @@ def advance_and_subdivide(
             # the smallest time still open is a lower bound of the toi
             for k in range(top):
                 if wp.static(on_warp):
-                    entry = shared_entry(k, False, whole)
+                    t = wp.min(t, shared_entry(k, False, whole)[0])
                 else:
-                    entry = stack[k]
-                t = wp.min(t, entry[0])
+                    t = wp.min(t, stack[k][0])
             status = STATUS_ITERATION_LIMIT
             top = 0
         if status != STATUS_NO_COLLISION and t < answer.toi:
             answer.toi = t
             answer.status = status
             answer.point = reached.point
-            answer.parameters = parameters(kind, u0, u1, v0, v1, reached.wb, reached.wc, reached.from_w11)
+            answer.parameters = parameters(
+                kind, entry[1], entry[2], entry[3], entry[4], reached.wb, reached.wc, reached.from_w11
+            )
     answer.error = problem.error
     return answer
