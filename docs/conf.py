@@ -73,7 +73,8 @@ html_css_files = ["site.css"]
 autosummary_generate = False  # a table of names that stand on the same page
 autodoc_member_order = "bysource"  # members in the order of use, enums in that of their values
 autodoc_mock_imports = ["jax", "torch"]  # the functions are shown without either
-autodoc_type_aliases = {name: name for name in ("ArrayLike", "Cells", "DeviceArray", "Points")}  # written out, unions of many words
+# Written out, unions of many words.
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Cells", "DeviceArray", "Points")}
 python_maximum_signature_line_length = 90
 napoleon_use_ivar = True
 # Of any shape, as NumPy 2 and NumPy 1 have it.

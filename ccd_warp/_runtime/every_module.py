@@ -9,6 +9,7 @@ from typing import Any
 import warp as wp
 
 from ccd_warp import kernels
+from ccd_warp._runtime.lanes import lanes_of_solver
 from ccd_warp.kernels.later import define_kernels
 from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
@@ -61,7 +62,7 @@ def every_module(width: int | None) -> dict[str, Any]:
 def _of_solver(real: type, norm: Norm, width: int | None) -> dict[str, Any]:
     of_norm = norm.suffix.replace(".", " ")
     if width:
-        lanes = width if width == 1 or real is wp.float64 else 2 * width
+        lanes = lanes_of_solver(width, real)
         narrow_phase = specialised("narrow_phase.narrow_phase", real=real, width=lanes, norm=norm)
         return {f"narrow_phase {real.__name__}{of_norm}": narrow_phase.solve_pairs.module}
     queued = specialised("narrow_phase.queued_pairs", real=real, norm=norm)

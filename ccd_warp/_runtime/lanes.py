@@ -31,16 +31,24 @@ def lanes_of(device: wp.Device) -> int:
 
 
 def narrow_phase_on(device: wp.Device, real: type, norm: Norm) -> ModuleType:
-    """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
+    """The kernels of the narrow phase for a device and a precision.
 
     Args:
         device: Warp device.
         real: Floating-point type of the iteration, a Warp dtype.
         norm: That of the separation (``kernels.pair.norm``).
     """
-    width = lanes_of(device)
-    width = width if width == 1 or real is wp.float64 else 2 * width
+    width = lanes_of_solver(lanes_of(device), real)
     return specialised("narrow_phase.narrow_phase", real=real, width=width, norm=norm)
+
+
+def lanes_of_solver(width: int, real: type) -> int:
+    """The lanes of the narrow phase in a precision, where those of float64 are ``width``: eight of float32, if any.
+
+    Sixteen would fill a vector of AVX-512, but the differences and the volume are of float64, and twice its registers
+    are too many.
+    """
+    return width if width == 1 or real is wp.float64 else 8
 
 
 def queued_kernels(real: type, norm: Norm, sink: int, *, is_clipping: bool) -> dict[str, Any]:

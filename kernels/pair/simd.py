@@ -1,7 +1,7 @@
 """Arithmetic on several pairs at once: each number of a pair is a vector with one lane for each pair.
 
-The cull and the first stages of the narrow phase are written once, over a **lane type**: vectors of 8 numbers in
-float64 and 16 in float32 for AVX-512, of 4 and 8 for AVX2, and plain numbers, a width of 1, everywhere else and on
+The cull and the first stages of the narrow phase are written once, over a **lane type**: vectors of 8 numbers for
+AVX-512, for AVX2 of 4 in float64 and 8 in float32, and plain numbers, a width of 1, everywhere else and on
 CUDA. Operators and functions act on each lane by itself and round it as they round a single number, so the result of
 a pair depends neither on its lane nor on the width. No lane has a branch of its own: a comparison gives a mask, and
 `select` chooses by it.

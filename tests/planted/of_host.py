@@ -298,7 +298,7 @@ PLANTED = [
           ("laws/test_truth.py::test_contacts_of_a_step",)),
     Fault("a gap in a lane taken for rounding", "kernels/narrow_phase/lane_contacts.py",
           "known = simd.bits_of(touches & is_regular)", "known = simd.bits_of(is_regular)",
-          ("laws/test_truth.py::test_contacts_of_a_step",)),
+          ("laws/test_other_ways.py::test_the_width_of_lanes_changes_no_bit",)),
     Fault("no flag for contacts in lanes beyond the list", "kernels/narrow_phase/lane_contacts.py",
           "        flag_world(minima, row_in(i.i0, k), CONTACTS_OVERFLOW)\n", "        k = size\n",
           ("laws/test_flags.py",)),
