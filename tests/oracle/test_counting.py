@@ -50,10 +50,14 @@ def test_the_first_contact_of_a_step_is_the_least_exact_toi_of_its_pairs(seed):
     of_kinds = {"vertex-face": found.vertex_face, "edge-edge": found.edge_edge}
     corners = {kind: corners_of(mesh, kind, pairs) for kind, pairs in of_kinds.items()}
     all_tois = [ExactTimes.from_oracle(exact_tois(kind, start[c], end[c])) for kind, c in corners.items()]
-    least = min((t, remainder) for times in all_tois for t, remainder in zip(times.below, times.remainder, strict=True))
-    contacts = ccd.mesh_ccd(mesh, start, end).contacts
-    for likely in (None, contacts[int(np.argmin(contacts.toi))], contacts[int(np.argmax(contacts.toi))]):
-        times = first_contact(mesh, start, end, tuple(of_kinds.values()), likely)
-        assert (times.below[0], times.remainder[0]) == least and least[0] < 1
+    contacts, none = ccd.mesh_ccd(mesh, start, end).contacts, np.zeros((0, 2), int)
+    likely = [None, contacts[int(np.argmin(contacts.toi))], contacts[int(np.argmax(contacts.toi))]]
+    for chosen, tried in (((0, 1), likely), ((0,), [None]), ((1,), [None])):
+        least = min(pair for k in chosen for pair in zip(all_tois[k].below, all_tois[k].remainder, strict=True))
+        pairs = [of_kind if k in chosen else none for k, of_kind in enumerate(of_kinds.values())]
+        for contact in tried:
+            times = first_contact(mesh, start, end, tuple(pairs), contact)
+            assert (times.below[0], times.remainder[0]) == least
+    assert sum(times.hit.sum() for times in all_tois) > 5
     free = [pairs[np.isinf(times.below)] for pairs, times in zip(of_kinds.values(), all_tois, strict=True)]
     assert not first_contact(mesh, start, end, tuple(free), None).hit[0] and min(map(len, free)) > 10
