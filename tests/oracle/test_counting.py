@@ -42,10 +42,10 @@ def test_missed_late_and_phantom_are_counted_apart():
 def test_the_first_contact_of_a_step_is_the_least_exact_toi_of_its_pairs(seed):
     """Whichever pair is named as likely to be first, also one that is last, and none."""
     rng = np.random.default_rng(seed)
-    bodies = [(rng.standard_normal((3, 3)) + 3 * rng.standard_normal(3), [[0, 1, 2]]) for _ in range(12)]
+    bodies = [(rng.standard_normal((3, 3)) + 3 * rng.standard_normal(3), [[0, 1, 2]]) for _ in range(24)]
     mesh = ccd.CollisionMesh.from_arrays(bodies)
     start = mesh.vertices
-    end = start + np.repeat(3 * rng.standard_normal((12, 3)), 3, axis=0) + 0.1 * rng.standard_normal(start.shape)
+    end = start + np.repeat(3 * rng.standard_normal((24, 3)), 3, axis=0) + 0.1 * rng.standard_normal(start.shape)
     found = ccd.find_candidates(mesh, start, end)
     of_kinds = {"vertex-face": found.vertex_face, "edge-edge": found.edge_edge}
     corners = {kind: corners_of(mesh, kind, pairs) for kind, pairs in of_kinds.items()}
