@@ -49,7 +49,7 @@ _NAVIGATION = {
         "docs/coming_from_ipc_toolkit",
         "docs/beside_other_libraries",
     ],
-    "Mathematics": ["docs/method", "docs/architecture"],
+    "Mathematics": ["docs/method", "docs/architecture", "docs/extending"],
     "Reference": ["docs/calls", "Every name <docs/reference>", *(f"docs/{page}" for page in _REFERENCE)],
     "Project": ["docs/how_it_is_tested", "docs/benchmarks", "docs/about", "CONTRIBUTING", "CHANGELOG"],
 }

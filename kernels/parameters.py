@@ -7,9 +7,11 @@ from typing import Any
 
 import warp as wp
 
+from .pair.norm import Norm
+
 real: Any = wp.float64  # floating-point type of the iteration
 width = 1  # number of lanes
-norm = "maximum"  # that of the separation (`norm`)
+norm = Norm.MAXIMUM  # that of the separation (`norm`)
 only_method = ""  # of single pairs on CUDA: "clipping", by all threads of a warp, or "bisection", by one
 with_facets = True  # whether rounds are later ones, with facets or directions that turn
 dimension = 3  # of the positions that are read or written

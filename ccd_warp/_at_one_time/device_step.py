@@ -29,7 +29,7 @@ from ccd_warp._scene.input.interop import DeviceArray, without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.pair.norm import Norm
 
 _SLOTS = ("inflation", "search options", "reach", "largest")
 
@@ -97,7 +97,7 @@ class DeviceAtOneTime(DeviceStep, ABC):
         if key not in self._values:
             self._values.clear()
             inflation, radii = half_rounded_up(distance), (self._radii, self._input.box_radius)
-            searched = search_options(1.0, inflation, distance, EUCLIDEAN_NORM, self._flag, radii)
+            searched = search_options(1.0, inflation, distance, Norm.EUCLIDEAN, self._flag, radii)
             reach = packed_reach(self._radii, distance, self._flag.array, kept)
             self._values[key] = _Values(inflation, searched, reach, largest)
         return self._values[key]
@@ -170,7 +170,7 @@ class DeviceProximityStep(DeviceAtOneTime):
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:
             stages.list_near_planes(recording)
-        stages.measure_pairs(recording, NEAR, EUCLIDEAN_NORM)
+        stages.measure_pairs(recording, NEAR, Norm.EUCLIDEAN)
 
 
 class DeviceDisplacementStep(DeviceAtOneTime):
@@ -205,4 +205,4 @@ class DeviceDisplacementStep(DeviceAtOneTime):
     def _record_distances(self, recording: Recording, stages: Stages) -> None:
         if stages.plane_query is not None:
             stages.bound_by_half_spaces(recording)
-        stages.measure_pairs(recording, DISPLACEMENT, EUCLIDEAN_NORM)
+        stages.measure_pairs(recording, DISPLACEMENT, Norm.EUCLIDEAN)

@@ -21,7 +21,7 @@ from ccd_warp._runtime.launch import Recording, Slot, load_all
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.at_one_time import proximity as kernels
 from ccd_warp.kernels.narrow_phase.sinks import DISPLACEMENT, NEAR
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM
+from ccd_warp.kernels.pair.norm import Norm
 
 # Pairs of vertices and planes for which a call begins with capacity.
 _FEW = 1 << 10
@@ -36,9 +36,9 @@ class StepAtOneTime(HostStep):
         """Begin at the first of these positions; the other arguments are those of every step."""
         super().__init__(workspace.at_one_time(self.goal), (positions[0], positions[0]), *arguments)
 
-    def norm(self) -> str:
+    def norm(self) -> Norm:
         """The norm of distances."""
-        return EUCLIDEAN_NORM
+        return Norm.EUCLIDEAN
 
     def search(self, distance: float) -> HostPlan:
         """Make the boxes in which pairs within a distance overlap, radii besides, and set up the search for them."""
@@ -132,7 +132,7 @@ class DisplacementStep(StepAtOneTime):
         return bounds
 
     def _record_reset(self, stages: Stages, recording: Recording) -> None:
-        both = measure_pairs_in(EUCLIDEAN_NORM, self.topology.device), kernels.reset_bounds
+        both = measure_pairs_in(Norm.EUCLIDEAN, self.topology.device), kernels.reset_bounds
         load_all(both, self.topology.device, self.execution.progress)  # side by side
         inputs, outputs = [Slot("largest_bound"), self.topology.body_static], [self.workspace.contacts.minima]
         recording.launch(kernels.reset_bounds, self.mesh.num_vertices, inputs=inputs, outputs=outputs)

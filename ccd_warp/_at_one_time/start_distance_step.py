@@ -14,7 +14,7 @@ from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._results.results import Contacts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
-from ccd_warp.kernels.pair.norm import shape_of
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.template import specialised
 
 
@@ -28,7 +28,7 @@ class StartDistanceStep(StepAtOneTime):
         super().__init__(workspace, positions, *arguments)
         self._end = positions[1]
 
-    def norm(self) -> str:
+    def norm(self) -> Norm:
         """The norm of separations."""
         return norm_of(self.mesh, self.options)
 
@@ -58,7 +58,7 @@ class StartDistanceStep(StepAtOneTime):
             count: wp.array = wp.array([len(contacts)], dtype=wp.int32, device=device)
             ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device) for x in (self.positions[0], self._end)]
             self.execution = Execution(device, self.options.threads, self.workspace.flag)
-            kernels = specialised("at_one_time.near_contacts", norm=shape_of(self.norm()))
+            kernels = specialised("at_one_time.near_contacts", norm=self.norm().shape)
             self.execution.launch(
                 kernels.note_near_contacts,
                 len(contacts),

@@ -43,7 +43,6 @@ from ccd_warp._scene.input.interop import DeviceArray, as_warp
 from ccd_warp._scene.input.option_types import PairOptions
 from ccd_warp._scene.input.options import Options, naming, options_of, resolve_device
 from ccd_warp.kernels.narrow_phase.sinks import TABLE
-from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.contacts import lift, mark_finite
 from ccd_warp.kernels.step.minima import NUM_COUNTS
 from ccd_warp.kernels.step.pair_list import PairList
@@ -315,7 +314,7 @@ def _device_arrays_ccd(function: str, kind: PairKind, points_t0: Any, points_t1:
 
 def _touch(options: Options) -> Touch:
     """What counts as touching."""
-    return Touch.of(options, options.length_scale, is_euclidean=is_ball(options.norm))
+    return Touch.of(options, options.length_scale, is_euclidean=options.norm.is_ball)
 
 
 def _solve_few(

@@ -16,6 +16,7 @@ from ccd_warp._runtime.launch import Execution, Recording
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.step.minima import ANY_OPEN, NUM_COUNTS
 
 # What a call looks for: all contacts, the least toi alone, candidate pairs; or at one time what intersects, what
@@ -56,7 +57,7 @@ class Plan:
         options: Options,
         execution: Execution,
         goal: Goal,
-        norm: str,
+        norm: Norm,
         kept: Mapping[Any, dict[str, BoxSet]] | None = None,
     ) -> None:
         """Choose what is searched; ``kept`` are sets of boxes that stay from plan to plan, by their broad phase."""

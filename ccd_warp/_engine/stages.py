@@ -19,7 +19,7 @@ from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.boxes import body_frames, box_tree, half_warp_tree, rest_order
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, NEAR, START_DISTANCE, Table
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
-from ccd_warp.kernels.pair.norm import is_ball, shape_of
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.pair.turns import Turns
 from ccd_warp.kernels.search.search_types import CULL, LIST, Candidates, Searched
 from ccd_warp.kernels.step import contacts, device_step
@@ -53,10 +53,10 @@ StepFields, PairFields, LeastFields = fields_of(Step), fields_of(PairList), fiel
 SearchedFields, CandidateFields = fields_of(Searched), fields_of(Candidates)
 
 
-def measure_pairs_in(norm: str, device: wp.Device) -> Any:
+def measure_pairs_in(norm: Norm, device: wp.Device) -> Any:
     """The kernel that takes the place of the narrow phase at one time, for distances in a norm."""
-    parameters = {"width": lanes_of(device)} if is_ball(norm) else {}
-    return specialised("at_one_time.measure_pairs", norm=shape_of(norm), **parameters).measure_pairs
+    parameters = {"width": lanes_of(device)} if norm.is_ball else {}
+    return specialised("at_one_time.measure_pairs", norm=norm.shape, **parameters).measure_pairs
 
 
 def _groups(items: Sequence[Any], size: int = KINDS_AT_ONCE) -> Iterator[Any]:
@@ -493,7 +493,7 @@ class Stages:
             most = sum(_MANY_PAIRS if isinstance(self.keys[kind], Slot) else len(self.keys[kind]) for kind in kinds)
             launch_queued(launcher, kernels, most, inputs, outputs)
 
-    def measure_pairs(self, launcher: Launcher, sink: int, norm: str) -> None:
+    def measure_pairs(self, launcher: Launcher, sink: int, norm: Norm) -> None:
         """In place of the narrow phase: measure the pairs at the start, in a norm.
 
         Args:

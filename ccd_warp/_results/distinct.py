@@ -85,12 +85,15 @@ def _kept(contacts: Contacts, position_at: At | None) -> tuple[Indices, Indices]
     is_wrong = kind == int(PairKind.EDGE_EDGE)
     if position_at is not None:
         is_wrong = groups.violations(position_at)[rows] > 0.0
-    most = np.full(groups.count, -np.inf)
-    np.maximum.at(most, groups.group, np.where(is_wrong, -np.inf, approach[rows]))
-    is_less = approach[rows] < most[groups.group] - _SAME_SPEED * speed[rows]
-    slack, until = slack_of(contacts)[rows], np.full(groups.count, np.inf)
-    np.minimum.at(until, groups.group, contacts.toi[rows] + slack)
+    slack, until, most = slack_of(contacts)[rows], np.full(groups.count, np.inf), np.full(groups.count, -np.inf)
+    # a normal that is wrong says nothing beside one that is right
+    has_right = np.zeros(groups.count, dtype=bool)
+    has_right[groups.group[~is_wrong]] = True
+    is_told = ~is_wrong | ~has_right[groups.group]
+    np.minimum.at(until, groups.group, np.where(is_told, contacts.toi[rows] + slack, np.inf))
     is_later = contacts.toi[rows] - slack > until[groups.group]
+    np.maximum.at(most, groups.group, np.where(is_told & ~is_later, approach[rows], -np.inf))
+    is_less = approach[rows] < most[groups.group] - _SAME_SPEED * speed[rows]
     order = np.lexsort((rows, kind, is_less, is_later, is_wrong, groups.group))
     first = order[np.searchsorted(groups.group[order], np.arange(groups.count))]
     kept, group = np.arange(len(contacts)), np.full(len(contacts), -1)

@@ -46,7 +46,6 @@ from ccd_warp._runtime.progress import Progress
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp._scene.replicate import copied_bodies
-from ccd_warp.kernels.pair.norm import is_ball
 
 Array = NDArray[np.float64]
 _T = TypeVar("_T")
@@ -264,7 +263,7 @@ class MotionWorlds:
             hidden = hidden or result.hidden_gaps
         frames = MovingVertices(mesh, *self._ends, WorldPaths.of_worlds(mesh, self._motion._body_paths))
         scale, radius = length_scale_of(mesh, options), mesh.radius
-        touch = Touch.of(options, scale, is_euclidean=is_ball(norm_of(mesh, options)), radius=radius)
+        touch = Touch.of(options, scale, is_euclidean=norm_of(mesh, options).is_ball, radius=radius)
         return result_of(mesh, world_toi, contacts, self.counts(), self.timings, hidden, frames, touch)
 
     def _results(self, world_toi: Array | None) -> Iterator[tuple[NDArray[np.intp], MeshResult, Contacts]]:

@@ -10,12 +10,12 @@ import warp as wp
 
 from ccd_warp import kernels
 from ccd_warp.kernels.later import define_kernels
-from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, MAXIMUM_NORM, OWN_BOX_NORM
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
 from ccd_warp.kernels.template import specialised
 
 _REALS: tuple[Any, ...] = (wp.float64, wp.float32)
-_NORMS = (MAXIMUM_NORM, EUCLIDEAN_NORM, OWN_BOX_NORM, ARC_BOX_NORM, ARC_BALL_NORM)
+_NORMS = tuple(Norm)
 _OF_CUDA = "half_warp_tree"  # a file with kernels that the CPU never launches
 _OPTIONS = ("end", "with_lists", "is_thick")
 
@@ -47,7 +47,8 @@ def every_module(width: int | None) -> dict[str, Any]:
             ):
                 of_rows = getattr(specialised(name, real=real, dimension=dimension), kernel)
                 modules[f"{name.partition('.')[2]} {real.__name__} {dimension}"] = of_rows.module
-    for shape, norm, lanes in (("ball", EUCLIDEAN_NORM, width or 1), ("box", MAXIMUM_NORM, 1)):
+    for norm in dict.fromkeys(norm.shape for norm in _NORMS):
+        shape, lanes = ("ball", width or 1) if norm.is_ball else ("box", 1)
         measured = specialised("at_one_time.measure_pairs", norm=norm, width=lanes)
         modules[f"measure_pairs {shape}"] = measured.measure_pairs.module
         of_start = specialised("at_one_time.near_contacts", norm=norm)
@@ -57,8 +58,8 @@ def every_module(width: int | None) -> dict[str, Any]:
     return modules | _of_searches(width)
 
 
-def _of_solver(real: type, norm: str, width: int | None) -> dict[str, Any]:
-    of_norm = "" if norm == MAXIMUM_NORM else f" {norm}"
+def _of_solver(real: type, norm: Norm, width: int | None) -> dict[str, Any]:
+    of_norm = norm.suffix.replace(".", " ")
     if width:
         lanes = width if width == 1 or real is wp.float64 else 2 * width
         narrow_phase = specialised("narrow_phase.narrow_phase", real=real, width=lanes, norm=norm)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.search.search_types import BOXES, LIST
 from ccd_warp.kernels.template import specialised
 
@@ -29,7 +30,7 @@ def lanes_of(device: wp.Device) -> int:
     return 1 if device.is_cuda else cpu_lanes()
 
 
-def narrow_phase_on(device: wp.Device, real: type, norm: str) -> ModuleType:
+def narrow_phase_on(device: wp.Device, real: type, norm: Norm) -> ModuleType:
     """The kernels of the narrow phase for a device and a precision, with twice as many lanes of float32.
 
     Args:
@@ -42,7 +43,7 @@ def narrow_phase_on(device: wp.Device, real: type, norm: str) -> ModuleType:
     return specialised("narrow_phase.narrow_phase", real=real, width=width, norm=norm)
 
 
-def queued_kernels(real: type, norm: str, sink: int, *, is_clipping: bool) -> dict[str, Any]:
+def queued_kernels(real: type, norm: Norm, sink: int, *, is_clipping: bool) -> dict[str, Any]:
     """The kernels of the narrow phase on CUDA by their stages, in the order of their launches.
 
     Args:

@@ -6,10 +6,10 @@ A direction d bounds the distance of the patch by least d·W / Σ|d_k|, and the 
 
 import warp as wp
 
+from ..pair.lane_scale import to_unit_size
 from ..pair.rounding import LARGEST, PROJECTION_ROOT, RELATIVE, TINY, UNIT_ROUNDOFF, inverse_power_of_two
 from ..pair.single_points import Points, corners, largest, scaled, total
 from ..pair_kind import VERTEX_FACE
-from ..step.contact_normal import to_unit_size
 from .pair_distance import UNDERFLOW, lowest, without
 
 _ZERO = wp.constant(wp.float64(0.0))

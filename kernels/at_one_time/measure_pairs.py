@@ -15,7 +15,6 @@ from ..boxes.thickness import add_rounded_up, distance_of, radius_of
 from ..interrupts import is_stopped
 from ..narrow_phase.lane_rows import points_of_vertices, rows_from, vertices_of_pairs
 from ..narrow_phase.sinks import DISPLACEMENT, NEAR, START_DISTANCE
-from ..pair.norm import is_ball
 from ..pair.simd import build_options, fingerprint
 from ..pair.single_points import points_of
 from ..pair.start_distance import share_of
@@ -32,7 +31,7 @@ _ZERO = wp.constant(wp.float64(0.0))
 _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 simd = specialised("pair.simd", width=width)
 lanes = wp.constant(width)
 of_width = f".{width}.{fingerprint()}" if is_euclidean else ""

@@ -9,7 +9,6 @@ rounding beyond it, and meets a face that it was not near to a rounding within i
 import warp as wp
 
 from ..boxes.thickness import distance_of
-from ..pair.norm import is_ball
 from ..pair.passing import clip_passing
 from ..pair.patch import Corners
 from ..pair.rounding import PROJECTION_ROOT, UNIT_ROUNDOFF
@@ -35,7 +34,7 @@ _NOISE = wp.constant(wp.float64(2.0**-40))
 @wp.func
 def least_distance(kind: int, p: Points) -> wp.float64:
     """A lower bound of the distance of a pair in the norm of the separation."""
-    if wp.static(is_ball(norm)):
+    if wp.static(norm.is_ball):
         return measured(kind, p, True).least
     else:
         return box_distance(kind, p)
@@ -59,7 +58,7 @@ def comes_within(kind: int, c0: Corners, c1: Corners, parameters: wp.vec2d, dist
     motion = patch_point(kind, c1, parameters) - gap
     nearest = gap + wp.clamp(-wp.dot(gap, motion) / wp.dot(motion, motion), _ZERO, _ONE) * motion
     size = wp.length(nearest)
-    if wp.static(not is_ball(norm)):
+    if wp.static(not norm.is_ball):
         size = wp.max(wp.abs(nearest))
     return size < _CLEARLY * distance - _NOISE * (wp.max(largest(c0)) + wp.max(largest(c1)))
 
@@ -76,7 +75,7 @@ def passes_by(kind: int, a: Points, b: Points, parameters: wp.vec2d, distance: w
     return clip_passing(c0, c1, error, separation, kind == VERTEX_FACE, wp.uint32(1), _ZERO, _ONE) > _ONE
 
 
-module = wp.get_module(f"ccd_warp.near_contacts.{'ball' if is_ball(norm) else 'box'}")
+module = wp.get_module(f"ccd_warp.near_contacts.{'ball' if norm.is_ball else 'box'}")
 wp.set_module_options({"enable_backward": False, "fuse_fp": False}, module=module)
 
 

@@ -23,7 +23,7 @@ from ..pair.rounding import UNIT_ROUNDOFF, inverse_power_of_two
 from ..pair.single_points import Points, corners, largest
 from ..pair.status import STATUS_COLLISION
 from ..pair_kind import EDGE_EDGE, POINT_POINT, POINT_SEGMENT, VERTEX_FACE, VERTEX_PLANE
-from ..step.contact_normal import NOISE
+from ..step.contact_sides import NOISE
 from ..step.pair_gap import TOUCH, gap_of, patch_point
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -128,24 +128,37 @@ class Closing:
     speed: wp.float64  # of the difference of the closest points
 
 
+@wp.struct
+class ScaledPair:
+    """A pair whose lengths are multiplied by a power of two, so that its largest coordinate is near 1."""
+
+    kind: int
+    norm: int  # TOUCH where it has no distance
+    is_planar: bool
+    plane: vec3d  # the unit normal for a vertex and a plane
+    c0: Corners
+    c1: Corners
+    unit: wp.float64
+    noise: wp.float64  # to which a gap is known
+    distance: wp.float64
+
+
 @wp.func(inline=False)
-def closing_at(
-    kind: int, norm: int, c0: Corners, c1: Corners, t: wp.float64, plane: vec3d, noise: wp.float64, planar: bool
-) -> Closing:
-    """The gap of a pair at a time, from its corners at both ends."""
-    velocity = motion_of(c0, c1)
-    c = corners_at(c0, c1, t)
-    c.q = (_ONE - t) * c0.q + t * c1.q
-    c.r = (_ONE - t) * c0.r + t * c1.r
-    g = gap_of(kind, norm, c, velocity, plane, noise, planar)
-    v = patch_point(velocity, g.at, kind == VERTEX_FACE)
+def closing_at(p: ScaledPair, t: wp.float64) -> Closing:
+    """The gap of a pair at a time."""
+    velocity = motion_of(p.c0, p.c1)
+    c = corners_at(p.c0, p.c1, t)
+    c.q = (_ONE - t) * p.c0.q + t * p.c1.q
+    c.r = (_ONE - t) * p.c0.r + t * p.c1.r
+    g = gap_of(p.kind, p.norm, c, velocity, p.plane, p.noise, p.is_planar)
+    v = patch_point(velocity, g.at, p.kind == VERTEX_FACE)
     r = Closing()
     r.size = g.size
     r.rate = wp.dot(g.along, v)
     r.is_known = g.is_known and r.rate < _ZERO
     r.along = g.along
     r.at = g.at
-    r.point = patch_point(c, g.at, kind == VERTEX_FACE)
+    r.point = patch_point(c, g.at, p.kind == VERTEX_FACE)
     r.speed = wp.length(v)
     return r
 
@@ -178,6 +191,69 @@ def largest_side(a: Points, b: Points) -> wp.float64:
     return wp.max(wp.max(high_a, high_b) - wp.min(low_a, low_b))
 
 
+@wp.func
+def scaled_pair(kind: int, query: Query, pairs: Table, i: int) -> ScaledPair:
+    """A row of a table."""
+    a = table_points(kind, pairs.points_t0, i)
+    b = table_points(kind, pairs.points_t1, i)
+    c0 = corners(kind, a)
+    c1 = corners(kind, b)
+    size = wp.max(largest(c0), largest(c1))
+    p = ScaledPair()
+    p.kind = kind
+    p.is_planar = query.is_planar != 0
+    if kind == VERTEX_PLANE:
+        p.plane = pairs.planes[i]
+    p.unit = inverse_power_of_two(wp.max(size))
+    p.c0 = scaled_corners(c0, p.unit)
+    p.c1 = scaled_corners(c1, p.unit)
+    p.noise = _NOISE * wp.length(p.unit * size)
+    distance = query.separation
+    if query.by_size != 0:
+        distance = distance * largest_side(a, b)
+    if pairs.distances.shape[0] > 0:
+        distance = pairs.distances[i]
+    p.distance = p.unit * distance
+    p.norm = query.norm
+    if not p.distance > _ZERO:
+        p.norm = TOUCH
+    return p
+
+
+@wp.func
+def root_from(p: ScaledPair, toi: wp.float64):
+    """The time of the root to which Newton's method leads from a toi, and the gap there."""
+    t = toi
+    g = closing_at(p, t)
+    steps = int(_MOST_STEPS)  # a variable, so that the loop stays one
+    for _ in range(steps):
+        if not g.is_known or wp.abs(g.size - p.distance) <= p.noise / wp.float64(32.0):
+            break
+        t = t + (p.distance - g.size) / g.rate
+        g = closing_at(p, t)
+    return t, g
+
+
+@wp.func
+def is_certain(p: ScaledPair, t: wp.float64, g: Closing, toi: wp.float64, t_max: wp.float64) -> bool:
+    """Whether a root is certain, which makes a pair regular."""
+    if not g.is_known or not wp.abs(g.size - p.distance) <= p.noise:
+        return False
+    uncertain = p.noise / -g.rate
+    if not (t - uncertain > _ZERO and t + uncertain < t_max * (_ONE - _ROUNDINGS)):
+        return False
+    if t < toi - _FOUR * uncertain - _ROUNDINGS:
+        return False
+    if p.norm == TOUCH and p.kind != VERTEX_PLANE:
+        if not wp.length(g.point) <= _FOUR * (p.noise + g.speed * uncertain):
+            return False
+    before = closing_at(p, t - uncertain)
+    after = closing_at(p, t + uncertain)
+    if not (before.is_known and after.is_known):
+        return False
+    return not (wp.abs(before.rate - g.rate) > -_SAME * g.rate or wp.abs(after.rate - g.rate) > -_SAME * g.rate)
+
+
 @wp.kernel
 def fill_slopes(
     begin: int,
@@ -203,56 +279,12 @@ def fill_slopes(
     kind = kind_of_all
     if kind < 0:
         kind = pairs.kinds[i]
-    plane = vec3d()
-    if kind == VERTEX_PLANE:
-        plane = pairs.planes[i]
-    a = table_points(kind, pairs.points_t0, i)
-    b = table_points(kind, pairs.points_t1, i)
-    c0 = corners(kind, a)
-    c1 = corners(kind, b)
-    size = wp.max(largest(c0), largest(c1))
-    unit = inverse_power_of_two(wp.max(size))
-    c0 = scaled_corners(c0, unit)
-    c1 = scaled_corners(c1, unit)
-    noise = _NOISE * wp.length(unit * size)
-    distance = query.separation
-    if query.by_size != 0:
-        distance = distance * largest_side(a, b)
-    if pairs.distances.shape[0] > 0:
-        distance = pairs.distances[i]
-    distance = unit * distance
-    norm = query.norm
-    if not distance > _ZERO:
-        norm = TOUCH
-    planar = query.is_planar != 0
-
-    t = pairs.toi[i]
-    g = closing_at(kind, norm, c0, c1, t, plane, noise, planar)
-    steps = int(_MOST_STEPS)  # a variable, so that the loop stays one
-    for _ in range(steps):
-        if not g.is_known or wp.abs(g.size - distance) <= noise / wp.float64(32.0):
-            break
-        t = t + (distance - g.size) / g.rate
-        g = closing_at(kind, norm, c0, c1, t, plane, noise, planar)
-    if not g.is_known or not wp.abs(g.size - distance) <= noise:
-        return
-    uncertain = noise / -g.rate
-    if not (t - uncertain > _ZERO and t + uncertain < query.t_max * (_ONE - _ROUNDINGS)):
-        return
-    if t < pairs.toi[i] - _FOUR * uncertain - _ROUNDINGS:
-        return
-    if norm == TOUCH and kind != VERTEX_PLANE:
-        if not wp.length(g.point) <= _FOUR * (noise + g.speed * uncertain):
-            return
-    before = closing_at(kind, norm, c0, c1, t - uncertain, plane, noise, planar)
-    after = closing_at(kind, norm, c0, c1, t + uncertain, plane, noise, planar)
-    if not (before.is_known and after.is_known):
-        return
-    if wp.abs(before.rate - g.rate) > -_SAME * g.rate or wp.abs(after.rate - g.rate) > -_SAME * g.rate:
-        return
-    per_length = unit / g.rate
-    out.slope[i] = per_length * g.along
-    out.distance[i] = per_length
-    out.weights[i] = weights_of(kind, g.at)
-    out.time[i] = t
-    out.is_regular[i] = True
+    p = scaled_pair(kind, query, pairs, i)
+    t, g = root_from(p, pairs.toi[i])
+    if is_certain(p, t, g, pairs.toi[i], query.t_max):
+        per_length = p.unit / g.rate
+        out.slope[i] = per_length * g.along
+        out.distance[i] = per_length
+        out.weights[i] = weights_of(kind, g.at)
+        out.time[i] = t
+        out.is_regular[i] = True

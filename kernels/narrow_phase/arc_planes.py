@@ -14,7 +14,7 @@ from ..pair.arcs import bend, point_at
 from ..pair.rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, SQUARE_UNDERFLOW, START_DISTANCE_ERRORS, UNIT_ROUNDOFF
 from ..pair.turns import Turns
 from ..pair.windows import Window, in_step, next_window, reached
-from .planes import Meeting, PlaneQuery, Planes, largest_coordinate, length_of_normal, meeting_of
+from .planes import PlaneMeeting, PlaneQuery, Planes, largest_coordinate, length_of_normal, meeting_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -70,7 +70,7 @@ def meeting_on_arc(
     k: int,
     query: PlaneQuery,
     turns: Turns,
-) -> Meeting:
+) -> PlaneMeeting:
     """`meeting_of` for a vertex that turns with its body in a slice, at a time of the step."""
     body = turns.vertex_body[v]
     t_begin = turns.t_begin[body]
@@ -103,7 +103,7 @@ def meeting_on_arc(
     query.start_gap_fraction = _ZERO
     window = Window()
     window.h = _ONE
-    meeting = Meeting()
+    meeting = PlaneMeeting()
     windows = int(0)
     is_open = bool(True)
     while is_open:

@@ -6,7 +6,6 @@ The pairs are those of a list, or of a table: then the list has their kind alone
 import warp as wp
 
 from ..pair.lane_solver import LaneAnswer, first_rounds, later_rounds
-from ..pair.norm import has_arcs
 from ..pair.pair_options import options_of_rows
 from ..pair.points import Points
 from ..pair.query import Options
@@ -15,7 +14,7 @@ from ..step.pair_list import PairList
 from ..template import specialised
 from .lane_rows import Index
 
-on_arcs = has_arcs(norm)
+on_arcs = norm.has_arcs
 if on_arcs:
     from ..pair.lane_windows import advance_to_meeting
     from .lane_rows import arcs_of_pairs

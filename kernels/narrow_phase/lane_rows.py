@@ -8,7 +8,6 @@ from typing import Any
 
 import warp as wp
 
-from ..pair.norm import has_arcs
 from ..pair.points import Points
 from ..pair.turns import Turns
 from ..pair_kind import EDGE_EDGE
@@ -89,6 +88,38 @@ def corner_of(keys: wp.array[wp.int64], i: Index, is_second: int, corners: wp.ar
     ...
 
 
+# the search lists the pairs of a query one after another, so the first primitives need no help
+fetch_ahead_snippet = f"""
+    const long long end = first + {width}LL < count ? first + {width}LL : count;
+    const auto corners = [&](long long k) {{
+        const long long written = keys.data[k], key = written < 0 ? ~written : written;
+        return (const int*)second_corners.data + 3LL * (key & 0xFFFFFFFFLL);
+    }};
+    for (long long k = first; k < end; ++k) {{
+        if (k + {width} < count)
+            __builtin_prefetch(corners(k + {width}));
+        const int* c = corners(k);
+        for (int j = 0; j < 3; ++j) {{
+            __builtin_prefetch(x_t0.data + c[j]);
+            __builtin_prefetch(x_t1.data + c[j]);
+        }}
+    }}
+"""
+
+
+@wp.func_native(fetch_ahead_snippet)
+def fetch_ahead(
+    keys: wp.array[wp.int64],
+    first: wp.int64,
+    count: wp.int64,
+    second_corners: wp.array[wp.vec3i],
+    x_t0: wp.array[wp.vec3d],
+    x_t1: wp.array[wp.vec3d],
+):
+    """Let the memory bring what the pairs of a block need, and the corners of those of the block after it."""
+    ...
+
+
 rows_from_snippet = f"""
     {out_index};
     for (int k = 0; k < {width}; ++k)
@@ -151,6 +182,28 @@ def put(x: wp.array[wp.int32], i: Index, a: simd.Lanes, count: int):  # noqa: F8
 @wp.func_native(put_snippet.format(f"wp::vec_t<2, double>({number.format('a')}, {number.format('b')})"))
 def put_vec2(x: wp.array[wp.vec2d], i: Index, a: simd.Lanes, b: simd.Lanes, count: int):
     """x[i] = (a, b) in the first ``count`` lanes."""
+    ...
+
+
+@wp.func_native(put_snippet.format(f"wp::vec_t<3, double>({', '.join(map(number.format, 'abc'))})"))
+def put_vec3(x: wp.array[wp.vec3d], i: Index, a: simd.Lanes, b: simd.Lanes, c: simd.Lanes, count: int):
+    """x[i] = (a, b, c) in the first ``count`` lanes."""
+    ...
+
+
+put_pairs_snippet = f"""
+    for (int k = 0; k < {width}; ++k)
+        if (k < count) {{
+            const long long written = keys.data[{"rows" if width == 1 else "rows[k]"}];
+            const long long key = written < 0 ? ~written : written;
+            x.data[{index_of}] = wp::vec_t<2, wp::int32>((int)(key >> 32), (int)(key & 0xFFFFFFFFLL));
+        }}
+"""
+
+
+@wp.func_native(put_pairs_snippet)
+def put_pairs(x: wp.array[wp.vec2i], i: Index, keys: wp.array[wp.int64], rows: Index, count: int):
+    """x[i] is the pair of a row in the first ``count`` lanes; the key of an open pair is its complement."""
     ...
 
 
@@ -231,7 +284,7 @@ def points_of_pairs(pairs: PairList, rows: Index):
     return a, points_of_vertices(pairs.vertices_t1, i.i0, i.i1, i.i2, i.i3)
 
 
-if has_arcs(norm):
+if norm.has_arcs:
     arcs = specialised("pair.arcs", norm=norm, width=width)
     Arcs = arcs.Arcs
     turns_anywhere = arcs.turns_anywhere

@@ -19,7 +19,7 @@ from ..step.minima import (
 )
 from ..step.step import ContactList, Step
 from .arc_planes import meeting_on_arc
-from .planes import Meeting, PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
+from .planes import PlaneMeeting, PlaneQuery, Planes, end_of_planes, first_plane, meeting_of, nth_plane, point_of
 from .raised_toi import raised_toi
 from .sinks import BOUND
 
@@ -49,7 +49,7 @@ def is_pair_excluded(v: int, k: int, excluded: wp.array[wp.int64]) -> bool:
 def record_meeting(
     v: int,
     k: int,
-    meeting: Meeting,
+    meeting: PlaneMeeting,
     toi: wp.float64,  # to which the minima are lowered
     is_struck: bool,
     planes: Planes,
@@ -129,7 +129,7 @@ def meet_planes(
         p1 = point_of(planes, k, step.vertices_t1)
         if planes.meets[k, body] == wp.uint8(0) or (is_struck and p0 == p1):
             continue
-        meeting = Meeting()
+        meeting = PlaneMeeting()
         if turns.velocity.shape[0] > 0:
             meeting = meeting_on_arc(v, x0, x1, p0, p1, radius, planes, k, query, turns)
         else:

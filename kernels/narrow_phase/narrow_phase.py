@@ -10,7 +10,6 @@ import warp as wp
 from ..boxes.lanes import lowest_bit
 from ..interrupts import is_stopped
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import MAXIMUM_NORM
 from ..pair.pair_options import row_in
 from ..pair.points import Points
 from ..pair.query import Options
@@ -24,8 +23,19 @@ from ..step.step import ContactList
 from ..template import specialised
 from . import lane_rows
 from .lane_answers import answer_of
-from .lane_rows import Index, numbers_of, points_of_pairs, points_of_rows, put, put_vec2, rows_from, rows_of
-from .pair_contacts import is_left_open, leave_open, record_contact, settle_least, stays_in_place
+from .lane_contacts import Unrecorded, ordinary, record_lanes
+from .lane_rows import (
+    Index,
+    fetch_ahead,
+    numbers_of,
+    points_of_pairs,
+    points_of_rows,
+    put,
+    put_vec2,
+    rows_from,
+    rows_of,
+)
+from .pair_contacts import in_lanes, is_left_open, leave_open, record_contact, settle_least, stays_in_place
 from .pair_outcome import (
     cap_of_round,
     finished_lanes,
@@ -37,7 +47,7 @@ from .pair_outcome import (
     skips_first_rounds,
     write_row,
 )
-from .sinks import BOUND, TABLE, Table
+from .sinks import BOUND, CONTACTS, TABLE, Table
 
 # Pairs of a table that are taken as one, where there are several lanes.
 PAIRS_OF_AN_ITEM = 64
@@ -133,8 +143,7 @@ def settle_pair(
 
 
 # a Warp module for each precision, number of lanes and norm
-of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{of_norm}.{fingerprint()}")
+module = wp.get_module(f"ccd_warp.solve_pairs.{real.__name__}.{width}{norm.suffix}.{fingerprint()}")
 options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "extra_build_options": build_options}
 wp.set_module_options(options, module=module)
 
@@ -176,9 +185,14 @@ def solve_pairs(
     following = wp.int64(begin + wp.tid()) * wp.int64(chunk)
     skips_first = skips_first_rounds(options)
     pending = Pending()
-    while following < count or pending.count > 0:
+    unrecorded = Unrecorded()
+    while following < count or pending.count > 0 or unrecorded.count > 0:
         if is_stopped(options.stop):
             return
+        if wp.static(in_lanes):
+            if unrecorded.count >= lanes or (following >= count and pending.count == 0):
+                unrecorded.count = record_lanes(unrecorded, pairs, minima, contacts)
+                continue
         is_waiting = pending.count >= lanes or following >= count
         size = wp.min(wp.min(lanes, chunk), wp.int32(count - following))
         rows = rows_from(wp.int32(following), size)
@@ -202,6 +216,8 @@ def solve_pairs(
             a = points_of_rows(table.points_t0, rows)
             b = points_of_rows(table.points_t1, rows)
         else:
+            if lanes > 1:
+                fetch_ahead(pairs.keys, following, count, pairs.second_corners, pairs.vertices_t0, pairs.vertices_t1)
             a, b = points_of_pairs(pairs, rows)
         left = first_lanes(size)
         is_later = is_waiting or skips_first
@@ -216,6 +232,19 @@ def solve_pairs(
             write(rows, size, answer, options.t_max, table)
             left = left & ~finished_lanes(answer, options)
         left = left & ~answer.free
+        if wp.static(in_lanes):
+            if sink == CONTACTS:
+                contact_lanes = left & ordinary(answer, options, round)
+                left = left & ~contact_lanes
+                while contact_lanes != _NONE:
+                    lane = lowest_bit(contact_lanes)
+                    contact_lanes = contact_lanes & (contact_lanes - _ONE)
+                    unrecorded.rows[unrecorded.count] = row_in(rows, lane)
+                    unrecorded.t[unrecorded.count] = simd64.lane_of(answer.t, lane)
+                    unrecorded.u[unrecorded.count] = simd64.lane_of(answer.u, lane)
+                    unrecorded.v[unrecorded.count] = simd64.lane_of(answer.v, lane)
+                    unrecorded.gap[unrecorded.count] = simd64.lane_of(answer.gap, lane)
+                    unrecorded.count += 1
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)

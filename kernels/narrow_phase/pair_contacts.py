@@ -3,7 +3,7 @@
 import warp as wp
 
 from ..atomics import atomic_min_int64, claim, claim_int
-from ..pair.norm import has_arcs, is_by_pair
+from ..pair.norm import Norm
 from ..pair.pair_options import options_of_pair
 from ..pair.query import Options
 from ..pair.single_points import Points, corners, is_stationary, largest, points_of, relative_motion
@@ -16,8 +16,8 @@ from ..pair.status import (
     STATUS_ROUNDING_LIMIT,
 )
 from ..pair.turns import turns_anywhere
-from ..parameters import norm, only_method, real
-from ..step.contact_normal import contact_at
+from ..parameters import norm, only_method, real, width
+from ..step.contact_normal import ContactGap, contact_at
 from ..step.minima import (
     ANY_OPEN,
     CONTACTS_OVERFLOW,
@@ -40,11 +40,13 @@ from .raised_toi import may_be_raised, raised_toi
 _PRESSED = wp.constant(wp.float64(2.0**-20))
 
 Outcome = specialised("pair.solver", real=real, norm=norm, only_method=only_method).Outcome
-by_pair = is_by_pair(norm)
-on_arcs = has_arcs(norm)
+by_pair = norm.is_by_pair
+on_arcs = norm.has_arcs
 if on_arcs:
     tangents_of_arcs = specialised("pair.arc_solver", norm=norm, real=real, only_method=only_method).tangents_of_arcs
 infinite = wp.constant(wp.float64(float("inf")))
+# Contacts that ask for no distance are recorded several at once where there are lanes (`lane_contacts`).
+in_lanes = width > 1 and norm == Norm.MAXIMUM
 
 
 @wp.func
@@ -94,6 +96,14 @@ def is_struck(
     if wp.static(on_arcs):
         return not turns_anywhere(free, options.turns)
     return True
+
+
+@wp.func(inline=False if in_lanes else None)
+def contact_of_pair(
+    kind: int, a: Points, b: Points, t: wp.float64, parameters: wp.vec2d, slack: wp.float64
+) -> ContactGap:
+    """`contact_at`, out of line where few contacts come one by one."""
+    return contact_at(kind, a, b, t, parameters, slack)
 
 
 @wp.func(inline=True)
@@ -154,7 +164,7 @@ def record_contact(
             b = tangents.b
             t = tangents.t
             slack = tangents.slack
-        at_toi = contact_at(pairs.kind, a, b, t, outcome.parameters, slack)
+        at_toi = contact_of_pair(pairs.kind, a, b, t, outcome.parameters, slack)
         contacts.parameters[n] = at_toi.parameters
         contacts.normal[n] = at_toi.direction
     else:

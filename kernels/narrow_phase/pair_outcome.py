@@ -3,7 +3,6 @@
 import warp as wp
 
 from ..pair.lane_solver import LaneAnswer
-from ..pair.norm import has_arcs, is_ball, is_by_pair
 from ..pair.pair_options import options_of_pair
 from ..pair.query import CLIPPING, Options, share_of_work
 from ..pair.single_points import Points
@@ -19,11 +18,11 @@ _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
 solver = specialised("pair.solver", real=real, norm=norm, only_method=only_method)
-by_pair = is_by_pair(norm)
-on_arcs = has_arcs(norm)
+by_pair = norm.is_by_pair
+on_arcs = norm.has_arcs
 if on_arcs:
     solve_on_arcs = specialised("pair.arc_solver", norm=norm, real=real, only_method=only_method).solve_on_arcs
-is_euclidean = wp.constant(is_ball(norm))
+is_euclidean = wp.constant(norm.is_ball)
 least_tolerance = wp.constant(wp.float64(LEAST_TOLERANCE[real]))
 simd = specialised("pair.simd", width=width)
 

@@ -106,7 +106,7 @@ class PlaneQuery:
 
 
 @wp.struct
-class Meeting:
+class PlaneMeeting:
     """When a vertex meets a plane."""
 
     toi: wp.float64  # inf: not in [0, t_max]
@@ -215,6 +215,46 @@ def nth_plane(planes: Planes, n: int) -> int:
     return n
 
 
+@wp.struct
+class Bounds:
+    """f at both ends of the step in scaled coordinates, and how far beyond them the vertex has to be."""
+
+    start: Value
+    end: Value
+    reach: wp.float64
+    a: wp.float64  # f less its error and the reach, at the start
+    b: wp.float64  # at the end
+    is_free: bool  # it meets nothing, as it parts from where it starts within its distance
+
+
+@wp.func
+def by_start_distance(r: Bounds, change: Value, of_plane: Value) -> Bounds:
+    """What starts within its distance parts and slides, and comes no closer (step 6)."""
+    both = r.start.error + r.end.error
+    if change.f - of_plane.f >= _SURE * (change.error + of_plane.error):
+        r.is_free = True
+        return r
+    kept = wp.min(r.reach, wp.max(r.start.f - r.start.error - _MARGIN * both, _ZERO))
+    if r.end.f - (r.end.error + kept) * _UP > _ZERO and r.start.f - (r.start.error + kept) * _UP > _ZERO:
+        r.is_free = True
+    elif not r.a > _ZERO:
+        r.reach = kept
+        r.b = r.end.f - (r.end.error + r.reach) * _UP
+    return r
+
+
+@wp.func
+def gap_at(r: Bounds, t: wp.float64) -> wp.float64:
+    """Upper bound of f beyond the reach at a time, in scaled coordinates."""
+    before = _ONE - t
+    beyond = before * (r.start.f + r.start.error) - r.reach
+    terms = before * (wp.abs(r.start.f) + r.start.error) + r.reach
+    if t > _ZERO:
+        beyond += t * (r.end.f + r.end.error)
+        terms += t * (wp.abs(r.end.f) + r.end.error)
+    return (beyond + _GAP * terms) * _GAP_UP
+
+
 @wp.func
 def meeting_of(
     x0: wp.vec3d,
@@ -225,12 +265,12 @@ def meeting_of(
     planes: Planes,
     k: int,
     query: PlaneQuery,
-) -> Meeting:
+) -> PlaneMeeting:
     """When a vertex that moves from x0 to x1 comes within its distance of a half-space; its toi is never late.
 
     The point of plane k moves from p0 to p1. A position that is not finite meets nothing: its world has toi 0 for that.
     """
-    meeting = Meeting()
+    meeting = PlaneMeeting()
     meeting.toi = wp.float64(wp.inf)
     n = planes.normal[k]
     size = length_of_normal(planes, k, query)
@@ -249,43 +289,29 @@ def meeting_of(
         p0 = s * p0
         p1 = s * p1
     is_exact = s >= _ONE and lost == _ZERO
-    start = value_of(x0, p0, n, is_exact, lost)
-    end = value_of(x1, p1, n, is_exact, lost)
-    reach = wp.min(distance * s * size * _UP, _FAR)
+    r = Bounds()
+    r.start = value_of(x0, p0, n, is_exact, lost)
+    r.end = value_of(x1, p1, n, is_exact, lost)
+    r.reach = wp.min(distance * s * size * _UP, _FAR)
     if query.start_gap_fraction > _ZERO:
-        reach = wp.min(reach, query.start_gap_fraction * wp.max(start.f - start.error, _ZERO))
-    a = start.f - (start.error + reach) * _UP
-    b = end.f - (end.error + reach) * _UP
-    if query.keeps_start_distance != 0 and not a > _MARGIN * (start.error + end.error):
-        change = value_of(x1, x0, n, is_exact, lost)
-        of_plane = value_of(p1, p0, n, is_exact, lost)
-        if change.f - of_plane.f >= _SURE * (change.error + of_plane.error):
-            return meeting
-        kept = wp.min(reach, wp.max(start.f - start.error - _MARGIN * (start.error + end.error), _ZERO))
-        if end.f - (end.error + kept) * _UP > _ZERO and start.f - (start.error + kept) * _UP > _ZERO:
-            return meeting
-        if not a > _ZERO:
-            reach = kept
-            b = end.f - (end.error + reach) * _UP
-    if a > _ZERO and b > _ZERO:
+        r.reach = wp.min(r.reach, query.start_gap_fraction * wp.max(r.start.f - r.start.error, _ZERO))
+    r.a = r.start.f - (r.start.error + r.reach) * _UP
+    r.b = r.end.f - (r.end.error + r.reach) * _UP
+    if query.keeps_start_distance != 0 and not r.a > _MARGIN * (r.start.error + r.end.error):
+        r = by_start_distance(r, value_of(x1, x0, n, is_exact, lost), value_of(p1, p0, n, is_exact, lost))
+    if r.is_free or (r.a > _ZERO and r.b > _ZERO):
         return meeting
     t = _ZERO
-    if a > _ZERO:
-        t = a / (a - b) * _DOWN
+    if r.a > _ZERO:
+        t = r.a / (r.a - r.b) * _DOWN
         if t < _LEAST_TOI:
             t = _ZERO
     if t > query.t_max:
         return meeting
     meeting.toi = t
-    before = _ONE - t
-    beyond = before * (start.f + start.error) - reach
-    terms = before * (wp.abs(start.f) + start.error) + reach
-    if t > _ZERO:
-        beyond += t * (end.f + end.error)
-        terms += t * (wp.abs(end.f) + end.error)
-    beyond = (beyond + _GAP * terms) * _GAP_UP
-    if beyond > _ZERO:
-        meeting.gap = beyond / size / s
+    gap = gap_at(r, t)
+    if gap > _ZERO:
+        meeting.gap = gap / size / s
         if s > _ONE:
             meeting.gap += _LEAST_GAP
     return meeting

@@ -22,7 +22,6 @@ from typing import Any
 
 import warp as wp
 
-from ..pair.norm import MAXIMUM_NORM, has_arcs
 from ..pair.query import Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import row_points
@@ -83,7 +82,7 @@ def items_of(solver: int, num_solvers: int, count: int, are_shared: bool) -> Ite
     return items
 
 
-on_arcs = has_arcs(norm)
+on_arcs = norm.has_arcs
 templates = {"norm": norm, "real": real}
 cap_of_round = specialised("narrow_phase.pair_outcome", **templates, only_method="clipping").cap_of_round
 placed = specialised("narrow_phase.pair_contacts", **templates, only_method="clipping")
@@ -95,8 +94,7 @@ unbounded = wp.constant(wp.float64(float("inf")))
 
 def module_of(name: str, stage: str):
     """A Warp module for each kernel, so that each has its own registers and stack."""
-    of_norm = "" if norm == MAXIMUM_NORM else f".{norm}"
-    module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{of_norm}.{fingerprint()}")
+    module = wp.get_module(f"ccd_warp.{name}.{stage}.{real.__name__}{norm.suffix}.{fingerprint()}")
     options = {"enable_backward": False, "fuse_fp": False, "max_unroll": 1, "block_dim": BLOCK_DIM}
     wp.set_module_options(options, module=module)
     return module

@@ -6,13 +6,13 @@ A step that is as short as such a toi makes no progress, and the pair would stop
 import warp as wp
 
 # A toi below this may be so small only because the gap is lost in the rounding of a float32 motion.
-_LOST_TOI = wp.constant(wp.float64(2.0**-20))
+LOST_TOI = wp.constant(wp.float64(2.0**-20))
 
 
 @wp.func
 def may_be_raised(toi: wp.float64, gaps_moved: wp.float64) -> bool:
     """Whether a toi is near 0, and such a toi is to be raised."""
-    return gaps_moved > wp.float64(0.0) and toi < _LOST_TOI
+    return gaps_moved > wp.float64(0.0) and toi < LOST_TOI
 
 
 @wp.func

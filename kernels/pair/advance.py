@@ -16,7 +16,6 @@ from ..parameters import norm, only_method, real
 from .closest_point import closest_on_patch, closest_weights
 from .contact_test import point_in_box
 from .inclusion import clip, clip_beyond
-from .norm import is_ball
 from .patch import Corners, corners_at, num_sides
 from .sub_patch import Patch, Problem
 from .volume import clip_volume
@@ -38,7 +37,7 @@ _TURN_STEPS = wp.constant(4)
 _PATIENCE = wp.constant(3)
 
 
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 vec3 = wp.types.vector(length=3, dtype=real)
 floor_errors = wp.constant(real(8.0))
 

@@ -18,7 +18,6 @@ from .lane_advance import near_errors, point_at, settled
 from .lane_closest import closest
 from .lane_pair import LanePair, normalise, volume_of
 from .lane_solver import LaneAnswer, gap_at
-from .norm import is_ball
 from .pair_options import LaneOptions
 from .patch import Volume, corners_at
 from .points import Points
@@ -50,7 +49,7 @@ _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round, at most.
 _VOLUME_CLIPS = wp.constant(6)
 
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 simd64 = specialised("pair.simd", width=width)
 unit = UNIT_ROUNDOFF[real]
 zero = wp.constant(real(0.0))

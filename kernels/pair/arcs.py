@@ -25,12 +25,11 @@ import warp as wp
 from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, width
 from ..template import specialised
-from .norm import is_ball
 from .points import Points
 from .rounding import ARC_MOTION, ARC_POINTS, EIGHTH_UP, SQUARE_UNDERFLOW, UNIT_ROUNDOFF
 
 simd = specialised("pair.simd", width=width)
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 # Largest turn of a slice, in radians.
 LARGEST_TURN = 1.0 / 3.0
 

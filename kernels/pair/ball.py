@@ -17,7 +17,7 @@ from ..template import specialised
 from . import simd
 from .lane_closest import closest
 from .moving_clip import clip_along
-from .norm import EUCLIDEAN_NORM
+from .norm import Norm
 from .patch import Corners, beyond, num_sides, side_of
 from .rounding import RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import (
@@ -39,7 +39,7 @@ from .simd import (
     vec,
 )
 
-norm = specialised("pair.support", real=real, width=width, norm=EUCLIDEAN_NORM)
+norm = specialised("pair.support", real=real, width=width, norm=Norm.EUCLIDEAN)
 
 zero = wp.constant(real(0.0))
 one = wp.constant(real(1.0))

@@ -18,13 +18,12 @@ import warp as wp
 from ..interrupts import is_stopped
 from ..parameters import norm, real
 from .answer import STACK_DEPTH, Answer, parameters
-from .norm import is_ball
 from .patch import Corners, corners_at
 from .rounding import MAX_SPLITS, MOVING, SQUARE_UNDERFLOW
 from .status import STATUS_COLLISION, STATUS_ITERATION_LIMIT, STATUS_NO_COLLISION, STATUS_RESOLUTION_LIMIT
 from .sub_patch import Patch, Problem, sub_corners
 
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 square_underflow = wp.constant(real(SQUARE_UNDERFLOW[real]))
 vec3 = wp.types.vector(length=3, dtype=real)
 box_stack = wp.types.vector(length=6 * STACK_DEPTH, dtype=real)

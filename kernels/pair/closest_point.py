@@ -13,6 +13,7 @@ within a few roundings of the size of the patch, whatever its shape.
 import warp as wp
 
 from ..parameters import real
+from .foot import foot_weights
 
 vec3 = wp.types.vector(length=3, dtype=real)
 
@@ -91,44 +92,22 @@ def closest_on_patch(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bo
 def closest_weights(w00: vec3, w01: vec3, w10: vec3, w11: vec3, is_triangle: bool):
     """Weights of the closest point of a triangle or parallelogram of any shape, as `closest_on_patch` gives them.
 
-    The shorter side is resolved into its parts along and across the longer one (Gram-Schmidt), so a rounding error
-    moves the foot of the perpendicular along a sliver by no more than a rounding error. If the foot lies outside,
-    the closest point is on one of the edges that separate it from the patch; a patch without area consists of its
-    edges only.
+    If the foot of the perpendicular lies outside, the closest point is on one of the edges that separate it from the
+    patch; a patch without area consists of its edges only.
     """
     q = w01 - w00
     r = w10 - w00
-    longer = q
-    shorter = r
-    is_swapped = wp.dot(r, r) > wp.dot(q, q)
-    if is_swapped:
-        longer = r
-        shorter = q
-    length_squared = wp.dot(longer, longer)
-    is_flat = bool(True)
-    v = real(0.0)
-    u = real(0.0)
-    if length_squared > real(0.0):
-        lean = wp.dot(shorter, longer) / length_squared
-        across = shorter - lean * longer
-        width_squared = wp.dot(across, across)
-        if width_squared > real(0.0):
-            is_flat = False
-            v = -wp.dot(w00, longer) / length_squared
-            u = -wp.dot(w00 + v * longer, across) / width_squared
-            v = v - lean * u
-            if is_swapped:
-                u, v = v, u
+    v, u, has_foot = foot_weights(w00, q, r)
     # the edge at v = 1 of a parallelogram is w01-w11; a triangle has w01-w10 in its place
     third = w11
     beyond = v - real(1.0)
     if is_triangle:
         third = w10
         beyond = u + v - real(1.0)
-    is_before_u = is_flat or u < real(0.0)
-    is_before_v = is_flat or v < real(0.0)
-    is_beyond_v = is_flat or beyond > real(0.0)
-    is_beyond_u = not is_triangle and (is_flat or u > real(1.0))
+    is_before_u = not has_foot or u < real(0.0)
+    is_before_v = not has_foot or v < real(0.0)
+    is_beyond_v = not has_foot or beyond > real(0.0)
+    is_beyond_u = not is_triangle and (not has_foot or u > real(1.0))
     least = real(wp.inf)
     if is_before_u:
         d, w = closest_on_edge(w00, q)

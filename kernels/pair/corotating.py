@@ -22,7 +22,6 @@ from ..pair_kind import EDGE_EDGE
 from ..parameters import norm, width
 from ..template import specialised
 from .arcs import Arcs, cosine_series, eighth_up, one, sine_series, squared
-from .norm import is_ball
 from .points import Points
 from .rounding import FRAME, UNIT_ROUNDOFF
 
@@ -65,7 +64,7 @@ def are_alike(arcs: Arcs) -> simd.Mask:
 @simd.func
 def may_turn(minimum_separation: Lanes) -> simd.Mask:
     """Whether a separation is the same in a frame that turns."""
-    if wp.static(is_ball(norm)):
+    if wp.static(norm.is_ball):
         return simd.is_at_most(minimum_separation, minimum_separation)
     return simd.is_at_most(minimum_separation, zero)
 

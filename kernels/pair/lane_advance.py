@@ -15,7 +15,6 @@ from .inclusion import clip, clip_beyond
 from .lane_closest import LaneClosest, closest
 from .lane_pair import LanePair
 from .lane_touch import touching_point
-from .norm import is_ball, is_by_pair
 from .patch import Corners, Volume, corners_at
 from .rounding import UNIT_ROUNDOFF
 from .simd import (
@@ -47,8 +46,8 @@ _FACET_STEPS = wp.constant(4)
 _TURN_STEPS = wp.constant(2)
 
 
-is_euclidean = is_ball(norm)
-by_pair = is_by_pair(norm)
+is_euclidean = norm.is_ball
+by_pair = norm.is_by_pair
 
 unit = UNIT_ROUNDOFF[real]
 zero = wp.constant(real(0.0))

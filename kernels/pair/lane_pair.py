@@ -12,7 +12,6 @@ from ..template import specialised
 from . import simd
 from .in_precision import narrowed, normalised, volume_between
 from .lane_scale import inverse_power_of_two
-from .norm import has_arcs, is_ball, is_by_pair
 from .pair_options import LaneOptions as Options
 from .patch import Corners, Volume
 from .points import Points, corners, largest, longest_side, total
@@ -22,8 +21,8 @@ from .simd import Vec3, spread, vec
 # A separation beyond any corner, in normalised units; small enough for every product in float32.
 _FAR = wp.constant(wp.float64(2.0**60))
 
-is_euclidean = is_ball(norm)
-by_pair = is_by_pair(norm)
+is_euclidean = norm.is_ball
+by_pair = norm.is_by_pair
 simd64 = specialised("pair.simd", width=width)
 if by_pair:
     from .pair_options import lanes_at_start_distance, without_margin
@@ -130,10 +129,10 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
     else:
         separation_length = simd64.spread(wp.float64(0.0))
     gap_length = delta_length
-    if wp.static(by_pair and not has_arcs(norm)):
+    if wp.static(by_pair and not norm.has_arcs):
         gap_length = simd64.select(simd64.mask_of(lanes_at_start_distance(options)), wp.float64(0.0), delta_length)
     separation = simd64.vec(separation_length, separation_length, separation_length)
-    if wp.static(has_arcs(norm)):
+    if wp.static(norm.has_arcs):
         separation = simd64.least(separation + options.sagitta, simd64.vec(limit, limit, limit))
     if wp.static(is_euclidean):
         # one scale for all axes, so that the ball stays a ball

@@ -13,7 +13,7 @@ from ..template import specialised
 from . import simd
 from .in_precision import narrowed, widened
 from .lane_pair import LanePair, normalise, volume_of
-from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
+from .norm import Norm
 from .pair_options import LaneOptions as Options
 from .points import Points
 from .query import CLIPPING
@@ -25,19 +25,19 @@ FIRST_ROUNDS = wp.constant(2)
 _LATER_ROUNDS = wp.constant(8)
 _NONE = wp.constant(wp.uint32(0))
 
-is_euclidean = is_ball(norm)
-by_pair = is_by_pair(norm)
+is_euclidean = norm.is_ball
+by_pair = norm.is_by_pair
 if is_euclidean:
     from .ball import start_gap_share
 else:
     from .facets import start_gap_share
 
 simd64 = specialised("pair.simd", width=width)
-may_keep_start_distance = by_pair and not has_arcs(norm)
+may_keep_start_distance = by_pair and not norm.has_arcs
 if may_keep_start_distance:
     from .pair_options import lanes_at_start_distance
     from .passing import clip_passing
-length64 = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
+length64 = specialised("pair.support", width=width, norm=Norm.EUCLIDEAN).length
 three = wp.constant(real(3.0))
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
 slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))

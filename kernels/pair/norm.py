@@ -9,31 +9,44 @@ a separation nothing of any. Where bodies turn, a pair has a separation of its o
 includes how far its points are from their chords (`arcs`): two more norms.
 """
 
-# A box; in the solver one of no size.
-MAXIMUM_NORM = "maximum"
-EUCLIDEAN_NORM = "euclidean"
-# A box of a size for each pair.
-OWN_BOX_NORM = "own_box"
-# Of pairs whose points move on arcs.
-ARC_BOX_NORM = "arc_box"
-ARC_BALL_NORM = "arc_ball"
+from enum import StrEnum
 
 
-def is_ball(norm: str) -> bool:
-    """Whether the separation is a ball."""
-    return norm in (EUCLIDEAN_NORM, ARC_BALL_NORM)
+class Norm(StrEnum):
+    """A norm, as a parameter of templates; what a kernel does follows from what the norm says of itself."""
 
+    MAXIMUM = "maximum"  # a box; in the solver one of no size
+    EUCLIDEAN = "euclidean"
+    OWN_BOX = "own_box"  # a box of a size for each pair
+    ARC_BOX = "arc_box"  # of pairs whose points move on arcs
+    ARC_BALL = "arc_ball"
 
-def is_by_pair(norm: str) -> bool:
-    """Whether pairs may have a separation, each its own."""
-    return norm != MAXIMUM_NORM
+    @property
+    def is_ball(self) -> bool:
+        """Whether the separation is a ball."""
+        return self in (Norm.EUCLIDEAN, Norm.ARC_BALL)
 
+    @property
+    def is_by_pair(self) -> bool:
+        """Whether pairs may have a separation, each its own."""
+        return self != Norm.MAXIMUM
 
-def has_arcs(norm: str) -> bool:
-    """Whether points move on arcs."""
-    return norm in (ARC_BOX_NORM, ARC_BALL_NORM)
+    @property
+    def has_arcs(self) -> bool:
+        """Whether points move on arcs."""
+        return self in (Norm.ARC_BOX, Norm.ARC_BALL)
 
+    @property
+    def shape(self) -> "Norm":
+        """The norm whose separations have the same shape: a ball or a box."""
+        return Norm.EUCLIDEAN if self.is_ball else Norm.MAXIMUM
 
-def shape_of(norm: str) -> str:
-    """The norm whose separations have the same shape: a ball or a box."""
-    return EUCLIDEAN_NORM if is_ball(norm) else MAXIMUM_NORM
+    @property
+    def on_arcs(self) -> "Norm":
+        """The norm with separations of the same shape where points move on arcs."""
+        return Norm.ARC_BALL if self.is_ball else Norm.ARC_BOX
+
+    @property
+    def suffix(self) -> str:
+        """What names of modules have at their end."""
+        return "" if self == Norm.MAXIMUM else f".{self}"

@@ -10,12 +10,11 @@ from ..boxes.thickness import distance_of
 from ..parameters import norm, real, width
 from ..step.pair_list import PairList, vertices_of_pair
 from ..template import specialised
-from .norm import has_arcs, is_by_pair
 from .points import Points, farthest
 from .query import Options
 from .start_distance import MARGIN, OF_COORDINATES, kept_of, start_distance_of
 
-if has_arcs(norm):
+if norm.has_arcs:
     Arcs = specialised("pair.arcs", norm=norm, width=width).Arcs
 simd = specialised("pair.simd", width=width)
 Lanes = simd.Lanes
@@ -51,7 +50,7 @@ else:
         return value
 
 
-if not is_by_pair(norm):
+if not norm.is_by_pair:
 
     @wp.func
     def options_of_pair(options: Options, first: wp.vec3i, second: wp.vec3i) -> Options:
@@ -87,7 +86,7 @@ else:
         """Whether all pairs have the options of the query, as where they are not those of a mesh."""
         return options.radius.shape[0] == 0 and options.start_distance.shape[0] == 0
 
-    if width == 1 and not has_arcs(norm):
+    if width == 1 and not norm.has_arcs:
         LaneOptions = Options
 
         @wp.func
@@ -125,7 +124,7 @@ else:
             length_scale: wp.float64
             t_end: real
             method: int
-            if has_arcs(norm):
+            if norm.has_arcs:
                 sagitta: simd.Vec3  # how far the points of the pair may be from their chords
                 arcs: Arcs
 

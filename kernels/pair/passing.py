@@ -20,12 +20,11 @@ import warp as wp
 from ..parameters import norm, real
 from . import simd
 from .inclusion import clip_beyond
-from .norm import is_ball
 from .patch import Corners, corners_at, side_of
 from .rounding import TINY
 from .simd import Lanes, Vec3, bits_of, cross, dot, greatest, greatest_of, is_at_most, is_less, magnitude, minus, select
 
-is_euclidean = is_ball(norm)
+is_euclidean = norm.is_ball
 if is_euclidean:
     from .ball import offset
     from .lane_closest import closest

@@ -14,7 +14,7 @@ from .answer import Answer, parameters
 from .bisection import bisect
 from .closest_point import closest_weights
 from .in_precision import normalised, volume_between
-from .norm import EUCLIDEAN_NORM, has_arcs, is_ball, is_by_pair
+from .norm import Norm
 from .patch import corners_at
 from .points import Points, corners, farthest, largest, longest_side, scaled, total
 from .query import BISECTION, Options
@@ -43,9 +43,9 @@ FAR = wp.constant(wp.float64(2.0**60))
 
 vec3d = wp.vec3d
 
-is_euclidean = is_ball(norm)
-by_pair = is_by_pair(norm)
-on_arcs = has_arcs(norm)
+is_euclidean = norm.is_ball
+by_pair = norm.is_by_pair
+on_arcs = norm.has_arcs
 if is_euclidean:
     from .ball import start_gap_share
 else:
@@ -54,13 +54,16 @@ else:
 vec3 = wp.types.vector(length=3, dtype=real)
 root_bound = wp.constant(real(PROJECTION_ROOT * UNIT_ROUNDOFF[real]))
 patch_bound = wp.constant(real(PROJECTION_PATCH * UNIT_ROUNDOFF[real]))
-length64 = specialised("pair.support", norm=EUCLIDEAN_NORM).length
+length64 = specialised("pair.support", norm=Norm.EUCLIDEAN).length
 round_down = wp.constant(real(1.0 - RELATIVE * UNIT_ROUNDOFF[real]))
 round_up = wp.constant(real(1.0 + (SLACK if is_euclidean else RELATIVE) * UNIT_ROUNDOFF[real]))
 slack_down = wp.constant(wp.float64(1.0 - (SLACK + RELATIVE) * UNIT_ROUNDOFF[real]))
 length_up = wp.constant(wp.float64(1.0 + RELATIVE * UNIT_ROUNDOFF[wp.float64]))
 tiny = wp.constant(real(TINY[real]))
 of_coordinates = wp.constant(wp.float64(OF_COORDINATES))
+one = wp.constant(wp.float64(1.0))
+smaller = wp.constant(wp.float64(1.0 / 1024.0))
+Corners64 = specialised("pair.patch").Corners
 
 
 @wp.struct
@@ -86,73 +89,125 @@ class Normalised:
     is_valid: bool
 
 
+@wp.struct
+class Measured:
+    """Corners at both ends; an axis on which they overflow is multiplied by 1/1024 before."""
+
+    c0: Corners64
+    c1: Corners64
+    pre: vec3d
+    is_finite: bool
+
+
+@wp.struct
+class Lengths:
+    """What a pair is asked for, as lengths times ``shrink``: 1/1024 where points or their box come near overflow."""
+
+    shrink: wp.float64
+    separation: wp.float64
+    delta: wp.float64
+
+
+@wp.func
+def is_within_range(sums: vec3d) -> bool:
+    """Whether sums of magnitudes are finite."""
+    return sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
+
+
+@wp.func
+def measured(kind: int, points_t0: Points, points_t1: Points) -> Measured:
+    """The corners of a pair; not finite where the input is not."""
+    r = Measured()
+    r.c0 = corners(kind, points_t0)
+    r.c1 = corners(kind, points_t1)
+    r.pre = vec3d(one, one, one)
+    sums = total(r.c0) + total(r.c1)
+    if not is_within_range(sums):
+        # an overflow, or NaN in the input: try again with the axes that overflowed at 1/1024 of their size
+        for k in range(3):
+            if wp.static(is_euclidean) or not sums[k] <= LARGEST:
+                r.pre[k] = smaller
+        r.c0 = corners(kind, scaled(points_t0, r.pre))
+        r.c1 = corners(kind, scaled(points_t1, r.pre))
+        sums = total(r.c0) + total(r.c1)
+    r.is_finite = is_within_range(sums)
+    return r
+
+
+@wp.func
+def lengths_of(points_t0: Points, points_t1: Points, m: vec3d, pre: vec3d, options: Options) -> Lengths:
+    """The lengths of a pair with these largest corners on each axis."""
+    r = Lengths()
+    r.shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
+    scale = options.length_scale * r.shrink
+    if scale <= wp.float64(0.0):
+        scale = longest_side(points_t0, points_t1)
+        if r.shrink < one or not scale <= LARGEST:
+            r.shrink = smaller
+            small = vec3d(smaller, smaller, smaller)
+            scale = longest_side(scaled(points_t0, small), scaled(points_t1, small))
+    r.delta = wp.min(options.tolerance * scale, LARGEST)
+    if wp.static(by_pair):
+        r.separation = wp.min(options.minimum_separation * r.shrink, LARGEST)
+        if wp.static(not is_euclidean):
+            if options.length_scale <= wp.float64(0.0):
+                r.separation = wp.min(options.minimum_separation * scale, LARGEST)
+        if options.margin > wp.float64(0.0):
+            size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * r.shrink
+            size += of_coordinates * farthest(points_t0, points_t1) * r.shrink
+            r.separation = wp.max(r.separation - options.margin * size, wp.float64(0.0))
+    return r
+
+
+@wp.func
+def with_start_gap(n: Normalised, fraction: wp.float64) -> Normalised:
+    """Reduce the separation to a fraction of the gap at the start, where that is smaller."""
+    share = start_gap_share(n.patch.t0, n.patch.is_face, n.problem.separation, n.problem.error)
+    share = wp.max(share * real(fraction), real(0.0)) * round_down
+    if share < real(1.0):
+        n.problem.separation = share * n.problem.separation
+        n.problem.has_separation = share > real(0.0)
+    return n
+
+
 @wp.func
 def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options) -> Normalised:
     """Form the corners and scale each axis by a power of two (rounding, steps 1 and 2)."""
     n = Normalised()
-    c0 = corners(kind, points_t0)
-    c1 = corners(kind, points_t1)
-    sums = total(c0) + total(c1)
-    one = wp.float64(1.0)
-    smaller = wp.float64(1.0 / 1024.0)
-    pre = vec3d(one, one, one)
-    if not (sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST):
-        # an overflow, or NaN in the input: try again with the axes that overflowed at 1/1024 of their size
-        for k in range(3):
-            if wp.static(is_euclidean) or not sums[k] <= LARGEST:
-                pre[k] = smaller
-        c0 = corners(kind, scaled(points_t0, pre))
-        c1 = corners(kind, scaled(points_t1, pre))
-        sums = total(c0) + total(c1)
-    n.is_valid = sums[0] <= LARGEST and sums[1] <= LARGEST and sums[2] <= LARGEST
+    of_lengths = measured(kind, points_t0, points_t1)
+    n.is_valid = of_lengths.is_finite
     if n.is_valid:
-        # lengths are scaled by 1/1024 as well where the points or their box come near overflow
-        shrink = wp.min(wp.min(pre[0], pre[1]), pre[2])
-        scale = options.length_scale * shrink
-        if scale <= wp.float64(0.0):
-            scale = longest_side(points_t0, points_t1)
-            if shrink < one or not scale <= LARGEST:
-                shrink = smaller
-                small = vec3d(smaller, smaller, smaller)
-                scale = longest_side(scaled(points_t0, small), scaled(points_t1, small))
-        delta_length = wp.min(options.tolerance * scale, LARGEST)
-        separation_length = wp.float64(0.0)
+        c0 = of_lengths.c0
+        c1 = of_lengths.c1
+        pre = of_lengths.pre
         m = wp.max(largest(c0), largest(c1))
+        lengths = lengths_of(points_t0, points_t1, m, pre, options)
         reach = m  # what fits into a normalised unit
         if wp.static(is_euclidean):
             # one scale for all axes, so that the ball stays a ball
             reach = vec3d(wp.max(m), wp.max(m), wp.max(m))
-        if wp.static(by_pair):
-            separation_length = wp.min(options.minimum_separation * shrink, LARGEST)
-            if wp.static(not is_euclidean):
-                if options.length_scale <= wp.float64(0.0):
-                    separation_length = wp.min(options.minimum_separation * scale, LARGEST)
-            if options.margin > wp.float64(0.0):
-                size = wp.max(m[0] / pre[0], wp.max(m[1] / pre[1], m[2] / pre[2])) * shrink
-                size += of_coordinates * farthest(points_t0, points_t1) * shrink
-                separation_length = wp.max(separation_length - options.margin * size, wp.float64(0.0))
         s = vec3d()
         is_cut = bool(False)
         for k in range(3):
             # an axis on which the patch is smaller than the tolerance is not magnified beyond the tolerance
-            unit = pre[k] / shrink
-            s[k] = inverse_power_of_two(wp.max(reach[k], delta_length * unit))
+            unit = pre[k] / lengths.shrink
+            s[k] = inverse_power_of_two(wp.max(reach[k], lengths.delta * unit))
             n.unit[k] = one / s[k] / pre[k]
             # corners are below 4 in these units, so a separation or tolerance above FAR has the effect of FAR
-            length = separation_length * unit
+            length = lengths.separation * unit
             if wp.static(on_arcs):
-                length = (separation_length + options.sagitta[k] * shrink) * unit
+                length = (lengths.separation + options.sagitta[k] * lengths.shrink) * unit
             length = wp.min(length * s[k], FAR)
             is_cut = is_cut or length == FAR
             n.problem.separation[k] = real(length) * round_up
-            length = wp.min(delta_length * unit * s[k], FAR)
+            length = wp.min(lengths.delta * unit * s[k], FAR)
             if wp.static(not on_arcs):
                 length = wp.where(options.margin > wp.float64(0.0), wp.float64(0.0), length)
             n.problem.delta[k] = real(length)
         n.size = vec3(wp.cw_mul(m, s))
         n.problem.error = root_bound * n.size + vec3(tiny, tiny, tiny)
         n.problem.delta = n.problem.delta + real(2.0) * n.problem.error
-        n.problem.has_separation = separation_length > wp.float64(0.0)
+        n.problem.has_separation = lengths.separation > wp.float64(0.0)
         if wp.static(on_arcs):
             n.problem.has_separation = bool(True)
         n.patch.t0 = normalised(c0, s)
@@ -161,11 +216,7 @@ def normalise(kind: int, points_t0: Points, points_t1: Points, options: Options)
         n.patch.is_triangle = kind == VERTEX_FACE
         n.patch.narrowing = wp.where(kind == VERTEX_FACE, real(0.0), real(1.0))
         if options.start_gap_fraction > wp.float64(0.0) and n.problem.has_separation and not is_cut:
-            share = start_gap_share(n.patch.t0, n.patch.is_face, n.problem.separation, n.problem.error)
-            share = wp.max(share * real(options.start_gap_fraction), real(0.0)) * round_down
-            if share < real(1.0):
-                n.problem.separation = share * n.problem.separation
-                n.problem.has_separation = share > real(0.0)
+            n = with_start_gap(n, options.start_gap_fraction)
         n.problem.volume = volume_between(
             c0, c1, s, n.patch.t0, n.patch.t1, n.problem.separation, n.problem.has_separation
         )

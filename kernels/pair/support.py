@@ -4,7 +4,6 @@ import warp as wp
 
 from ..parameters import norm, real
 from . import simd
-from .norm import is_ball
 from .rounding import SQUARE_UNDERFLOW
 from .simd import Lanes, Vec3, dot, magnitude, square_root
 
@@ -17,7 +16,7 @@ def length(d: Vec3) -> Lanes:
     return square_root(dot(d, d) + square_underflow)
 
 
-if not is_ball(norm):
+if not norm.is_ball:
 
     @simd.func
     def support(separation: Vec3, d: Vec3) -> Lanes:

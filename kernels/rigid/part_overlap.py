@@ -31,7 +31,7 @@ import warp as wp
 
 from ..interrupts import is_stopped
 from ..pair.rounding import PLACE, PLACE_POSITION, UNIT_ROUNDOFF
-from .place_bodies import BodyPaths, Place, place_at, rotated
+from .place_bodies import BodyPaths, BodyPlace, place_at, rotated
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
@@ -56,6 +56,11 @@ _DIAGONAL = wp.constant(wp.float64(1.75))
 _UP = wp.constant(wp.float64(1.0 + 64.0 * UNIT_ROUNDOFF[wp.float64]))
 # No distance whose square overflows is less.
 _OVERFLOW = wp.constant(wp.float64(1e154))
+# What of two nodes is divided.
+_TIME = wp.constant(0)
+_FIRST = wp.constant(1)
+_SECOND = wp.constant(2)
+_NOTHING = wp.constant(3)
 
 Stack = wp.types.vector(length=_STACK, dtype=wp.int32)
 
@@ -90,7 +95,7 @@ class NearMarks:
 class MovedBody:
     """A body in the middle between two times."""
 
-    place: Place
+    place: BodyPlace
     pivot: wp.vec3d
     line: wp.vec3d  # the part of its velocity that stays
     omega: wp.vec3d
@@ -133,6 +138,31 @@ class Separation:
 
     least: wp.float64
     moved: wp.float64
+
+
+@wp.struct
+class BodyPair:
+    """Two bodies of a world, or one and a half-space."""
+
+    world: int
+    first: int
+    second: int  # the first again where there is a half-space
+    is_plane: bool
+    plane: int
+    row_a: int  # of a motion; negative of a body that stands
+    row_b: int
+    inner_a: int  # so many nodes of the body have children
+    inner_b: int
+
+
+@wp.struct
+class Approach:
+    """Whether two nodes may come near each other, and how far motion takes them."""
+
+    is_near: bool
+    moved: wp.float64
+    radius_a: wp.float64
+    radius_b: wp.float64  # 0 of a half-space
 
 
 @wp.func
@@ -503,11 +533,85 @@ def are_known(near: NearMarks, i: int, j: int, begin: int, end: int) -> bool:
     return True
 
 
+@wp.func
+def body_pair(bodies: wp.vec2i, world: int, trees: PartTrees, num_links: int) -> BodyPair:
+    """A pair of bodies in a world: the first is a link, and the second is -1 - k of half-space k."""
+    r = BodyPair()
+    r.world = world
+    r.is_plane = bodies[1] < 0
+    r.first = bodies[0]
+    r.second = wp.where(r.is_plane, bodies[0], bodies[1])
+    r.plane = -1 - bodies[1]
+    link_a = trees.link[r.first]
+    link_b = trees.link[r.second]
+    r.row_a = wp.where(link_a < 0, link_a, world * num_links + link_a)
+    r.row_b = wp.where(link_b < 0, link_b, world * num_links + link_b)
+    r.inner_a = trees.num_parts[r.first] - 1
+    r.inner_b = wp.where(r.is_plane, 0, trees.num_parts[r.second] - 1)
+    return r
+
+
+@wp.func
+def approach_of(
+    pair: BodyPair, u: int, v: int, trees: PartTrees, a: MovedBody, b: MovedBody, h: wp.float64, reach: wp.float64
+) -> Approach:
+    """Whether two nodes of a pair may come within ``reach`` in a time h before and after the middle."""
+    m = trees.first[pair.first] + u
+    node_a = moved_node(trees, m, a, pair.row_a < 0, h)
+    lengths = reach + trees.thickness[m] + node_a.error
+    sizes = largest(node_a.centre) + node_a.radius + node_a.turned + h * largest(a.line)
+    r = Separation()
+    found = Approach()
+    found.radius_a = node_a.radius
+    if pair.is_plane:
+        point = trees.plane_point[pair.plane]
+        r = separation_from_plane(a, node_a, point, trees.plane_normal[pair.plane], h)
+        sizes += largest(point)
+    else:
+        n = trees.first[pair.second] + v
+        node_b = moved_node(trees, n, b, pair.row_b < 0, h)
+        found.radius_b = node_b.radius
+        lengths += trees.thickness[n] + node_b.error
+        sizes += largest(node_b.centre) + node_b.radius + node_b.turned + h * largest(b.line)
+        sizes *= _ONE + h * (a.turn + b.turn)
+        lengths += _ERROR * (sizes + lengths)
+        r = separation(a, b, node_a, node_b, h, lengths)
+    lengths += _ERROR * (sizes + lengths + r.moved) + _UNDERFLOW
+    found.is_near = not r.least > lengths  # also where a number is none
+    found.moved = r.moved
+    return found
+
+
+@wp.func
+def divided(pair: BodyPair, u: int, v: int, num_slices: int, found: Approach) -> int:
+    """What is divided of two nodes that may touch in some slices: these, the larger node, or nothing any more."""
+    splits_a = u < pair.inner_a
+    splits_b = v < pair.inner_b
+    if num_slices > 1 and (not (splits_a or splits_b) or found.moved >= wp.max(found.radius_a, found.radius_b)):
+        return _TIME
+    if splits_a and (not splits_b or found.radius_a >= found.radius_b):
+        return _FIRST
+    return wp.where(splits_b, _SECOND, _NOTHING)
+
+
+@wp.func
+def mark(near: NearMarks, trees: PartTrees, pair: BodyPair, k: int, u: int, v: int):
+    """Mark a pair of bodies in a slice, and the parts that two nodes without children are."""
+    first_body = pair.world * trees.num_parts.shape[0]
+    near.bodies[k, first_body + pair.first] = 1
+    near.bodies[k, first_body + pair.second] = 1
+    near.is_any[k] = 1
+    if near.parts.shape[0] > 0:
+        near.parts[pair.world, trees.first_part[pair.first] + u - pair.inner_a] = 1
+        if not pair.is_plane:
+            near.parts[pair.world, trees.first_part[pair.second] + v - pair.inner_b] = 1
+
+
 @wp.kernel
 def mark_near(
     begin: int,
     # in
-    body_pairs: wp.array[wp.vec2i],  # the first is a link; the second is -1 - k of half-space k
+    body_pairs: wp.array[wp.vec2i],  # as `body_pair` takes them
     trees: PartTrees,
     paths: BodyPaths,
     num_links: int,
@@ -532,21 +636,15 @@ def mark_near(
     num_pairs = body_pairs.shape[0]
     of_world = item / num_begins
     world = of_world / num_pairs
-    bodies = body_pairs[of_world % num_pairs]
-    i = bodies[0]
-    is_plane = bodies[1] < 0
-    j = wp.where(is_plane, i, bodies[1])
+    pair = body_pair(body_pairs[of_world % num_pairs], world, trees, num_links)
+    i = pair.first
+    j = pair.second
     if active.shape[0] > 0:
         if active[i] == 0 and active[j] == 0:
             return
-    if not is_plane and (are_apart(lower[world, i], upper[world, j]) or are_apart(lower[world, j], upper[world, i])):
-        return
-    link_a = trees.link[i]
-    link_b = trees.link[j]
-    row_a = wp.where(link_a < 0, link_a, world * num_links + link_a)
-    row_b = wp.where(link_b < 0, link_b, world * num_links + link_b)
-    inner_a = trees.num_parts[i] - 1  # so many nodes of the body have children
-    inner_b = wp.where(is_plane, 0, trees.num_parts[j] - 1)
+    if not pair.is_plane:
+        if are_apart(lower[world, i], upper[world, j]) or are_apart(lower[world, j], upper[world, i]):
+            return
     begins = Stack()
     ends = Stack()
     nodes_a = Stack()
@@ -574,63 +672,21 @@ def mark_near(
             t_begin = t_max * wp.float64(first_slice) / wp.float64(num_slices)
             t_end = t_max * wp.float64(last_slice) / wp.float64(num_slices)
             h = _HALF * (t_end - t_begin)
-            a = moved_body(paths, row_a, t_begin + h, h)
-            b = moved_body(paths, row_b, t_begin + h, h)
+            a = moved_body(paths, pair.row_a, t_begin + h, h)
+            b = moved_body(paths, pair.row_b, t_begin + h, h)
         u = nodes_a[size]
         v = nodes_b[size]
-        m = trees.first[i] + u
-        n = trees.first[j] + v
-        node_a = moved_node(trees, m, a, link_a < 0, h)
-        lengths = reach + trees.thickness[m] + node_a.error
-        sizes = largest(node_a.centre) + node_a.radius + node_a.turned + h * largest(a.line)
-        r = Separation()
-        radius_b = _ZERO
-        if is_plane:
-            k = -1 - bodies[1]
-            point = trees.plane_point[k]
-            r = separation_from_plane(a, node_a, point, trees.plane_normal[k], h)
-            sizes += largest(point)
+        found = approach_of(pair, u, v, trees, a, b, h, reach)
+        if not found.is_near:
+            continue
+        divides = divided(pair, u, v, last_slice - first_slice, found)
+        if divides == _NOTHING:
+            mark(near, trees, pair, first_slice, u, v)
         else:
-            node_b = moved_node(trees, n, b, link_b < 0, h)
-            radius_b = node_b.radius
-            lengths += trees.thickness[n] + node_b.error
-            sizes += largest(node_b.centre) + radius_b + node_b.turned + h * largest(b.line)
-            sizes *= _ONE + h * (a.turn + b.turn)
-            lengths += _ERROR * (sizes + lengths)
-            r = separation(a, b, node_a, node_b, h, lengths)
-        lengths += _ERROR * (sizes + lengths + r.moved) + _UNDERFLOW
-        if r.least > lengths:
-            continue  # not where a number is none, which is near
-        splits_a = u < inner_a
-        splits_b = v < inner_b
-        splits_time = last_slice - first_slice > 1
-        if splits_time and (not (splits_a or splits_b) or r.moved >= wp.max(node_a.radius, radius_b)):
             middle = first_slice + (last_slice - first_slice) / 2
-            for k in range(2):
-                begins[size] = wp.where(k == 0, middle, first_slice)
-                ends[size] = wp.where(k == 0, last_slice, middle)
-                nodes_a[size] = u
-                nodes_b[size] = v
+            for k in range(2):  # the earlier half, and the first child, are on top
+                begins[size] = wp.where(divides == _TIME and k == 0, middle, first_slice)
+                ends[size] = wp.where(divides == _TIME and k == 1, middle, last_slice)
+                nodes_a[size] = wp.where(divides == _FIRST, 2 * u + 2 - k, u)
+                nodes_b[size] = wp.where(divides == _SECOND, 2 * v + 2 - k, v)
                 size += 1
-        elif splits_a and (not splits_b or node_a.radius >= radius_b):
-            for k in range(2):
-                begins[size] = first_slice
-                ends[size] = last_slice
-                nodes_a[size] = 2 * u + 2 - k
-                nodes_b[size] = v
-                size += 1
-        elif splits_b:
-            for k in range(2):
-                begins[size] = first_slice
-                ends[size] = last_slice
-                nodes_a[size] = u
-                nodes_b[size] = 2 * v + 2 - k
-                size += 1
-        else:
-            near.bodies[first_slice, first_body + i] = 1
-            near.bodies[first_slice, first_body + j] = 1
-            near.is_any[first_slice] = 1
-            if near.parts.shape[0] > 0:
-                near.parts[world, trees.first_part[i] + u - inner_a] = 1
-                if not is_plane:
-                    near.parts[world, trees.first_part[j] + v - inner_b] = 1

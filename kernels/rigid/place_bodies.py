@@ -71,7 +71,7 @@ class BodyPaths:
 
 
 @wp.struct
-class Place:
+class BodyPlace:
     """A body at one time."""
 
     rotation: wp.vec4d
@@ -133,7 +133,7 @@ def sine_and_cosine(a: wp.float64) -> wp.vec2d:
 
 
 @wp.func
-def place_at(paths: BodyPaths, body: int, t: wp.float64) -> Place:
+def place_at(paths: BodyPaths, body: int, t: wp.float64) -> BodyPlace:
     """Where a body is at a time of the step."""
     omega = paths.omega[body]
     turning = paths.turning[body]
@@ -145,7 +145,7 @@ def place_at(paths: BodyPaths, body: int, t: wp.float64) -> Place:
         s = of_half[0] / angle
         c = of_half[1]
     turn = wp.vec4d(s * omega[0], s * omega[1], s * omega[2], c)
-    place = Place()
+    place = BodyPlace()
     place.rotation = product(turn, paths.rotation[body])
     moved = paths.start[body] + t * paths.velocity[body]
     place.position = moved + (_TWO * s * c) * turning + (_TWO * s * s) * wp.cross(omega, turning)
@@ -173,7 +173,7 @@ def place_bodies(
     # out
     ends: BodyEnds,
 ):
-    """Place the bodies at both ends of a slice."""
+    """BodyPlace the bodies at both ends of a slice."""
     body = begin + wp.tid()
     if paths.is_rigid[body] == 0:
         return
@@ -207,7 +207,7 @@ def place_vertices(
     grown_radius: wp.array[wp.float64],
     grown_box_radius: wp.array[wp.float64],
 ):
-    """Place the vertices at both ends of a slice, with the velocity that turns and radii that hold their arcs."""
+    """BodyPlace the vertices at both ends of a slice, with the velocity that turns and radii that hold their arcs."""
     i = begin + wp.tid()
     body = vertex_body[i]
     begins = t_begin[body]

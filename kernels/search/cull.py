@@ -17,7 +17,7 @@ anything, so a pair with a number that is not finite stays open.
 import warp as wp
 
 from ..pair import simd
-from ..pair.norm import EUCLIDEAN_NORM
+from ..pair.norm import Norm
 from ..pair.patch import Corners
 from ..pair.rounding import NORMAL, SIDES, SQUARE_UNDERFLOW, UNIT_ROUNDOFF, VOLUME
 from ..pair.simd import (
@@ -55,7 +55,7 @@ _ZERO = wp.constant(wp.float64(0.0))
 _NONE = wp.constant(wp.uint32(0))
 
 
-length = specialised("pair.support", width=width, norm=EUCLIDEAN_NORM).length
+length = specialised("pair.support", width=width, norm=Norm.EUCLIDEAN).length
 Separation = Lanes if is_thick else wp.float64
 
 if is_thick:

@@ -24,22 +24,14 @@ import warp as wp
 
 from ..pair.answer import parameters as parameters_of
 from ..pair.closest_point import closest_weights
-from ..pair.patch import corners_at
-from ..pair.rounding import UNIT_ROUNDOFF, inverse_power_of_two
-from ..pair.single_points import Points, corners, largest
+from ..pair.lane_scale import to_unit_size
+from ..pair.rounding import UNIT_ROUNDOFF
+from ..pair.single_points import Points
 from ..pair_kind import EDGE_EDGE, VERTEX_FACE
-from .contacts import position
+from .contact_sides import PARALLEL, Sides, gap_at, normal_of_sides, position, sides_at
 
-# Roundings of the largest corners up to which a gap counts as zero.
-NOISE = 32.0
-# Slacks of two primitives on arcs up to which a gap counts as zero, beside its own rounding.
-ARC_NOISE = 30.0
-# Sine below which two sides count as parallel, so that their cross product is not used as a direction.
-_PARALLEL = wp.constant(wp.float64(1.0e-12))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
-_LEAST_SQUARE = wp.constant(wp.float64((NOISE * UNIT_ROUNDOFF[wp.float64]) ** 2))
-_LEAST_SQUARE_OF_ARCS = wp.constant(wp.float64(ARC_NOISE**2))
 # Weights whose sum is off from 1 by their rounding only.
 _SUM = wp.constant(wp.float64(1.0 - 4.0 * UNIT_ROUNDOFF[wp.float64]))
 
@@ -56,19 +48,13 @@ class ContactGap:
 
 
 @wp.func
-def to_unit_size(a: vec3d) -> vec3d:
-    """A vector scaled by a power of two so that its products neither overflow nor underflow."""
-    return a * inverse_power_of_two(wp.max(wp.abs(a)))
-
-
-@wp.func
 def across(w: vec3d, side: vec3d) -> vec3d:
     """The part of w orthogonal to a side, 0 if it consists of rounding only; all of w if the side has no length."""
     s = to_unit_size(side)
     n = to_unit_size(w)
     if wp.dot(s, s) > _ZERO:
         n = n - (wp.dot(n, s) / wp.dot(s, s)) * s
-        if wp.length(n) <= _PARALLEL:
+        if wp.length(n) <= PARALLEL:
             n = vec3d(_ZERO, _ZERO, _ZERO)
     return n
 
@@ -85,7 +71,7 @@ def across_sides(gap: vec3d, q: vec3d, r: vec3d) -> vec3d:
     a = to_unit_size(q)
     b = to_unit_size(r)
     n = wp.cross(a, b)
-    if wp.length(n) > _PARALLEL * wp.length(a) * wp.length(b):
+    if wp.length(n) > PARALLEL * wp.length(a) * wp.length(b):
         if wp.dot(n, gap) < _ZERO:
             n = -n
         return n
@@ -106,25 +92,11 @@ def contact_gap(
     """
     contact = ContactGap()
     contact.parameters = uv
-    c0 = corners(kind, points_t0)
-    c1 = corners(kind, points_t1)
-    size = wp.max(largest(c0), largest(c1))
-    unit = inverse_power_of_two(wp.max(size))
-    size = unit * size
-    noise = _LEAST_SQUARE * wp.dot(size, size) + _LEAST_SQUARE_OF_ARCS * (unit * slack) * (unit * slack)
-    c = corners_at(c0, c1, t)
-    c.w00 = unit * c.w00
-    c.w01 = unit * c.w01
-    c.w10 = unit * c.w10
-    along_q = uv[0]
-    along_r = uv[1]
-    if kind == EDGE_EDGE:
-        along_q = uv[1]
-        along_r = uv[0]
-    gap = c.w00 + along_q * (c.w01 - c.w00) + along_r * (c.w10 - c.w00)
-    if not wp.dot(gap, gap) > noise:
+    at_toi = gap_at(kind, points_t0, points_t1, t, uv[0], uv[1], slack)
+    noise = at_toi.noise
+    if not wp.dot(at_toi.gap, at_toi.gap) > noise:
         return contact
-    c.w11 = unit * c.w11
+    c = at_toi.corners
     wb, wc, from_w11 = closest_weights(c.w00, c.w01, c.w10, c.w11, kind == VERTEX_FACE)
     origin = c.w00
     along_q = wb
@@ -135,9 +107,8 @@ def contact_gap(
         along_r = wb
     gap = origin + wb * (c.w01 - origin) + wc * (c.w10 - origin)
     if wp.dot(gap, gap) > noise:
-        # sides from their own points, not from the corners, beside which they may be small
-        q = (_ONE - t) * c0.q + t * c1.q
-        r = (_ONE - t) * c0.r + t * c1.r
+        q = c.q
+        r = c.r
         if kind == VERTEX_FACE and wb + wc >= _SUM:
             q = q - r
             r = vec3d(_ZERO, _ZERO, _ZERO)
@@ -161,22 +132,21 @@ def against(velocity: vec3d, side: vec3d) -> vec3d:
 
 
 @wp.func
-def contact_normal(q: vec3d, r: vec3d, velocity: vec3d) -> vec3d:
+def contact_normal(sides: Sides) -> vec3d:
     """Unit normal of two sides, directed against the relative velocity of the first primitive; 0 if there is none.
 
     Parallel or vanishing sides do not determine a normal: then the part of the velocity across the longer side is used,
     or the velocity itself, where it is along that side.
     """
-    a = to_unit_size(q)
-    b = to_unit_size(r)
-    w = to_unit_size(velocity)
-    n = wp.cross(a, b)
-    if wp.length(n) <= _PARALLEL * wp.length(a) * wp.length(b):
-        longer = wp.where(wp.max(wp.abs(r)) > wp.max(wp.abs(q)), b, a)
-        n = against(w, longer)
-    n = wp.normalize(n)
-    if wp.dot(n, w) > _ZERO:
-        n = -n
+    n, is_regular = normal_of_sides(sides)
+    if not is_regular:
+        longer = sides.q
+        if wp.max(wp.abs(sides.r)) > wp.max(wp.abs(sides.q)):
+            longer = sides.r
+        w = to_unit_size(sides.velocity)
+        n = wp.normalize(against(w, to_unit_size(longer)))
+        if wp.dot(n, w) > _ZERO:
+            n = -n
     return n
 
 
@@ -198,22 +168,12 @@ def point_normal(side: vec3d, velocity: vec3d, gap: vec3d) -> vec3d:
 @wp.func
 def normal_without_gap(kind: int, x0: Points, x1: Points, t: wp.float64, uv: wp.vec2d) -> vec3d:
     """Unit normal of a contact without a gap, from the points of the pair at both ends of the step."""
-    a0 = position(x0.p0, x1.p0, t)
-    # motion of the two points in contact over the step
-    va = x1.p0 - x0.p0
-    if kind == EDGE_EDGE:
-        vb = (_ONE - uv[1]) * (x1.p2 - x0.p2) + uv[1] * (x1.p3 - x0.p3)
-        va = (_ONE - uv[0]) * va + uv[0] * (x1.p1 - x0.p1)
-        q = position(x0.p1, x1.p1, t) - a0
-        r = position(x0.p3, x1.p3, t) - position(x0.p2, x1.p2, t)
-        return contact_normal(q, r, va - vb)
-    b0 = position(x0.p1, x1.p1, t)
-    q = position(x0.p2, x1.p2, t) - b0
-    vb = (_ONE - uv[0] - uv[1]) * (x1.p1 - x0.p1) + uv[0] * (x1.p2 - x0.p2) + uv[1] * (x1.p3 - x0.p3)
-    if kind == VERTEX_FACE:
-        return contact_normal(q, position(x0.p3, x1.p3, t) - b0, va - vb)
+    sides = sides_at(kind, x0, x1, t, uv[0], uv[1])
+    if kind == VERTEX_FACE or kind == EDGE_EDGE:
+        return contact_normal(sides)
     # missing points repeat the last one, so q is the segment, or 0 for a point
-    return point_normal(q, va - vb, a0 - b0 - uv[0] * q)
+    gap = position(x0.p0, x1.p0, t) - position(x0.p1, x1.p1, t) - uv[0] * sides.q
+    return point_normal(sides.q, sides.velocity, gap)
 
 
 @wp.func

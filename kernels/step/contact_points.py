@@ -10,7 +10,7 @@ from ..pair_kind import EDGE_EDGE, POINT_POINT, VERTEX_FACE, VERTEX_PLANE
 from ..parameters import dimension, real
 from . import in_space as positions
 from .contact_place import vertices_of
-from .contacts import position
+from .contact_sides import position
 from .step import ContactList
 
 _ZERO = wp.constant(wp.float64(0.0))

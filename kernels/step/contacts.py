@@ -13,13 +13,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 NO_CONTACT = wp.constant(2**31 - 1)
 _PLANE_BIT = wp.constant(wp.int64(1 << 30))
 _ZERO = wp.constant(wp.float64(0.0))
-_ONE = wp.constant(wp.float64(1.0))
-
-
-@wp.func
-def position(p_t0: wp.vec3d, p_t1: wp.vec3d, t: wp.float64) -> wp.vec3d:
-    """Position of a point at time t."""
-    return (_ONE - t) * p_t0 + t * p_t1
 
 
 @wp.kernel
@@ -82,6 +75,40 @@ def contact_keys(
         keys[n] = contact_key(contacts, n)
 
 
+@wp.func_native(
+    """
+#if !defined(__CUDA_ARCH__)
+    const int ahead = n + 16;
+    if (ahead < order.shape[0]) {
+        const int k = order.data[ahead];
+        __builtin_prefetch(kind.data + k);
+        __builtin_prefetch(primitives.data + k);
+        __builtin_prefetch(toi.data + k);
+        __builtin_prefetch(status.data + k);
+        __builtin_prefetch(parameters.data + k);
+        __builtin_prefetch(gap.data + k);
+        __builtin_prefetch(width.data + k);
+        __builtin_prefetch(normal.data + k);
+    }
+#endif
+"""
+)
+def fetch_ahead(
+    n: int,
+    order: wp.array[wp.int32],
+    kind: wp.array[wp.int32],
+    primitives: wp.array[wp.vec2i],
+    toi: wp.array[wp.float64],
+    status: wp.array[wp.int32],
+    parameters: wp.array[wp.vec2d],
+    gap: wp.array[wp.float64],
+    width: wp.array[wp.float64],
+    normal: wp.array[wp.vec3d],
+):
+    """Let the memory bring a contact that soon follows in an order, on the CPU."""
+    ...
+
+
 @wp.kernel
 def order_contacts(
     begin: int,
@@ -95,6 +122,8 @@ def order_contacts(
     n = begin + wp.tid()
     if n >= contacts.count[0]:
         return
+    c = contacts
+    fetch_ahead(n, order, c.kind, c.primitives, c.toi, c.status, c.parameters, c.gap, c.width, c.normal)
     k = order[n]
     ordered.kind[n] = contacts.kind[k]
     ordered.primitives[n] = contacts.primitives[k]

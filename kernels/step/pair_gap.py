@@ -17,10 +17,11 @@ what follows from it is a one-sided derivative, as on the border of a face.
 import warp as wp
 
 from ..pair.closest_point import closest_weights
+from ..pair.lane_scale import to_unit_size
 from ..pair.patch import Corners, num_sides, side_of
 from ..pair.rounding import UNIT_ROUNDOFF
 from ..pair_kind import EDGE_EDGE, POINT_SEGMENT, VERTEX_FACE, VERTEX_PLANE
-from .contact_normal import across_sides, is_inner, to_unit_size
+from .contact_normal import across_sides, is_inner
 
 vec3d = wp.vec3d
 
@@ -146,7 +147,7 @@ def least_along(n: vec3d, c: Corners) -> wp.float64:
 
 
 @wp.struct
-class Place:
+class PatchPlace:
     """A place on a patch, and whether it is where a facet meets it."""
 
     is_met: bool
@@ -160,13 +161,15 @@ def corner_of_square(k: int) -> wp.vec2d:
 
 
 @wp.func
-def box_place(c: Corners, k: int, choice: int, n: vec3d, size: wp.float64, noise: wp.float64, is_face: bool) -> Place:
+def box_place(
+    c: Corners, k: int, choice: int, n: vec3d, size: wp.float64, noise: wp.float64, is_face: bool
+) -> PatchPlace:
     """Where a patch meets the facet of a box of this half side whose normal has number k.
 
     Where the facet lies along an axis, or several corners or sides are as near, there are eight choices, a bit each for
     the sign on an axis, or for the corner or side.
     """
-    place = Place()
+    place = PatchPlace()
     x = vec3d()
     for j in range(3):
         x[j] = size * wp.sign(n[j])

@@ -130,7 +130,10 @@ def starts_that_are_not_sound():
 
 
 def a_sheet_in_blocks():
-    check(*wavy_sheets(), in_blocks, ON_HOST)
+    pipeline = check(*wavy_sheets(), in_blocks, ON_HOST)
+    # each vertex is in the region of one rank, and a ghost in the parts of others
+    own = pipeline.work.counts.num_vertices - pipeline.work.num_ghosts
+    assert COMM.allreduce(own) == pipeline.mesh.num_vertices and pipeline.work.num_ghosts > 0
     check(
         *wavy_sheets(static=[1]), interleaved, ["mesh_ccd", "line_search vertex"], with_owners=True, broad_phase="hash"
     )
@@ -336,6 +339,7 @@ def refused_meshes():
     of_vertices = lambda pairs: {"exclude_pairs": {"vertices": pairs}}  # noqa: E731
     for part, changed in (
         (f"rank 0: owned is set for vertex id 0 on {SIZE} ranks", {"owned": ones}),
+        ("rank 0: owned is set for vertex id 0 on 0 ranks", {"owned": ~ones}),
         ("owned is given on some ranks", {"owned": ~ones if on_first else None}),
         ("bodies of vertex id 0 differs between ranks 0 and 1", {"bodies": np.full(3, min(RANK, 1))}),
         (f"rank {LAST}: vertex_ids holds 4 more than once", {"vertex_ids": np.array([4, 4, 5]) if on_last else IDS}),

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from emulated import MARKS
 
-from ccd_warp.distributed._plan import Boxes
+from ccd_warp.distributed._plan import Boxes, RankPlan
 from ccd_warp.distributed._regions import bisected
 
 FOLDER = Path(__file__).resolve().parent
@@ -87,6 +87,16 @@ def test_ranks_of_a_machine_take_its_devices_in_turns_by_default(monkeypatch):
     assert [_pipeline._device_of(rank) for rank in range(4)] == ["cuda:0", "cuda:1", "cuda:0", "cuda:1"]
     monkeypatch.setattr(_pipeline.wp, "get_cuda_device_count", lambda: 0)
     assert _pipeline._device_of(1) is None  # Warp's own choice
+
+
+@pytest.mark.parametrize(("end", "axis", "way"), [*product([0, 1], [0, 2], [-1.0, 1.0])])
+def test_a_plan_holds_as_long_as_every_vertex_stays_within_its_limits(end, axis, way):
+    plan = SimpleNamespace(limits=(np.zeros((5, 3)), np.ones((5, 3))), inflation=0.5)
+    ends = [np.full((5, 3), 0.5), np.full((5, 3), 0.5)]
+    assert [RankPlan.serves(plan, *ends, by) for by in (0.5, 0.6)] == [True, False]
+    for length, is_served in ((0.5, True), (0.6, False)):
+        ends[end][3, axis] = 0.5 + length * way
+        assert RankPlan.serves(plan, *ends, 0.5) == is_served
 
 
 def points_of(rng, count, num_worlds=1):

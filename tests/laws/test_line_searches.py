@@ -94,7 +94,8 @@ def test_what_is_left_of_the_way_is_free(seed):
         assert all(len({*fraction[is_free & (group == g)].tolist()}) <= 1 for g in {*group.tolist()})
         # what goes less than its way has the contacts that say why, and nothing else has any
         held, is_short = result.shortened_by, is_free & (fraction < 1)
-        assert {*group[is_short].tolist()} <= {*group[held.vertices].ravel().tolist()}
+        shortened = {*group[held.vertices].ravel().tolist()}
+        assert result.is_limited or {*group[is_short].tolist()} <= shortened  # else all of a world go by one fraction
         assert is_short[held.vertices].any(axis=1).all()
         if result.num_rounds == 2:
             assert (fraction[held.vertices] == SAFETY * held.toi[:, None]).any(axis=1).all()

@@ -115,17 +115,15 @@ def kept_of(group: list[Touch], wrong: list[bool]) -> list[Touch]:
 
     None, or of several whose speeds are but rounding one.
     """
-    right = [touch.approach for touch, is_not in zip(group, wrong, strict=True) if not is_not]
-    most, until = max(right, default=-np.inf), min(touch.toi + touch.slack for touch in group)
-    order = [
-        (is_not, touch.toi - touch.slack > until, touch.approach < most - 1e-9 * touch.speed, touch.kind, touch.row)
-        for touch, is_not in zip(group, wrong, strict=True)
-    ]
-    best = order.index(min(order))
-    if wrong[best] and group[best].is_apart:
+    told = [touch for touch, is_wrong in zip(group, wrong, strict=True) if not is_wrong] or group
+    until = min(touch.toi + touch.slack for touch in told)
+    first = [touch for touch in told if touch.toi - touch.slack <= until]
+    most = max(touch.approach for touch in first)
+    best = min((t for t in first if t.approach >= most - 1e-9 * t.speed), key=lambda touch: (touch.kind, touch.row))
+    if all(wrong) and best.is_apart:
         return []
-    rounded = [touch for touch in group if abs(touch.approach - most) <= touch.noise + 1e-9 * touch.speed]
-    return rounded if max(touch.noise for touch in group) > 1e-9 * group[best].speed else [group[best]]
+    rounded = [touch for touch in first if abs(touch.approach - most) <= touch.noise + 1e-9 * touch.speed]
+    return rounded if max(touch.noise for touch in group) > 1e-9 * best.speed else [best]
 
 
 def least_toi(kept: Touch, group: list[Touch]) -> float:

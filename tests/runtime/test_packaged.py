@@ -325,11 +325,12 @@ from ccd_warp._engine.stages import measure_pairs_in
 from ccd_warp._runtime.lanes import narrow_phase_on, search_on
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.target import set_flags
+from ccd_warp.kernels.pair.norm import Norm
 
 start_warp()
 cpu = wp.get_device("cpu")
-kernels = [measure_pairs_in(norm, cpu) for norm in ("maximum", "euclidean")]
-kernels += [narrow_phase_on(cpu, real, "euclidean").solve_pairs for real in (wp.float32, wp.float64)]
+kernels = [measure_pairs_in(norm, cpu) for norm in (Norm.MAXIMUM, Norm.EUCLIDEAN)]
+kernels += [narrow_phase_on(cpu, real, Norm.EUCLIDEAN).solve_pairs for real in (wp.float32, wp.float64)]
 kernels += [search_on(cpu, "search_trees", end, False, is_cuda=False) for end in ("boxes", "cull")]
 for kernel in kernels:
     set_flags(kernel.module, cpu)

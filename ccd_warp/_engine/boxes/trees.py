@@ -19,7 +19,7 @@ from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.boxes import half_warp_tree
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, has_arcs, is_ball
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.search import search_types
 from ccd_warp.kernels.step import device_step
 
@@ -271,18 +271,18 @@ class SearchPart:
 
 
 def search_options(
-    t_end: float, inflation: float, separation: float, norm: str, flag: StopFlag, radii: tuple[wp.array, wp.array]
+    t_end: float, inflation: float, separation: float, norm: Norm, flag: StopFlag, radii: tuple[wp.array, wp.array]
 ) -> Any:
     """What a step asks of the search, as the struct of the kernels; ``radii`` of vertices and of their boxes.
 
     Sagittas of arcs are Euclidean, as radii are, so the search is for balls there; one that holds a box is as large as
     its diagonal.
     """
-    if has_arcs(norm) and not is_ball(norm):
-        norm, separation = EUCLIDEAN_NORM, next_above(_DIAGONAL * separation)
+    if norm.has_arcs and not norm.is_ball:
+        norm, separation = Norm.EUCLIDEAN, next_above(_DIAGONAL * separation)
     packed = search_types.SearchOptions()
     packed.t_end, packed.inflation, packed.separation = t_end, inflation, separation
-    packed.is_euclidean = int(is_ball(norm))
+    packed.is_euclidean = int(norm.is_ball)
     packed.radius, packed.box_radius = radii
     packed.stop = flag.array
     return packed

@@ -18,7 +18,6 @@ from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.threads import StopFlag
 from ccd_warp.kernels.at_one_time import device_start_distances as kernels
 from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
-from ccd_warp.kernels.pair.norm import shape_of
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -60,7 +59,7 @@ class DeviceStartDistances:
         separation = options.separation(length_scale)
         distance = largest_start_distance(mesh, options, mesh._largest_radius)
         norm = norm_of(mesh, options, on_arcs=on_arcs)
-        self._norm = shape_of(norm)
+        self._norm = norm.shape
         radii = topology.radius if radius is None else radius
         exact = replace(options, precision="float64")
         self._narrow_phase = narrow_phase_on(device, exact.real, norm)

@@ -34,7 +34,6 @@ from ccd_warp._runtime.threads import StopFlag
 from ccd_warp._scene.input.interop import DeviceArray, as_positions, without_worlds
 from ccd_warp._scene.input.options import Options
 from ccd_warp._scene.mesh import CollisionMesh
-from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step import device_step as kernels
 from ccd_warp.kernels.step.minima import ANY_UNLISTED, MOST_LISTED
 
@@ -179,7 +178,7 @@ class DeviceStep(Plan):
     def plane_query(self, *, lets_part: bool = False) -> Any:
         """What vertices and planes are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
-        return plane_query(self._options, length_scale, is_euclidean=is_ball(self.norm), lets_part=lets_part)
+        return plane_query(self._options, length_scale, is_euclidean=self.norm.is_ball, lets_part=lets_part)
 
     def _empty(self, count: int, dtype: type) -> wp.array:
         return wp.empty(count, dtype=dtype, device=self.topology.device)
@@ -274,7 +273,7 @@ class DeviceStep(Plan):
     def touch(self, radius: NDArray[np.float64] | None = None) -> Touch:
         """What counts as touching in strict calls, with the radii of vertices where they are asked for."""
         length_scale = length_scale_of(self._mesh, self._options)
-        return Touch.of(self._options, length_scale, is_euclidean=is_ball(self.norm), radius=radius)
+        return Touch.of(self._options, length_scale, is_euclidean=self.norm.is_ball, radius=radius)
 
     def contact_points(self) -> wp.array:
         """Points of the contacts on the device, vec3d, at the positions that the arrays of the last launch hold.

@@ -19,7 +19,6 @@ from ccd_warp._results.results import MeshResult
 from ccd_warp._results.touch import Touch
 from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.status import CCDStatus, PairKind
-from ccd_warp.kernels.pair.norm import is_ball
 
 
 class ContactStep(ImpactStep):
@@ -153,7 +152,7 @@ class ContactStep(ImpactStep):
         radius, radii = self.mesh.radius, None
         if radius is not None:
             radii = radius, self.topology.box_radius.numpy() if len(self.mesh.planes) else radius
-        is_euclidean = is_ball(self.plan.norm)
+        is_euclidean = self.plan.norm.is_ball
         of_touch = self.options, self.length_scale
         touch = self.workspace.packed_once(
             ("touch", *of_touch), lambda: Touch.of(*of_touch, is_euclidean=is_euclidean, radius=radius)

@@ -27,6 +27,7 @@ from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
@@ -81,7 +82,7 @@ class HostPlan(Plan):
     """
 
     @staticmethod
-    def of(workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> "HostPlan":
+    def of(workspace: "Workspace", options: "Options", goal: Goal, norm: Norm, motion: Motion) -> "HostPlan":
         """The plan of a workspace for calls with such options, a goal, a norm of separations and a motion."""
         of_options = options.pair_kinds, options.precision, options.method, options.threads, options.broad_phase
         key = (goal, norm, of_options, motion.on_arcs)
@@ -91,7 +92,7 @@ class HostPlan(Plan):
             workspace.plans[key] = HostPlan(workspace, options, goal, norm, motion)
         return workspace.plans[key]
 
-    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: str, motion: Motion) -> None:
+    def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: Norm, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
         execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
         self._radii = motion.radius, motion.box_radius

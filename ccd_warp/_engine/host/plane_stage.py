@@ -15,7 +15,6 @@ from ccd_warp._engine.stages import Stages
 from ccd_warp._runtime.launch import Recording, Slot
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.options import Options
-from ccd_warp.kernels.pair.norm import is_ball
 from ccd_warp.kernels.step.minima import FOUND
 
 _FOUND = int(FOUND)
@@ -35,7 +34,7 @@ class PlaneStage:
         """
 
         def query() -> object:
-            is_euclidean = is_ball(norm_of(self._topology.mesh, options))
+            is_euclidean = norm_of(self._topology.mesh, options).is_ball
             return plane_query(options, length_scale, is_euclidean=is_euclidean, lets_part=lets_part)
 
         packed = self._workspace.packed_once(("planes", options, length_scale, lets_part), query)

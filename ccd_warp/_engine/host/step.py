@@ -20,6 +20,7 @@ from ccd_warp._results.results import Counts
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.quick import of_values
 from ccd_warp._scene.input.options import Options
+from ccd_warp.kernels.pair.norm import Norm
 
 # Memory for pairs where the user sets no limit.
 _DEFAULT_PAIR_BYTES = 1 << 30
@@ -88,7 +89,7 @@ class HostStep:
         if error is None or issubclass(error, Exception):  # a warning that is an error would hide an interrupt
             self.oddities.explain(self.workspace, self.positions, self.options)
 
-    def norm(self) -> str:
+    def norm(self) -> Norm:
         """The norm of separations (``kernels.pair.norm``)."""
         return norm_of(self.mesh, self.options, on_arcs=self.motion.on_arcs)
 

@@ -6,7 +6,7 @@ import warp as wp
 
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.arguments import shown
-from ccd_warp.kernels.pair.norm import ARC_BALL_NORM, ARC_BOX_NORM, EUCLIDEAN_NORM, is_ball
+from ccd_warp.kernels.pair.norm import Norm
 
 if TYPE_CHECKING:
     from ccd_warp._scene.input.options import Options
@@ -44,7 +44,7 @@ def norm_of(
     options: "Options",
     *,
     on_arcs: bool = False,
-) -> str:
+) -> Norm:
     """The norm of separations (``kernels.pair.norm``): the Euclidean one with radii, even of 0, or a minimum distance.
 
     Args:
@@ -56,15 +56,13 @@ def norm_of(
         ValueError: If there are radii, which are Euclidean lengths, and a separation in the maximum norm.
     """
     if mesh.radius is None:
-        if on_arcs:
-            return ARC_BALL_NORM if is_ball(options.norm) else ARC_BOX_NORM
-        return options.norm
+        return options.norm.on_arcs if on_arcs else options.norm
     if options.minimum_separation > 0:
         raise ValueError(
             f"minimum_separation is {shown(options.minimum_separation)} and the mesh has a radius of up to "
             f"{mesh.radius.max():.6g}; expected minimum_distance, which is Euclidean as a radius is, or no radius"
         )
-    return ARC_BALL_NORM if on_arcs else EUCLIDEAN_NORM
+    return Norm.EUCLIDEAN.on_arcs if on_arcs else Norm.EUCLIDEAN
 
 
 def length_scale_of(mesh: "CollisionMesh", options: "Options") -> float:

@@ -17,7 +17,8 @@ from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._scene.input.arguments import check_choice, check_count, check_items, check_real, shown
 from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
-from ccd_warp.kernels.pair import norm, query
+from ccd_warp.kernels.pair import query
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.template import specialised
 
 if TYPE_CHECKING:
@@ -131,11 +132,11 @@ class Options:
         return 0.0 if self.start_gap_fraction is None or self.keeps_start_distances else float(self.start_gap_fraction)
 
     @property
-    def norm(self) -> str:
+    def norm(self) -> Norm:
         """The norm of the separation, for which kernels are made (``kernels.pair.norm``)."""
         if self.minimum_distance > 0:
-            return norm.EUCLIDEAN_NORM
-        return norm.OWN_BOX_NORM if self.minimum_separation > 0 else norm.MAXIMUM_NORM
+            return Norm.EUCLIDEAN
+        return Norm.OWN_BOX if self.minimum_separation > 0 else Norm.MAXIMUM
 
     def separation(self, length_scale: float) -> float:
         """The minimum separation or distance, a length."""

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.pair.rounding import ARC_MOTION, ARC_POINTS, FRAME, PLACE, PLACE_POSITION, SAGITTA
 from ccd_warp.kernels.rigid import place_bodies as kernels
 from counted import House, Rows
@@ -62,7 +63,7 @@ def on_arc(ends, spin, t):
 @cache
 def functions(norm):
     house = House(dtype=np.float64)
-    return [house.load(f"pair.{name}", norm=norm) for name in ("arcs", "corotating")]
+    return [house.load(f"pair.{name}", norm=Norm(norm)) for name in ("arcs", "corotating")]
 
 
 def placed(body, x, t0, t1):

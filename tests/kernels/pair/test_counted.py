@@ -14,6 +14,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 from ccd_warp.kernels.pair import rounding
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.pair_kind import POINT_POINT, POINT_SEGMENT
 from counted import House, Number, comparisons, dot, drawn, drawn_time, numeral, vector
 
@@ -54,8 +55,8 @@ def held(row, allowed, x, most, exact=None, where=True, lost=None):
 class Pair:
     """The files for a precision and a norm, and a pair in normalised units."""
 
-    def __init__(self, real, norm="maximum"):
-        self.house, self.real, self.norm = House(real), real, norm
+    def __init__(self, real, norm=Norm.MAXIMUM):
+        self.house, self.real, self.norm = House(real), real, (norm := Norm(norm))
         self.unit, self.own = (self.house.units[name] for name in ("float64", real))
         self.load, self.vector = partial(self.house.load, norm=norm), partial(drawn, axes=3, unit=self.own)
         vectors = [{n: drawn(f"{n}.{end}", 3, unit=self.unit, lost=self.unit) for n in NAMES} for end in (0, 1)]

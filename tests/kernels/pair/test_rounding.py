@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import warp as wp
 from ccd_warp.kernels.boxes.boxes import end_box
-from ccd_warp.kernels.pair.norm import EUCLIDEAN_NORM, OWN_BOX_NORM
+from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.pair.single_points import row_points
 from ccd_warp.kernels.template import specialised
 from exact import exact_distance_tois, exact_tois
@@ -40,7 +40,7 @@ def make_probe(real, norm):
     module = wp.get_module(f"test_rounding.{norm}.{real.__name__}")
     # the options of the solver's own module
     wp.set_module_options({"enable_backward": False, "fuse_fp": False, "max_unroll": 1}, module=module)
-    if norm == EUCLIDEAN_NORM:
+    if norm == Norm.EUCLIDEAN:
         ball, clip_beyond = specialised("pair.ball", real=real), inclusion.clip_beyond
         turn_of_side, clip_turn, with_largest_one, offset = (
             getattr(ball, name) for name in ("turn_of_side", "clip_turn", "with_largest_one", "offset")
@@ -99,15 +99,15 @@ def clip_times(kind, points, real, norm, distance, rng):
 @pytest.mark.parametrize(
     ("norm", "share", "scale"),
     [
-        (OWN_BOX_NORM, 0, 0),
-        (OWN_BOX_NORM, 1e-3, 0),
-        (OWN_BOX_NORM, 0, -900),
-        (OWN_BOX_NORM, 0, (700, -537, -530)),
-        (EUCLIDEAN_NORM, 1e-7, 0),
-        (EUCLIDEAN_NORM, 1e-3, (0, -20, -90)),
-        (EUCLIDEAN_NORM, 0.2, 0),
-        (EUCLIDEAN_NORM, 1e-3, (0, -200, 0)),
-        (EUCLIDEAN_NORM, 1e-3, -900),
+        (Norm.OWN_BOX, 0, 0),
+        (Norm.OWN_BOX, 1e-3, 0),
+        (Norm.OWN_BOX, 0, -900),
+        (Norm.OWN_BOX, 0, (700, -537, -530)),
+        (Norm.EUCLIDEAN, 1e-7, 0),
+        (Norm.EUCLIDEAN, 1e-3, (0, -20, -90)),
+        (Norm.EUCLIDEAN, 0.2, 0),
+        (Norm.EUCLIDEAN, 1e-3, (0, -200, 0)),
+        (Norm.EUCLIDEAN, 1e-3, -900),
     ],
 )
 def test_no_clip_passes_a_contact(norm, share, scale, kind, real):
@@ -116,7 +116,7 @@ def test_no_clip_passes_a_contact(norm, share, scale, kind, real):
         points = [np.ldexp(p, scale) for p in FAMILIES[family](kind, 30, rng)]
         distance = share * float(np.median(np.abs(points[0])[..., 0].max(axis=1)))
         times = clip_times(kind, points, real, norm, distance, rng)
-        exact = exact_distance_tois if norm == EUCLIDEAN_NORM else exact_tois
+        exact = exact_distance_tois if norm == Norm.EUCLIDEAN else exact_tois
         for truth, reported in zip(exact(kind, *points, distance), times.tolist(), strict=True):
             # 2: certainly free to the end
             assert not any(truth.hit and (time >= 2 or truth.late(time)) for time in reported)
