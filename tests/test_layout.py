@@ -25,9 +25,7 @@ RINGS = [
     {"_at_one_time", "_rigid", "viz", "_files"},
     {"_gradients"},
     {"_calls"},
-    {"jax", "torch"},
-    {""},  # the public names
-    {"_cli", "distributed"},
+    {"", "jax", "torch", "_cli", "distributed"},  # the public names, and who uses the calls
     {"__main__"},
 ]
 

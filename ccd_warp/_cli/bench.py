@@ -20,12 +20,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import warp as wp
 
-import ccd_warp as ccd
+from ccd_warp._calls.pair_ccd import edge_edge_ccd, vertex_face_ccd
+from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._cli.demo import cloth_scene
 from ccd_warp._cli.process import make_folder, start_quietly, teller
+from ccd_warp._runtime.version import __version__
 
 SIDE = 1024  # of the primitives, which is the unit of the tolerance
-KINDS = {"vertex-face": ccd.vertex_face_ccd, "edge-edge": ccd.edge_edge_ccd}
+KINDS = {"vertex-face": vertex_face_ccd, "edge-edge": edge_edge_ccd}
 # Of each family D, the largest motion within the plane (0: any) and the largest common motion.
 FAMILIES = {"general": (1024, 256, 0), "cloth-like": (32, 16, 1 << 12), "near-degenerate": (1024, 0, 1 << 20)}
 DEFAULT_TOLERANCE = 1e-6
@@ -172,7 +174,7 @@ def step_rows(is_quick: bool, devices: list[str], has_peer: bool) -> Iterator[tu
         mesh, frames = scene.mesh, (scene.vertices_t0, scene.vertices_t1)
         calls: dict[str, Callable[[], Any]] = {}
         for device, name in product(devices, ("collision_free_step", "mesh_ccd")):
-            calls[f"{name}, {device}"] = partial(getattr(ccd.CollisionPipeline(mesh, device=device), name), *frames)
+            calls[f"{name}, {device}"] = partial(getattr(CollisionPipeline(mesh, device=device), name), *frames)
         if has_peer:
             import ipctk
 
@@ -212,7 +214,7 @@ def run(arguments: argparse.Namespace) -> int:
     make_folder(folder, "--output")
     tell = teller(None, is_quiet=arguments.quiet)
     has_peer = find_spec("ipctk") is not None
-    title = f"ccd-warp {ccd.__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
+    title = f"ccd-warp {__version__}" + (f", ipctk {version('ipctk')}" if has_peer else "")
     tell(title := f"{title}; {', '.join(wp.get_device(name).name for name in devices)}, one thread of a CPU")
     tell("measuring queries and steps, which takes a minute or more" if not arguments.quick else "measuring")
     rows = list(query_rows(arguments.quick, devices, has_peer))

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from ccd_warp import CollisionMesh, CollisionPipeline
+from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.output import write_result
 from ccd_warp._cli.pictures import check_picture, draw_step
@@ -19,6 +19,7 @@ from ccd_warp._cli.solve import SolvedStep, make_options, solve
 from ccd_warp._files.ply import write_ply
 from ccd_warp._files.sequence import Frames
 from ccd_warp._scene.input.messages import printable
+from ccd_warp._scene.mesh import CollisionMesh
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ccd_warp import CollisionPipeline
+from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._files.bodies import Body, mesh_of, static_bodies
 from ccd_warp._files.sequence import FrameSequence
 from ccd_warp._files.series import FileSeries, find_series

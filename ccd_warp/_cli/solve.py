@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ccd_warp import CollisionPipeline
+from ccd_warp._calls.pipeline import CollisionPipeline
 from ccd_warp._cli.arguments import command_line_options
 from ccd_warp._cli.process import warnings_on_stderr
 from ccd_warp._cli.progress_line import ProgressLine
