@@ -134,9 +134,8 @@ class DeviceArcStep(DeviceLineSearch):
                     self._stages.reset(recording, *counts, _ALL_FLAGS, keeps_toi=True)
                     self._arcs.place(of_slice, recording, *slots)
                 self._record_search(recording, stages, of_bodies)
-                gaps = gaps_moved * float(
-                    time_slice.t_end - time_slice.t_begin
-                )  # the motion of a pair is that in the slice
+                # the motion of a pair is that in the slice
+                gaps = gaps_moved * float(time_slice.t_end - time_slice.t_begin)
                 self.record_narrow_phase(recording, adapt(stages), of_bodies, gaps_moved=gaps, **solved)
         return first
 

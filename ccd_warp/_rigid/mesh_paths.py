@@ -225,24 +225,11 @@ def check_worlds(mesh: CollisionMesh) -> None:
     differs[mesh.unused_vertices] = False
     for vertex in np.flatnonzero(differs)[:1].tolist():
         body = int(mesh.vertex_body[vertex])
-        raise ValueError(_of_worlds(body_label(body, mesh.names), int(first[body]), int(mesh.vertex_world[vertex])))
-
-
-def check_worlds_of(bodies: NDArray[np.bool_], first: NDArray[np.int64], last: NDArray[np.int64]) -> None:
-    """Check the same of bodies whose first and last worlds are known.
-
-    Raises:
-        ValueError: If one has vertices in several.
-    """
-    for body in np.flatnonzero(bodies & (first < last))[:1].tolist():
-        raise ValueError(_of_worlds(f"body {body}", int(first[body]), int(last[body])))
-
-
-def _of_worlds(body: str, first: int, last: int) -> str:
-    return (
-        f"motion is given, and {body}, which is rigid, has vertices in worlds {first} and {last}; "
-        f"expected a body for each world"
-    )
+        worlds = f"{first[body]} and {mesh.vertex_world[vertex]}"
+        raise ValueError(
+            f"motion is given, and {body_label(body, mesh.names)}, which is rigid, has vertices in worlds {worlds}; "
+            f"expected a body for each world"
+        )
 
 
 def _check_static_bodies(mesh: CollisionMesh, bodies: NDArray[np.intp], paths: BodyPaths) -> None:

@@ -38,12 +38,9 @@ class Regions:
         return self.meets(region, points, points)
 
     def assigned(self, num_samples: NDArray[np.float64]) -> "Regions":
-        """The regions in an order such that each rank gets one of which it holds much, shape [ranks, regions]."""
-        count, rank_of_region, is_free = (
-            len(num_samples),
-            np.full(len(num_samples), -1),
-            np.ones(len(num_samples), dtype=bool),
-        )
+        """The regions in an order such that each rank gets one of which it has many samples, shape [ranks, regions]."""
+        count = len(num_samples)
+        rank_of_region, is_free = np.full(count, -1), np.ones(count, dtype=bool)
         places = np.flatnonzero(num_samples)  # which are far fewer than the square of the ranks
         for place in places[np.argsort(-num_samples.ravel()[places], kind="stable")].tolist():
             rank, region = divmod(place, count)

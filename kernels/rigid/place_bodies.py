@@ -173,7 +173,7 @@ def place_bodies(
     # out
     ends: BodyEnds,
 ):
-    """BodyPlace the bodies at both ends of a slice."""
+    """Place the bodies at both ends of a slice."""
     body = begin + wp.tid()
     if paths.is_rigid[body] == 0:
         return
@@ -207,7 +207,7 @@ def place_vertices(
     grown_radius: wp.array[wp.float64],
     grown_box_radius: wp.array[wp.float64],
 ):
-    """BodyPlace the vertices at both ends of a slice, with the velocity that turns and radii that hold their arcs."""
+    """Place the vertices at both ends of a slice, with the velocity that turns and radii that hold their arcs."""
     i = begin + wp.tid()
     body = vertex_body[i]
     begins = t_begin[body]

@@ -79,7 +79,7 @@ def contact_keys(
     """
 #if !defined(__CUDA_ARCH__)
     const int ahead = n + 16;
-    if (ahead < order.shape[0]) {
+    if (ahead < end) {
         const int k = order.data[ahead];
         __builtin_prefetch(kind.data + k);
         __builtin_prefetch(primitives.data + k);
@@ -95,6 +95,7 @@ def contact_keys(
 )
 def fetch_ahead(
     n: int,
+    end: int,
     order: wp.array[wp.int32],
     kind: wp.array[wp.int32],
     primitives: wp.array[wp.vec2i],
@@ -120,10 +121,11 @@ def order_contacts(
 ):
     """Copy the contacts in the given order."""
     n = begin + wp.tid()
-    if n >= contacts.count[0]:
-        return
     c = contacts
-    fetch_ahead(n, order, c.kind, c.primitives, c.toi, c.status, c.parameters, c.gap, c.width, c.normal)
+    end = wp.min(c.count[0], order.shape[0])
+    if n >= end:
+        return
+    fetch_ahead(n, end, order, c.kind, c.primitives, c.toi, c.status, c.parameters, c.gap, c.width, c.normal)
     k = order[n]
     ordered.kind[n] = contacts.kind[k]
     ordered.primitives[n] = contacts.primitives[k]

@@ -83,7 +83,8 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
             bounds = ccd.displacement_bounds(mesh, x, distance, minimum_distance=kept, **scene.only(*OF_SEARCH))
             expected, largest = displacement_bounds(pairs, x, distance, kept)
             expected[~pairs.takes_part & ~np.isin(np.arange(len(x)), mesh.planes.vertices)] = np.inf
-            assert (bounds <= expected).all() and (bounds >= expected - 3e-15 * largest).all()  # steps 15 and 16
+            lost = 2e-15 * largest + 2.0**-50 * np.where(expected < np.inf, expected, 0.0)  # steps 15 and 16
+            assert (bounds <= expected).all() and (bounds >= expected - lost).all()
 
 
 @pytest.mark.long

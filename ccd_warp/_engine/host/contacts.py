@@ -3,7 +3,7 @@
 import itertools
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -20,10 +20,6 @@ from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.step import contacts as kernels
 from ccd_warp.kernels.step.minima import Minima
 from ccd_warp.kernels.step.step import ContactList
-
-if TYPE_CHECKING:
-    from ccd_warp.kernels.step.minima import Minima
-    from ccd_warp.kernels.step.step import ContactList
 
 CONTACT_DTYPES = dtypes_of(ContactList)
 # The type and the shape of an element of each in NumPy.
@@ -66,7 +62,7 @@ class _Ordered:
         order: Positions of the contacts in the list, in ascending order of their keys.
     """
 
-    def __init__(self, topology: Topology, count: wp.array, minima: "Minima", capacity: int, is_cuda: bool) -> None:
+    def __init__(self, topology: Topology, count: wp.array, minima: Minima, capacity: int, is_cuda: bool) -> None:
         """Make arrays for the contacts of a list, whose number is ``count``, and which have these minima."""
         device, mesh = topology.device, topology.mesh
         self._topology, self._minima, self._capacity = topology, minima, capacity
@@ -108,7 +104,7 @@ class _Ordered:
             first = np.full(len(first), _NO_CONTACT)
         return columns, [first[rows] for rows in self._owners]
 
-    def fill_keys(self, launcher: Execution | Recording, contacts: "ContactList") -> None:
+    def fill_keys(self, launcher: Execution | Recording, contacts: ContactList) -> None:
         """Compute the keys of the contacts of a list."""
         launcher.launch(kernels.contact_keys, self._capacity, inputs=[contacts], outputs=[self.keys])
 
@@ -120,7 +116,7 @@ class _Ordered:
             keys, order = self.keys.numpy(), self.order.numpy()
             order[:count] = _sorted_places(keys[:count], execution)
 
-    def fill(self, launcher: Execution | Recording, contacts: "ContactList") -> None:
+    def fill(self, launcher: Execution | Recording, contacts: ContactList) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
         launcher.launch(kernels.reset_first, len(self._all_first), inputs=[], outputs=[self._all_first])
         inputs = [self.order, contacts]
@@ -304,7 +300,7 @@ class _FewOrdered:
         self.ordered, self._count = ordered, 0
         self._recording: Recording | None = None
 
-    def order(self, contacts: "ContactList", count: int, execution: Execution) -> None:
+    def order(self, contacts: ContactList, count: int, execution: Execution) -> None:
         """Order the contacts of a list, of which there are so many; recorded at its first use."""
         self._count, recording = count, self._recording
         if recording is None or recording.num_threads != execution.num_threads:
@@ -312,7 +308,7 @@ class _FewOrdered:
         recording.bind("found", contacts)
         recording.play("ordered")
 
-    def _recorded(self, contacts: "ContactList", execution: Execution) -> Recording:
+    def _recorded(self, contacts: ContactList, execution: Execution) -> Recording:
         recording, ordered, of_step = Recording(execution, {"found": contacts}), self.ordered, Slot("found")
         with recording.section("ordered"):
             ordered.fill_keys(recording, of_step)

@@ -1,5 +1,6 @@
 """Boxes and orders as CUDA makes them, run on the CPU and the emulated device: equal to those of the CPU's kernels."""
 
+import itertools
 import time
 from contextlib import nullcontext
 
@@ -75,8 +76,10 @@ def test_boxes_of_every_level_are_those_of_the_cpu_launch_after_launch(device):
     for at in ("cpu", device):
         pipeline, of_steps, until = CollisionPipeline(mesh, device=at), {}, time.monotonic() + seconds * (at != "cpu")
         arrays = [wp.array(x, dtype=wp.vec3d, device=at) for x in ends]
-        while len(of_steps) < 3 or time.monotonic() < until:
-            for k in (*rng.integers(0, 3, 5), len(of_steps) % 3):  # what stands there before is of another step
+        for count in itertools.count():
+            if count >= 2 * len(steps) and time.monotonic() >= until:
+                break
+            for k in (*rng.integers(0, 3, 5), count % 3):  # what stands there before is of another step
                 trees = pipeline.launch(*(arrays[end] for end in steps[k]))._step.trees
             boxes = [x.numpy().view(np.int32) for tree in trees for x in (tree.arrays.nodes, tree.arrays.primitive)]
             kept = of_steps.setdefault(k, [x.copy() for x in boxes])
