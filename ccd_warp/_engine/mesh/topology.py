@@ -483,9 +483,18 @@ class Topology:
 
     @lazy_property
     def sorted_groups(self) -> wp.array:
-        """The group of each body, int32, where primitives stand in trees by their group first; or else empty."""
-        groups = self.groups
-        return self.array(np.zeros(0) if groups is None or not groups.is_sparse(self.mesh) else groups.of_body)
+        """The number of each body by which primitives stand in trees first, int32; empty where these are not sorted.
+
+        Of worlds these are the worlds: blocks of sixteen that are halved across the middle of one reach into two.
+        """
+        mesh, groups = self.mesh, self.groups
+        if groups is not None and groups.is_sparse(mesh):
+            return self.array(groups.of_body)
+        if mesh.num_worlds == 1:
+            return self.array(np.zeros(0))
+        world = np.zeros(mesh.num_bodies, dtype=np.int32)
+        world[mesh.vertex_body] = mesh.vertex_world
+        return self.array(np.unique(world, return_inverse=True)[1])  # no more than bodies
 
     def meets(self, a: Role, b: Role) -> tuple[bool, bool]:
         """Whether any, and whether all, of the pairs of bodies with two roles may meet."""
