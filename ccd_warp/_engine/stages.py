@@ -340,11 +340,12 @@ class Stages:
 
     def _list_candidates(self, launcher: Launcher, searched: list[tuple[TreePair, range]]) -> None:
         """On CUDA: list the candidates of some queries of tree pairs, and count all of them; :meth:`_cull` follows."""
-        searches = [
-            (tree_pair, range_of_warps(int(tree_pair.kind), queries[k : k + MOST_QUERIES]))
-            for tree_pair, queries in searched
-            for k in range(0, len(queries), MOST_QUERIES)
-        ]
+        searches = []
+        for tree_pair, queries in searched:
+            row, shares_leaves = int(tree_pair.kind), tree_pair.query.walk == "search_trees"
+            for k in range(0, len(queries), MOST_QUERIES):
+                part = range_of_warps(row, queries[k : k + MOST_QUERIES], shares_leaves=shares_leaves)
+                searches.append((tree_pair, part))
         self._search_in_warps(launcher, searches, LIST, self.candidates)
 
     def _cull_the_rest(self, launcher: Launcher, tree_pairs: list[TreePair]) -> None:

@@ -53,6 +53,7 @@ class SearchRange:
     level: int  # of the items in the tree of the queries: 1, blocks; 0, single boxes
     end: int  # on CUDA: the query after the last
     num_warps: int  # on CUDA: that share the items
+    shares: int  # on CUDA: warps that take an item, each with its share of the blocks at the leaves
     row: int  # of the counts
     first_key: int  # of a search without the cull, which writes to a part of the keys
     capacity: int  # of that part, in keys; or of the list of candidates

@@ -4,8 +4,9 @@ On the way a block of sixteen boxes is tested with the box around the queries: e
 neighbouring threads load neighbouring numbers, and tests it without a branch. Both halves of the warp do the same. At a
 leaf each half takes another query, and each of its threads another box of the block. Few of these pairs overlap, so
 what does waits in a queue until there is one for each thread of the warp; then all of them decide at once about a pair
-each, and one atomic operation claims places for what is left. A scene with too few queries to keep the device busy has
-fewer of them in each warp. All threads of a warp take the same branches up to an operation that combines them.
+each, and one atomic operation claims places for what is left. Where too few queries would keep the device busy, some
+warps walk with the same ones, and each takes its share of the leaves; in a hash, whose walk takes longer, each warp has
+fewer queries. All threads of a warp take the same branches up to an operation that combines them.
 
 A search for contacts lists its **candidates**: pairs whose boxes overlap and which the mesh does not exclude. The
 kernel of `candidate_cull` culls them afterwards. If the list was too short for them and no caller makes a longer one, a
@@ -43,8 +44,8 @@ _LOW_HALF = wp.constant(wp.int64(0xFFFFFFFF))
 # a search of crumpled cloth takes as long or longer on an H100. The second search, with its cull, is rare.
 _FEW_REGISTERS = 96
 _MANY_REGISTERS = 168
-# Walks differ in length, and a block keeps its place until the last of its walks has ended.
-_BLOCK_DIM = 64
+# Walks differ in length, and a block keeps its place until the last of its walks has ended: a warp each.
+_BLOCK_DIM = WARP
 
 vec12f = wp.types.vector(length=12, dtype=wp.float32)
 
@@ -207,6 +208,7 @@ def queued(new_ones: wp.uint32, pair: wp.int64, waiting: int) -> wp.int64:
 class Item:
     """Some queries that follow each other, at most sixteen, whose boxes the warp keeps."""
 
+    share: int  # number of the warp among those that take these queries
     first: int  # place of the first query
     after: int  # place in the targets that its partners come after: its own, or -1 where these are other boxes
     queries: wp.uint32  # by their numbers from the first on
@@ -232,14 +234,16 @@ def items_of(search: Search, thread: int) -> wp.vec3i:
     if wp.static(is_second):
         if search.step.counts[part.row, CANDIDATES] <= wp.int64(part.capacity):
             return wp.vec3i(0, 0, 1)
-    return wp.vec3i(thread / _PER_WARP, (part.end - part.first + part.stride - 1) / part.stride, part.num_warps)
+    num_items = (part.end - part.first + part.stride - 1) / part.stride
+    return wp.vec3i(thread / _PER_WARP, num_items * part.shares, part.num_warps)
 
 
 @wp.func
 def item_at(search: Search, number: int, thread: int) -> Item:
-    """An item by its number."""
+    """An item by its number, which counts it once for each warp that takes it."""
     item = Item()
-    item.first = search.part.first + number * search.part.stride
+    item.share = number % search.part.shares
+    item.first = search.part.first + number / search.part.shares * search.part.stride
     count = wp.min(search.part.stride, search.part.end - item.first)
     query = wp.min(number_in_warp() % WIDTH, count - 1)
     kept_box(number_in_warp() % WIDTH, True, number_in_warp() < WIDTH, box_at(search.query.nodes, item.first + query))
@@ -376,6 +380,8 @@ def settle(search: Search, pair: wp.int64):
 @wp.func
 def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, waiting: int) -> int:
     """Queue the pairs of queries and some boxes of a block that overlap; returns how many then wait."""
+    if block % search.part.shares != item.share:
+        return waiting
     parent = box_at(search.target.nodes, search.target.block_begin[1] * WIDTH + block)
     queries = item.queries & threads_where(overlap(parent, box_of(number_in_warp() % WIDTH)))
     lane = number_in_warp() % WIDTH

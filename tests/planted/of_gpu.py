@@ -147,6 +147,8 @@ PLANTED = [
     Fault("second search without the last queries", _SEARCH,
           "(part.end - part.first + part.stride - 1) / part.stride", "(part.end - part.first) / part.stride",
           ("short lists", "counts")),
+    Fault("a leaf by more than one of the warps that share a walk", _SEARCH,
+          "block % search.part.shares != item.share", "block % search.part.shares > item.share", ("counts",)),
     Fault("the upper half takes the query of the lower one", _SEARCH,
           "            if queries != _NONE:\n                query = lowest_bit(queries)\n", "", ("launch", "counts")),
     Fault("a query of the upper half taken twice", _SEARCH,

@@ -42,8 +42,8 @@ _PAIRED: tuple[tuple[Role, Role], ...] = (
 CHECKED_BLOCKS = 64
 # Box tests above which a part of a search may take long: some 0.3 s if all boxes overlap.
 LONG_SEARCH = 1 << 22
-# On CUDA a warp takes up to `WIDTH` queries, and fewer where there are not enough for so many warps: about twice as
-# many as an H100 runs at once.
+# On CUDA a warp takes up to `WIDTH` queries. Where there are not enough for so many warps, about twice as many as an
+# H100 runs at once, several warps share the leaves of each walk, or each has fewer queries.
 _BUSY_WARPS = 1 << 12
 # Largest number of queries of a launch on CUDA, whose threads are numbered in 32 bits.
 MOST_QUERIES = 1 << 26
@@ -312,14 +312,22 @@ def range_of_warps(
     marks_overflow: bool = False,
     *,
     most_warps: int = 0,
+    shares_leaves: bool = False,
 ) -> Any:
     """Consecutive queries that a launch on CUDA searches, with ``num_warps`` warps, ``most_warps`` of them if given."""
     packed = search_range(0, row, queries, capacity, first_key, marks_overflow)
     # a power of two: they are below one inner box, where others might be on both sides of a large gap
-    packed.stride = min(WIDTH, 1 << (max(len(queries) // _BUSY_WARPS, 1).bit_length() - 1))
-    num_items = -(-len(queries) // packed.stride)
+    packed.stride, packed.shares = _power_of_two(len(queries) // _BUSY_WARPS), 1
+    if shares_leaves:
+        packed.stride, packed.shares = WIDTH, _power_of_two(WIDTH * _BUSY_WARPS // max(len(queries), 1))
+    num_items = -(-len(queries) // packed.stride) * packed.shares
     packed.num_warps = min(num_items, most_warps or num_items)
     return packed
+
+
+def _power_of_two(most: int) -> int:
+    """The largest power of two that is no more than a number, at least 1 and at most `WIDTH`."""
+    return min(WIDTH, 1 << (max(most, 1).bit_length() - 1))
 
 
 def tree_pairs_of(
