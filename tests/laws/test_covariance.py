@@ -12,7 +12,7 @@ from laws.scenes import drawn
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
 # Results that are lengths; the others have no unit.
 LENGTHS = ("gap", "points", "distance", "bounds")
-every_scene = pytest.mark.parametrize("seed", range(40))
+every_scene = pytest.mark.parametrize("seed", [*range(40), 9031])  # 9031: in float32 rounding hides gaps
 
 
 def remade(mesh, order, scale=1.0, **changed):
@@ -111,7 +111,9 @@ def test_a_shorter_step_ends_at_its_end(seed):
     case, mesh, start, end, precision, _ = made(seed)
     slack = 2.0**-20 + (case.options["tolerance"] if precision == "float64" else 1e-4)
     options = {**case.options, "precision": precision}
-    whole, part = (tois_of(ccd.mesh_ccd(mesh, start, end, **options | {"t_max": t}).contacts) for t in (1.0, 0.4))
+    of_both = [ccd.mesh_ccd(mesh, start, end, **options | {"t_max": t}).contacts for t in (1.0, 0.4)]
+    whole, part = map(tois_of, of_both)
+    hidden = tois_of(of_both[0][of_both[0].status == ccd.CCDStatus.ROUNDING_LIMIT])  # less is hidden in a shorter step
     assert part.keys() <= whole.keys()
     assert all(toi <= 0.4 and abs(toi - whole[pair]) <= slack for pair, toi in part.items())
-    assert all(whole[pair] > 0.4 - slack for pair in whole.keys() - part.keys())
+    assert all(whole[pair] > 0.4 - slack for pair in whole.keys() - part.keys() - hidden.keys())
