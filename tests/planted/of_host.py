@@ -81,7 +81,7 @@ PLANTED = [
           "r.b1 = r.b1 + four_thirds_up * greatest(support(sagitta, f.normal_t0), mid)", "r.b1 = r.b1",
           ("laws/test_bodies_that_turn.py::test_random_pairs",)),
     Fault("a parabola a quarter as high along a direction", "kernels/pair/arc_rounds.py",
-          "(four * round_up) * support(bow, d)", "support(bow, d)",
+          "(four * round_up) * support(w.bow, along)", "support(w.bow, along)",
           ("laws/test_bodies_that_turn.py::test_random_pairs",)),
     Fault("a time of the slice for one of the step", "kernels/pair/windows.py",
           "return (begin + length * t) * step_down", "return (begin + t) * step_down",
