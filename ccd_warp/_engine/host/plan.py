@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter, gt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,20 +29,21 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
 from ccd_warp.kernels.pair.norm import Norm
-from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
+from ccd_warp.kernels.step.minima import ANY_OPEN, CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._scene.input.options import Options
 
-_CANDIDATES, _FOUND, _OPEN = int(CANDIDATES), int(FOUND), int(OPEN)
+_CANDIDATES, _FOUND, _OPEN, _ANY_OPEN = map(int, (CANDIDATES, FOUND, OPEN, ANY_OPEN))
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Blocks of queries from which it pays to look first whether a static tree is near at all.
 _WORTH_A_LOOK = 64
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
+_structs_of = attrgetter("structs")
 NO_PAIRS = dict.fromkeys(PairKind, 0)
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
@@ -89,6 +91,7 @@ class HostPlan(Plan):
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
+                workspace.last_plans.clear()
             workspace.plans[key] = HostPlan(workspace, options, goal, norm, motion)
         return workspace.plans[key]
 
@@ -282,7 +285,7 @@ class HostPlan(Plan):
             self.play("shorter boxes", lambda stages, recording: self.record_boxes(recording, stages, self._active))
 
     def _bind_trees(self) -> None:
-        structs = [tree.structs for tree in self.trees]
+        structs = list(map(_structs_of, self.trees))
         if structs != self._bound:  # tuples of one object each, which are the same or not
             for tree in self.trees:
                 for slot, struct in zip(tree.slots, tree.structs, strict=True):
@@ -395,7 +398,7 @@ class HostPlan(Plan):
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self._needed = needed = self._num_needed()
-            if any(needed[kind] > capacity for kind, capacity in self.memory.capacities.items()):
+            if any(map(gt, needed.values(), self.memory.capacities.values())):
                 self.has_fitted = self.memory.grow(needed, largest)
                 if not self.has_fitted:
                     return None
@@ -562,6 +565,8 @@ class HostPlan(Plan):
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
         rows = self.counters.rows()
+        if not rows[0][_ANY_OPEN]:
+            return {}
         return {kind: rows[kind][_OPEN] for kind in self._searched_kinds if rows[kind][_OPEN]}
 
     def solve(self, *, is_second: bool) -> None:

@@ -51,6 +51,7 @@ class Workspace:
         self.boxes = StepBoxes(self.topology, self.buffers)
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
+        self.last_plans: dict[str, Any] = {}  # that of the last step with a goal, after what it depends on
         self._kept: dict[type, Any] = {}
         self._num_asked: dict[object, int] = {}
         self._packed: dict[Any, Any] = {}
