@@ -91,12 +91,14 @@ class Execution:
         num_threads: Threads on the CPU.
         flag: The flag that long kernels read to stop early, or None where no such kernel is launched.
         progress: Told how far a long job is, ten times a second, on the thread that waits for it.
+        may_be_captured: Whether launches may be those of a graph that is captured.
     """
 
     device: wp.Device
     num_threads: int
     flag: StopFlag | None = None
     progress: Progress = field(default_factory=Progress)
+    may_be_captured: bool = True
 
     @lazy_property
     def is_cuda(self) -> bool:
@@ -173,7 +175,7 @@ class Execution:
     @property
     def is_serial(self) -> bool:
         """Whether this thread launches all: on CUDA, and in a capture on the CPU, which records only this thread."""
-        return self.is_cuda or self.device.is_capturing
+        return self.is_cuda or (self.may_be_captured and self.device.is_capturing)
 
     def ranges(self, count: int, grain: int, parts_per_thread: int = 1) -> list[tuple[int, int]]:
         """Parts of 0 … count-1 for the threads, none much smaller than ``grain``, none so large that it takes long."""
@@ -490,23 +492,23 @@ class Recording:
                 assert group.on_host is not None
                 calls.append(partial(_call_if, group.on_host, self._calls_of(section, group.groups)))
             elif (len(group) > 1 and any(each.is_large for each in group)) or not all(each.is_short for each in group):
-                calls.append(partial(self._play_on_threads, section, group))
+                of_each = [(each.packed.parts(), each.num_needed, each.is_long, each.is_large) for each in group]
+                calls.append(partial(self._play_on_threads, section, of_each))
             else:
                 calls += [part for each in group for part in each.packed.parts()]
         return calls
 
-    def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
+    def _play_on_threads(self, section: str, group: list[tuple[Any, ...]]) -> None:
         """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
         parts: list[Callable[[], None]] = []
         is_long = is_worth_threads = False
-        for each in group:
-            needed = each.packed.parts()
-            if each.num_needed is not None:
-                needed = needed[: each.num_needed()]
+        for needed, num_needed, takes_long, is_large in group:
+            if num_needed is not None:
+                needed = needed[: num_needed()]
             if needed:
                 parts += needed
-                is_long = is_long or (each.is_long is not None and each.is_long())
-                is_worth_threads = is_worth_threads or len(needed) > 1 or each.is_large
+                is_long = is_long or (takes_long is not None and takes_long())
+                is_worth_threads = is_worth_threads or is_large or len(needed) > 1
         if not is_long and (len(parts) <= 1 or not is_worth_threads):
             for part in parts:
                 part()

@@ -105,11 +105,15 @@ class ImpactStep(HostStep):
         return self.begin(self.motion.t_end, self._inflation, time_slice)
 
     def _inflation(self) -> float:
-        self.length_scale = length_scale_of(self.mesh, self.options)
-        self.separation = self.options.separation(self.length_scale)
+        plan, options = self.plan, self.options
+        if plan.lengths[0] is not options:
+            length_scale = length_scale_of(self.mesh, options)
+            separation = options.separation(length_scale)
+            plan.lengths = options, length_scale, separation, half_rounded_up(separation)
+        _, self.length_scale, self.separation, inflation = plan.lengths
         if self.separation > 0.0 or self.mesh.is_thick:
             self._note_distance()
-        return half_rounded_up(self.separation)
+        return inflation
 
     def _note_distance(self) -> None:
         """Note the distance of pairs, if it is many edges long."""

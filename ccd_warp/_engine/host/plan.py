@@ -79,6 +79,7 @@ class HostPlan(Plan):
         has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
         near_bodies: What finds in a whole step which bodies others come near; None where the host does before it.
         of_options: What the options that the recording has were made of.
+        lengths: The options of the last step, and what they say of lengths.
         marks: When the stages of the last step that was played as a whole ended, as ``now`` tells.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
@@ -97,7 +98,8 @@ class HostPlan(Plan):
 
     def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: Norm, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
-        execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
+        device, threads = topology.device, options.threads
+        execution = Execution(device, threads, workspace.flag, workspace.progress, may_be_captured=False)
         self._radii = motion.radius, motion.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
@@ -120,6 +122,7 @@ class HostPlan(Plan):
         # what boxes depend on besides positions and trees: objects by their identities, as the recording keeps them
         self._of_boxes: tuple[Any, ...] = ()
         self.of_options: tuple[Any, ...] = ()
+        self.lengths: tuple[Options | None, float, float, float] = None, 0.0, 0.0, 0.0
         self._positions: tuple[wp.array, ...] = ()
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
@@ -164,13 +167,15 @@ class HostPlan(Plan):
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
-        self.num_searches = dict(NO_PAIRS)
+        self.num_searches = dict.fromkeys(self.kinds, 0)
         self.num_batches = 0
         self.begin_candidates()
 
     def begin_candidates(self, num_with_planes: int = 0) -> None:
         """Count the candidates of the next search, besides so many pairs of vertices and planes."""
-        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: num_with_planes}
+        self.num_candidates = dict.fromkeys(self.kinds, 0)
+        if num_with_planes:
+            self.num_candidates[PairKind.VERTEX_PLANE] = num_with_planes
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -182,15 +187,14 @@ class HostPlan(Plan):
 
     def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
         """Use the positions of a step, and return them on the device."""
-        names, (start, end) = _POSITIONS, positions
         if self._are_copied:
-            arrays = self._workspace.positions(names[0], start), self._workspace.positions(names[1], end)
+            arrays = self._workspace.copied(positions)
         else:
             device = self.topology.device
             of_ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
             arrays = of_ends[0], of_ends[1]
         if arrays != self._positions:  # which are the same or not
-            self.bind(**dict(zip(names, arrays, strict=True)))
+            self.bind(**dict(zip(_POSITIONS, arrays, strict=True)))
             self._positions = arrays
         return arrays
 

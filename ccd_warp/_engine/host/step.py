@@ -191,14 +191,13 @@ class HostStep:
         plan.release_positions()
         if self.paths is not None:
             self.motion.release()
-        kinds, searches, candidates = plan.kinds, plan.num_searches, plan.num_candidates
         of_step = {
             "num_active_bodies": self._num_active_bodies,
             "num_boxes": boxes.num_boxes,
             "num_sorted_sets": boxes.num_sorted,
-            "num_searches": {kind: searches[kind] for kind in kinds},
-            "num_candidates": {kind: candidates[kind] for kind in kinds},
-            "num_after_cull": {kind: self.survivors[kind] for kind in kinds} if self.counts_survivors else {},
+            "num_searches": plan.num_searches,
+            "num_candidates": plan.num_candidates,
+            "num_after_cull": {kind: self.survivors[kind] for kind in plan.kinds} if self.counts_survivors else {},
             "num_contacts": {},
             "num_batches": plan.num_batches,
         }
