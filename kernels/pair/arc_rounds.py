@@ -15,11 +15,11 @@ from ..template import specialised
 from . import simd
 from .in_precision import narrowed, widened
 from .lane_advance import near_errors, point_at, settled
-from .lane_closest import closest
+from .lane_closest import LaneClosest, closest
 from .lane_pair import LanePair, normalise, volume_of
 from .lane_solver import LaneAnswer, gap_at
 from .pair_options import LaneOptions
-from .patch import Volume, corners_at
+from .patch import Corners, Volume, corners_at
 from .points import Points
 from .rounding import RELATIVE, SLACK, SQUARE_UNDERFLOW, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import (
@@ -155,6 +155,207 @@ def clip_bow(d: Vec3, off: Lanes, bow: Lanes, t: Lanes, n: LanePair, is_triangle
     return select(can_prove & is_less(t, s), s, t)
 
 
+@wp.struct
+class ArcWindow:
+    """Pairs in a window on arcs, normalised."""
+
+    n: LanePair
+    bow: Vec3
+    slack: Vec3  # what of the separation is for rounding
+    volume: Volume
+    reach: Volume
+
+
+@wp.struct
+class ArcReached:
+    """Where the lanes are in a window, as shares of it."""
+
+    t: Lanes
+    u: Lanes  # weights of the contact
+    v: Lanes
+    point: Vec3
+    iterations: Lanes
+    open: wp.uint32
+    free: wp.uint32
+    contact: wp.uint32
+
+
+@wp.struct
+class ArcStep:
+    """What directions show of open lanes at a time t."""
+
+    t: Lanes  # time up to which they separate, 2 if beyond the end
+    separation: Vec3  # with the parabola at t
+    is_near: Mask  # whether the gap at t is few times rounding
+
+
+@wp.struct
+class ArcTouch:
+    """Which lanes touch, where and when."""
+
+    contact: Mask
+    t: Lanes
+    point: Vec3
+
+
+@simd.func
+def window_of(
+    kind: int, at_begin: Points, at_end: Points, options: LaneOptions, sagitta: simd64.Vec3, rounding: simd64.Lanes
+) -> ArcWindow:
+    """Pairs in a window; those whose sagitta is beyond any corner are not valid."""
+    w = ArcWindow()
+    w.n = normalise(kind, at_begin, at_end, options)
+    slack = simd64.scaled(simd64.vec(rounding, rounding, rounding), w.n.scale)
+    w.slack = vec(narrowed(slack.x), narrowed(slack.y), narrowed(slack.z))
+    bow = simd64.scaled(sagitta, w.n.scale)
+    w.n.is_valid = w.n.is_valid & simd64.bits_of(simd64.is_less(simd64.greatest_of(bow), far))
+    w.bow = sagitta_up * vec(narrowed(bow.x), narrowed(bow.y), narrowed(bow.z))
+    w.volume = volume_of(kind, at_begin, at_end, w.n, w.n.separation + (w.bow + w.bow), True)
+    w.reach = bow_reach(w.volume, w.n.separation, w.bow)
+    return w
+
+
+@simd.func
+def clip_with_volume(w: ArcWindow, open: Mask, t: Lanes, end: Lanes):
+    """Clip open lanes until the volume gains nothing more.
+
+    Returns the time reached, which lanes are free until the end, and those in which it gains more.
+    """
+    x = end
+    free = mask_of(_NONE)
+    moving = open
+    clips = int(0)
+    while bits_of(moving) != _NONE and clips < _VOLUME_CLIPS:
+        s, next_x, now_free = clip_with_reach(w.volume, w.reach, t, x, end)
+        free = free | (moving & now_free)
+        gains = is_less(settled, s - t)
+        t = select(moving, s, t)
+        x = select(moving, next_x, x)
+        moving = moving & gains & opposite(now_free)
+        clips += 1
+    return t, free, moving
+
+
+@simd.func
+def bow_at(w: ArcWindow, t: Lanes) -> Vec3:
+    """How far the points may be off their chords at a time."""
+    return (four * t * (one - t)) * w.bow
+
+
+@simd.func
+def step_along(w: ArcWindow, c: Corners, d: Vec3, is_face: bool, t: Lanes) -> ArcStep:
+    """Clip with the direction of the closest pair; c are the corners at t, and d is their closest point."""
+    n = w.n
+    r = ArcStep()
+    local = bow_at(w, t)
+    r.separation = n.separation + local
+    along = direction_of(d)
+    off = offset(along, n.error, n.separation)
+    r.t = clip_bow(along, off, (four * round_up) * support(w.bow, along), t, n, is_face)
+    # where the patch meets a corner of the box, its closest point is farther than a side of the box
+    most = four * greatest_of(w.slack + local)
+    r.is_near = is_close(d, near_errors * n.error + vec(most, most, most), r.separation)
+    return r
+
+
+if not is_euclidean:
+
+    @simd.func
+    def needs_facets(w: ArcWindow, d: Vec3, step: ArcStep, gain: Lanes, is_first: bool) -> Mask:
+        """Which lanes need the facets of the separation box: those in a plane, or of little gain."""
+        n = w.n
+        has_box = opposite(is_within(n.separation, two * w.slack + box_errors * n.error))
+        slow = has_box & opposite(step.is_near) & is_less(gain, quarter)
+        flat = w.volume.is_flat & opposite(is_close(d, near_errors * n.error, n.separation))
+        if is_first:
+            flat = flat & is_less(zero, greatest_of(w.bow))
+        return flat | slow
+
+    @simd.func
+    def step_with_facets(
+        w: ArcWindow, c: Corners, is_face: bool, turns: Mask, t: Lanes, end: Lanes, step: ArcStep
+    ) -> ArcStep:
+        """Clip some lanes with the facet that separates farthest, with the sagitta of all of the window."""
+        n = w.n
+        r = step
+        facet = widest_facet(c, step.separation, n.error, is_face, near_errors)
+        whole = n.separation + w.bow
+        s = clip_facet(n.t0, n.t1, whole, n.error, facet.number, t, end, _FACET_STEPS)
+        r.t = greatest(step.t, select(turns & is_less(zero, facet.slack), s, t))
+        r.is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & step.is_near)
+        return r
+
+
+@simd.func
+def touch_of(w: ArcWindow, near: LaneClosest, is_face: bool, lanes: Mask, t: Lanes, step: ArcStep) -> ArcTouch:
+    """Which of some lanes touch where the clips have led; what rounding hides at the begin stays there.
+
+    On the chord alone, as far as rounding goes, a contact is one of the arcs.
+    """
+    n = w.n
+    r = ArcTouch()
+    floor = floor_errors * n.error
+    is_sharp = is_within(bow_at(w, step.t), w.slack + n.error)
+    is_begin = is_at_most(t, zero)
+    r.contact = lanes & (is_sharp | is_begin)
+    if bits_of(r.contact) != _NONE:
+        stays = is_begin & is_close(near.d, floor, step.separation)
+        r.contact = r.contact & (is_sharp | stays)
+        r.t = select(stays, t, step.t)
+        c = corners_at(n.t0, n.t1, r.t)
+        r.point = point_at(c, near.u, near.v, is_face)
+        touches = is_close(r.point, floor, step.separation + n.delta)
+        if wp.static(not is_euclidean):
+            others = r.contact & opposite(touches)
+            if bits_of(others) != _NONE:
+                # of a patch at the corner of a separation box another point may touch than the closest one
+                size = floor + step.separation + n.delta
+                number = widest_facet(c, step.separation, n.error, is_face, near_errors).number
+                other = touching_point(step.separation, c, number, r.point, size, is_face)
+                r.point = select(others, other, r.point)
+                touches = is_close(r.point, floor, step.separation + n.delta)
+        r.contact = r.contact & touches
+    return r
+
+
+@simd.func
+def advance_round(w: ArcWindow, is_face: bool, is_first: bool, reached: ArcReached) -> ArcReached:
+    """One round of the lanes that are open.
+
+    Invariant: each pair is free of contact on [0, t).
+    """
+    n = w.n
+    r = reached
+    begin = reached.t
+    end = spread(one)
+    t, free, moving = clip_with_volume(w, mask_of(reached.open), begin, end)
+    r.t = t
+    r.iterations = select(mask_of(reached.open), reached.iterations + one, reached.iterations)
+    r.free = reached.free | bits_of(free)
+    r.open = reached.open & ~r.free
+    if r.open != _NONE:
+        c = corners_at(n.t0, n.t1, t)
+        near = closest(c, is_face)
+        step = step_along(w, c, near.d, is_face, t)
+        open = mask_of(r.open)
+        if wp.static(not is_euclidean):
+            turns = open & needs_facets(w, near.d, step, step.t - begin, is_first) & opposite(is_less(end, step.t))
+            if bits_of(turns) != _NONE:
+                step = step_with_facets(w, c, is_face, turns, t, end, step)
+        free = open & is_less(end, step.t)
+        touch = touch_of(w, near, is_face, open & step.is_near & opposite(moving) & opposite(free), t, step)
+        if bits_of(touch.contact) != _NONE:
+            step.t = select(touch.contact, touch.t, step.t)
+            r.u = select(touch.contact, near.u, r.u)
+            r.v = select(touch.contact, near.v, r.v)
+            r.point = select(touch.contact, touch.point, r.point)
+            r.contact = r.contact | bits_of(touch.contact)
+        r.free = r.free | bits_of(free)
+        r.t = select(open, step.t, t)
+        r.open = r.open & ~r.free & ~r.contact & bits_of(is_less(begin, r.t))
+    return r
+
+
 @simd.func
 def advance_on_arcs(
     kind: int,
@@ -172,107 +373,29 @@ def advance_on_arcs(
     this much is for rounding.
     Invariant: each pair is free of contact on [0, t).
     """
-    is_face = kind == VERTEX_FACE
-    n = normalise(kind, at_begin, at_end, options)
-    bow64 = simd64.scaled(sagitta, n.scale)
-    open = n.is_valid & lanes & simd64.bits_of(simd64.is_less(simd64.greatest_of(bow64), far))
-    slack64 = simd64.scaled(simd64.vec(rounding, rounding, rounding), n.scale)
-    slack = vec(narrowed(slack64.x), narrowed(slack64.y), narrowed(slack64.z))
-    bow = sagitta_up * vec(narrowed(bow64.x), narrowed(bow64.y), narrowed(bow64.z))
-    volume = volume_of(kind, at_begin, at_end, n, n.separation + (bow + bow), True)
-    reach = bow_reach(volume, n.separation, bow)
-    t = spread(zero)
-    end = spread(one)
-    iterations = t
-    u = t
-    v = t
-    touched = vec(t, t, t)
-    answer = LaneAnswer()
+    w = window_of(kind, at_begin, at_end, options, sagitta, rounding)
+    nothing = spread(zero)
+    r = ArcReached()
+    r.t = nothing
+    r.u = nothing
+    r.v = nothing
+    r.point = vec(nothing, nothing, nothing)
+    r.iterations = nothing
+    r.open = w.n.is_valid & lanes
     rounds = int(0)
-    while open != _NONE and rounds < num_rounds:
-        begin = t
-        moving = mask_of(open)
-        iterations = select(moving, iterations + one, iterations)
-        free = mask_of(_NONE)
-        x = end
-        clips = int(0)
-        while bits_of(moving) != _NONE and clips < _VOLUME_CLIPS:
-            s, next_x, now_free = clip_with_reach(volume, reach, t, x, end)
-            free = free | (moving & now_free)
-            gains = is_less(settled, s - t)
-            t = select(moving, s, t)
-            x = select(moving, next_x, x)
-            moving = moving & gains & opposite(now_free)
-            clips += 1
-        answer.free = answer.free | bits_of(free)
-        open = open & ~answer.free
-        if open != _NONE:
-            c = corners_at(n.t0, n.t1, t)
-            near = closest(c, is_face)
-            local = (four * t * (one - t)) * bow
-            separation = n.separation + local
-            d = direction_of(near.d)
-            off = offset(d, n.error, n.separation)
-            s = clip_bow(d, off, (four * round_up) * support(bow, d), t, n, is_face)
-            still = mask_of(open)
-            free = still & is_less(end, s)
-            floor = floor_errors * n.error
-            # where the patch meets a corner of the box, its closest point is farther than a side of the box
-            most = four * greatest_of(slack + local)
-            is_near = is_close(near.d, near_errors * n.error + vec(most, most, most), separation)
-            if wp.static(not is_euclidean):
-                # as on straight paths, with the sagitta of all of the window, where the others gain little
-                has_box = opposite(is_within(n.separation, two * slack + box_errors * n.error))
-                slow = has_box & opposite(is_near) & is_less(s - begin, quarter)
-                touches = is_close(near.d, near_errors * n.error, n.separation)
-                flat = volume.is_flat & opposite(touches)
-                if rounds == 0:
-                    flat = flat & is_less(zero, greatest_of(bow))
-                turns = still & (flat | slow) & opposite(free)
-                if bits_of(turns) != _NONE:
-                    facet = widest_facet(c, separation, n.error, is_face, near_errors)
-                    whole = n.separation + bow
-                    turned = clip_facet(n.t0, n.t1, whole, n.error, facet.number, t, end, _FACET_STEPS)
-                    turned = select(turns & is_less(zero, facet.slack), turned, t)
-                    s = greatest(s, turned)
-                    is_near = (turns & is_at_most(facet.floor_excess, zero)) | (opposite(turns) & is_near)
-                    free = still & is_less(end, s)
-            # on the chord alone, as far as rounding goes, a contact is one of the arcs
-            is_sharp = is_within((four * s * (one - s)) * bow, slack + n.error)
-            is_begin = is_at_most(t, zero)
-            contact = still & is_near & opposite(moving) & opposite(free) & (is_sharp | is_begin)
-            if bits_of(contact) != _NONE:
-                stays = is_begin & is_close(near.d, floor, separation)
-                contact = contact & (is_sharp | stays)
-                at = select(stays, t, s)
-                c = corners_at(n.t0, n.t1, at)
-                point = point_at(c, near.u, near.v, is_face)
-                touches = is_close(point, floor, separation + n.delta)
-                if wp.static(not is_euclidean):
-                    others = contact & opposite(touches)
-                    if bits_of(others) != _NONE:
-                        # of a patch at the corner of a separation box another point may touch than the closest one
-                        size = floor + separation + n.delta
-                        number = widest_facet(c, separation, n.error, is_face, near_errors).number
-                        point = select(others, touching_point(separation, c, number, point, size, is_face), point)
-                        touches = is_close(point, floor, separation + n.delta)
-                contact = contact & touches
-                s = select(contact, at, s)
-                u = select(contact, near.u, u)
-                v = select(contact, near.v, v)
-                touched = select(contact, point, touched)
-                answer.contact = answer.contact | bits_of(contact)
-            answer.free = answer.free | bits_of(free)
-            t = select(still, s, t)
-            open = open & ~answer.free & ~answer.contact & bits_of(is_less(begin, t))
+    while r.open != _NONE and rounds < num_rounds:
+        r = advance_round(w, kind == VERTEX_FACE, rounds == 0, r)
         rounds += 1
-    answer.t = widened(t)
-    answer.iterations = widened(iterations)
+    answer = LaneAnswer()
+    answer.free = r.free
+    answer.contact = r.contact
+    answer.t = widened(r.t)
+    answer.iterations = widened(r.iterations)
     if answer.contact != _NONE:
-        answer.gap = gap_at(n, touched)
-        answer.u = widened(v)
-        answer.v = widened(u)
+        answer.gap = gap_at(w.n, r.point)
+        answer.u = widened(r.v)
+        answer.v = widened(r.u)
         if kind == EDGE_EDGE or kind == POINT_POINT:
-            answer.u = widened(u)
-            answer.v = widened(v)
+            answer.u = widened(r.u)
+            answer.v = widened(r.v)
     return answer

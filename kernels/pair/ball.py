@@ -18,7 +18,7 @@ from . import simd
 from .lane_closest import closest
 from .moving_clip import clip_along
 from .norm import Norm
-from .patch import Corners, beyond, num_sides, side_of
+from .patch import Corners, gap_along, num_sides, side_of
 from .rounding import RELATIVE, TINY, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import (
     Lanes,
@@ -159,7 +159,7 @@ def share_along(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lanes:
     d = with_largest_one(d)
     along = norm.support(separation, d)
     counts = is_at_most(tiny_direction, norm.length(d)) & is_less(zero, along)
-    share = (beyond(d, c) - dot(magnitude(d), error) * round_up) / along
+    share = (gap_along(d, c) - dot(magnitude(d), error) * round_up) / along
     return select(counts, share, zero)
 
 

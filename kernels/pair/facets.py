@@ -16,7 +16,7 @@ import warp as wp
 from ..parameters import real
 from . import simd
 from .moving_clip import clip_along
-from .patch import Corners, beyond, num_sides, side_of
+from .patch import Corners, gap_along, num_sides, side_of
 from .rounding import RELATIVE, TINY_DIRECTION, UNIT_ROUNDOFF
 from .simd import (
     Lanes,
@@ -113,7 +113,7 @@ def consider(facet: Facet, number: int, d: Vec3, c: Corners, separation: Vec3, e
     m = magnitude(d)
     size = m.x + m.y + m.z
     counts = is_less(tiny_direction, size)
-    gap = beyond(d, c) - dot(m, separation)
+    gap = gap_along(d, c) - dot(m, separation)
     excess = gap - floor * dot(m, error)
     facet.floor_excess = select(counts, greatest(facet.floor_excess, excess), facet.floor_excess)
     if number >= 0:
@@ -148,7 +148,7 @@ def separation_share(c: Corners, d: Vec3, separation: Vec3, error: Vec3) -> Lane
     m = magnitude(d)
     along = dot(m, separation)
     counts = is_less(tiny_direction, greatest_of(m)) & is_less(zero, along)
-    share = (beyond(d, c) - dot(m, error) * round_up) / along
+    share = (gap_along(d, c) - dot(m, error) * round_up) / along
     return select(counts, share, zero)
 
 

@@ -60,7 +60,7 @@ class LaneAnswer:
 
 
 @simd.func
-def beyond(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
+def coordinate_bound(size: Lanes, error: Lanes, separation: Lanes) -> Lanes:
     """Upper bound of a coordinate of a point beyond the separation."""
     return magnitude(size) + three * error - round_down * separation
 
@@ -81,15 +81,15 @@ def gap_at(n: LanePair, point: Vec3) -> simd64.Lanes:
     """Upper bound of the gap beyond the separation, in its norm, at the point of a contact, as a length."""
     if wp.static(is_euclidean):
         nothing = spread(real(0.0))
-        x64 = widened(beyond(point.x, n.error.x, nothing))
-        y64 = widened(beyond(point.y, n.error.y, nothing))
-        z64 = widened(beyond(point.z, n.error.z, nothing))
+        x64 = widened(coordinate_bound(point.x, n.error.x, nothing))
+        y64 = widened(coordinate_bound(point.y, n.error.y, nothing))
+        z64 = widened(coordinate_bound(point.z, n.error.z, nothing))
         all64 = length64(simd64.vec(x64, y64, z64)) * length_up
         more = all64 - widened(n.separation.x) * slack_down
         return simd64.greatest(more * length_up, wp.float64(0.0)) / n.scale.x
-    x = widened(beyond(point.x, n.error.x, n.separation.x)) / n.scale.x
-    y = widened(beyond(point.y, n.error.y, n.separation.y)) / n.scale.y
-    z = widened(beyond(point.z, n.error.z, n.separation.z)) / n.scale.z
+    x = widened(coordinate_bound(point.x, n.error.x, n.separation.x)) / n.scale.x
+    y = widened(coordinate_bound(point.y, n.error.y, n.separation.y)) / n.scale.y
+    z = widened(coordinate_bound(point.z, n.error.z, n.separation.z)) / n.scale.z
     return simd64.greatest(simd64.greatest(x, y), simd64.greatest(z, wp.float64(0.0)))
 
 

@@ -80,7 +80,7 @@ def num_sides(is_face: bool) -> int:
 
 
 @wp.func
-def beyond(d: Vec3, c: Corners) -> Lanes:
+def gap_along(d: Vec3, c: Corners) -> Lanes:
     """Distance along d by which the patch is beyond the origin, on either side."""
     p = dot(d, c.w00)
     q = dot(d, c.w01)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 from ccd_warp._engine.host.contacts import BYTES_PER_CONTACT
 from ccd_warp._engine.host.impact_step import ImpactStep
 from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.host.start_witnesses import StartWitnesses
+from ccd_warp._engine.mesh.start_distances import keeps_start_distances
 from ccd_warp._engine.motion import Slice
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.status import PairKind
@@ -55,11 +57,25 @@ class LeastToiStep(ImpactStep):
     _any_suffices = _lists_pairs = _is_cut_short = False
 
     def earliest(self) -> Earliest:
-        """The earliest toi of all pairs, where what starts within its distance may part, and what pairs have it."""
+        """The earliest toi of all pairs, where what starts within its distance may part, and what pairs have it.
+
+        It is not searched for where a pair of an earlier step shows that it is 0, and then nothing is counted: a step
+        with start distances follows.
+        """
+        witnesses, mesh = self.workspace.kept(StartWitnesses, StartWitnesses), self.mesh
+        is_followed = self.paths is None and keeps_start_distances(mesh, self.options)
+        if is_followed and witnesses.are_within(mesh, self.options, self.positions[0]):
+            return Earliest(0.0, None)
         self._lists_pairs = True
         toi = self.least_toi()
-        is_known = 0.0 < toi < np.inf and not self._is_cut_short
-        return Earliest(toi, self.workspace.contacts.with_toi(toi) if is_known else None)
+        if toi == np.inf or self._is_cut_short:
+            return Earliest(toi, None)
+        pairs = self.workspace.contacts.with_toi(toi)
+        if toi > 0.0:
+            return Earliest(toi, pairs)
+        if is_followed and pairs is not None:
+            witnesses.note(mesh, self.options, self.positions[0], pairs)
+        return Earliest(toi, None)
 
     def least_toi(self, start_distances: NDArray[np.float64] | None = None, *, any_suffices: bool = False) -> float:
         """Earliest toi of all pairs, inf if none touches; what starts within its distance may part (`parting`).
