@@ -90,8 +90,7 @@ class MovingVertices:
     def copied(self, contacts: Contacts) -> "MovingVertices":
         """The same, of arrays that nobody else holds, with what the contacts need."""
         if len(self.start) < _VERTICES_A_CONTACT * len(contacts) + _FEW_VERTICES:
-            copies = {"start": self.start.copy(), "end": self.end.copy()}
-            return of_values(MovingVertices, vars(self) | copies)  # type: ignore[no-any-return]
+            return MovingVertices(self.mesh, self.start.copy(), self.end.copy(), self.paths)
         is_needed = np.zeros(len(self.start), dtype=bool)
         is_needed[contacts.vertices] = True
         is_needed[self.mesh.planes.vertices[self.mesh.planes.vertices >= 0]] = True
@@ -241,7 +240,7 @@ def located(
     touch: Touch | None = None,
     radii: Radii | None = None,
 ) -> Contacts:
-    """Contacts that know their mesh and where they are in a step between these positions of all vertices.
+    """These contacts, which know now their mesh and where they are in a step between these positions of all vertices.
 
     The positions may be arrays of the caller, who changes them afterwards. They are therefore copied: all of them, or
     where there are few contacts theirs alone. Points and velocities are computed when they are asked for, and without
@@ -255,10 +254,9 @@ def located(
         start, end = (None if x is None else x[:, :2] for x in (start, end))
     if len(contacts) == 0:
         place.points = place.relative_velocity = np.zeros((0, mesh.dimension))
-    contacts = of_values(Contacts, vars(contacts))._of(place)
+    contacts = contacts._of(place)
     if len(contacts) and start is not None and end is not None:
-        moving = {"mesh": mesh, "start": start, "end": end, "paths": paths}
-        place.frames = of_values(MovingVertices, moving).copied(contacts)
+        place.frames = MovingVertices(mesh, start, end, paths).copied(contacts)
     return contacts
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from ccd_warp._engine.mesh.topology import Positions, Topology
+from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions, Topology
 from ccd_warp._engine.motion import Motion, Slice
 from ccd_warp._rigid.body_paths import BodyPaths
 from ccd_warp._runtime.launch import Execution, Recording, Slot
@@ -74,6 +74,7 @@ class Arcs(Motion):
         self.paths = self._paths.table
         ends = {name: wp.zeros(mesh.num_bodies, dtype=x, device=device) for name, x in _OF_ENDS.items()}
         self._body_ends = struct_of(kernels.BodyEnds, ends)
+        self._copies: list[Written] = []  # of few positions; of more the caller's own arrays are read
         self._no_ends: list[wp.array] = 2 * [wp.empty(0, dtype=wp.vec3d, device=device)]
         self._ends = self._no_ends
         self._placing: list[Recording] = []  # of the last goals
@@ -106,7 +107,14 @@ class Arcs(Motion):
     def begin_on_host(self, slices: list[Slice], positions: Positions) -> Motion:
         """Begin a step on the host along paths that are known, given positions at both ends in the bodies' frames."""
         self.slices = slices
-        device = self._topology.device
+        num_vertices, device = self._topology.mesh.num_vertices, self._topology.device
+        if num_vertices <= MOST_COPIED:
+            if not self._copies:
+                self._copies = [Written(wp.empty(num_vertices, dtype=wp.vec3d, device=device)) for _ in range(2)]
+                self._ends = [written.array for written in self._copies]
+            for written, values in zip(self._copies, positions, strict=True):
+                written.write(values)
+            return self
         start, end = positions
         first: wp.array = wp.array(start, dtype=wp.vec3d, device=device, copy=False)
         self._ends = [first, first if end is start else wp.array(end, dtype=wp.vec3d, device=device, copy=False)]
@@ -132,6 +140,8 @@ class Arcs(Motion):
 
     def release(self) -> None:
         """Do not keep the caller's arrays alive."""
+        if self._copies:
+            return
         self._ends = self._no_ends
         for placing in self._placing:
             self._bind(placing)

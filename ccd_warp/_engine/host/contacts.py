@@ -38,8 +38,8 @@ _ALIGNMENT = 256
 _FEW = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 # How many places there are for each contact after a batch that had too few.
 _GROWTH = 1.25
-# Who has a toi and a first contact, in the order of the arrays.
-_OWNERS = "vertex", "body", "world"
+# What there is of vertices, bodies and worlds: the names of their toi and first contact in a result.
+_OWNERS = ("vertex_toi", "vertex_contact"), ("body_toi", "body_contact"), ("world_toi", "world_contact")
 
 
 def new_minima(topology: Topology, **arrays: wp.array) -> Any:
@@ -284,8 +284,8 @@ class ContactStore:
         else:
             toi = self._toi_view.copy()
         results: dict[str, Any] = {"contacts": of_values(Contacts, contacts), "toi": float(toi[self._ranges[-1][0]])}
-        for name, (begin, end), of_owners in zip(_OWNERS, self._ranges, first, strict=False):
-            results[f"{name}_toi"], results[f"{name}_contact"] = toi[begin:end], of_owners
+        for (of_toi, of_contact), (begin, end), of_owners in zip(_OWNERS, self._ranges, first, strict=False):
+            results[of_toi], results[of_contact] = toi[begin:end], of_owners
         return results
 
 
