@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from accuracy import judged
+from distance_queries import size_of as size_of_motion
 from memory import PeakMemory
 from methods import Answer, Method
+from oracle import exact_gap
 from peers import Peer
 from query_sets import QuerySet
 from timing import quartiles
@@ -85,9 +87,18 @@ class _Batch:
             **_speed([seconds / self.tile for seconds in self.rounds]),
             "timed_queries": self.tile,
             **judged(self.queries.exact[: self.count], self.answer.toi),
+            "phantom_gap": self._phantom_gap() if self.method.group == "ours" else None,
             "limited": None if limited is None else int(limited.sum()),
             "peak_bytes": self.peak_bytes,
         }
+
+    def _phantom_gap(self) -> float:
+        """The largest gap of a phantom at its toi, as a part of the size of the query's motion; 0 without phantoms."""
+        q, toi = self.queries, self.answer.toi
+        rows = np.flatnonzero(~q.exact.hit[: self.count] & np.isfinite(toi))
+        gaps = np.array([exact_gap(q.kind, q.points_t0[i], q.points_t1[i], float(toi[i])) for i in rows])
+        sizes = size_of_motion(q.points_t0[rows], q.points_t1[rows])
+        return float(((gaps - q.separation * q.unit()[rows]) / sizes).max(initial=0.0))
 
 
 def _speed(per_query: list[float]) -> dict:

@@ -374,7 +374,8 @@ def speed(folder: Path) -> list[str]:
         f"[ipc-toolkit](https://ipctk.xyz), the faster of its two methods, takes {peer.bound.max()}"
         f"{_between(peer.seconds)}, called query by query from Python with the cost of the call subtracted. {faults} "
         f"The median error of a toi is {errors[0][0]} with ours and {errors[0][1]} with the peer, in the worst set, "
-        f"the largest error {errors[1][0]} and {errors[1][1]}; {totals[0][2]} and {totals[1][2]} answers are phantoms."
+        f"the largest error {errors[1][0]} and {errors[1][1]}; {totals[0][2]} and {totals[1][2]} answers are phantoms, "
+        f"those of ours of pairs that come as near as {error_text(ours.phantom_gap.max())} of their size."
     )
     single = raw.read(folder, "pairs")
     if len(single):

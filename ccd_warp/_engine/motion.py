@@ -61,13 +61,13 @@ class Motion:
 
     on_arcs = False
 
-    def __init__(self, topology: Topology, positions: Positions, t_max: float) -> None:
-        self._positions, self.slices, self.t_end = positions, [Slice(0.0, t_max)], t_max
+    def __init__(self, topology: Topology, t_max: float) -> None:
+        self.slices, self.t_end = [Slice(0.0, t_max)], t_max
         self.radius, self.box_radius = topology.radius, topology.box_radius
 
-    def placed(self, time_slice: Slice, execution: Execution) -> Positions:
-        """The positions at both ends of a slice."""
-        return self._positions
+    def placed(self, time_slice: Slice, execution: Execution) -> Positions | None:
+        """The positions at both ends of a slice; None where they are those of the step."""
+        return None
 
     def turns(self, time_slice: Slice) -> Any:
         """How the vertices turn in a slice, which only the kernels read; None where they move straight."""

@@ -46,6 +46,7 @@ class Plan:
         static_trees: Those of static bodies.
         slender_trees: Those for pairs within slender bodies.
         moving_trees: The others.
+        has_planes: Whether vertices meet half-spaces.
         norm: The norm of separations, by its name (``kernels.pair.norm``).
         is_clipping: Whether pairs are solved by clips of time.
         sink: Where what the narrow phase finds goes.
@@ -66,6 +67,7 @@ class Plan:
         self.is_clipping = options.is_clipping
         mesh = topology.mesh
         self.kinds = possible_kinds(mesh, options) if topology.kinds is None else topology.kinds
+        self.has_planes = PairKind.VERTEX_PLANE in self.kinds
         broad_phase = _BROAD_PHASES["tree" if goal == "intersections" else options.broad_phase]
         sets = ({} if kept is None else kept[broad_phase]), broad_phase
         self._has_narrow_phase = goal in ("contacts", "bound")
@@ -89,11 +91,6 @@ class Plan:
         self._counters: wp.array = wp.zeros(num_counters, dtype=wp.int64, device=topology.device)
         self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
         self._is_open = low_half(self._counts, int(ANY_OPEN))
-
-    @property
-    def has_planes(self) -> bool:
-        """Whether vertices meet half-spaces."""
-        return PairKind.VERTEX_PLANE in self.kinds
 
     def record_boxes(
         self,

@@ -8,6 +8,7 @@ import itertools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -90,12 +91,14 @@ class Execution:
         num_threads: Threads on the CPU.
         flag: The flag that long kernels read to stop early, or None where no such kernel is launched.
         progress: Told how far a long job is, ten times a second, on the thread that waits for it.
+        may_be_captured: Whether launches may be those of a graph that is captured.
     """
 
     device: wp.Device
     num_threads: int
     flag: StopFlag | None = None
     progress: Progress = field(default_factory=Progress)
+    may_be_captured: bool = True
 
     @lazy_property
     def is_cuda(self) -> bool:
@@ -172,7 +175,7 @@ class Execution:
     @property
     def is_serial(self) -> bool:
         """Whether this thread launches all: on CUDA, and in a capture on the CPU, which records only this thread."""
-        return self.is_cuda or self.device.is_capturing
+        return self.is_cuda or (self.may_be_captured and self.device.is_capturing)
 
     def ranges(self, count: int, grain: int, parts_per_thread: int = 1) -> list[tuple[int, int]]:
         """Parts of 0 … count-1 for the threads, none much smaller than ``grain``, none so large that it takes long."""
@@ -231,14 +234,13 @@ def fields_of(struct: Any) -> Any:
     return make_dataclass(f"{struct.cls.__name__}Fields", list(struct.vars), **named)
 
 
-@dataclass
+@dataclass(eq=False)
 class _PackedStruct:
     """A struct in a recording, and the launches that have it."""
 
     of: StructFields
     packed: Any
     uses: list[tuple[PackedLaunch, int]] = field(default_factory=list)
-    is_changed: bool = False  # since the launches have it
 
 
 @dataclass(frozen=True)
@@ -269,21 +271,6 @@ class _Launch:
 
 
 @dataclass(frozen=True)
-class _Sequence:
-    """Launches of one part each, which are not worth a thread: the one that plays them calls one after the other."""
-
-    launches: list[_Launch]
-    parts: list[Callable[[], None]] = field(default_factory=list)
-
-    def play(self) -> None:
-        """Launch them, not in a capture."""
-        if not self.parts:
-            self.parts.extend([part for each in self.launches for part in each.packed.parts()])
-        for part in self.parts:
-            part()
-
-
-@dataclass(frozen=True)
 class _Conditional:
     """Launches that have nothing to do where a flag on the device is 0."""
 
@@ -292,21 +279,7 @@ class _Conditional:
     groups: "list[_Group]"
 
 
-_Group = list[_Launch] | _Sequence | _Conditional
-
-
-def _in_sequences(groups: list[_Group]) -> list[_Group]:
-    """The same groups, of which those that no other thread ever works on are joined where they follow one another."""
-    joined: list[_Group] = []
-    for group in groups:
-        is_large = isinstance(group, list) and len(group) > 1 and any(each.is_large for each in group)
-        if not isinstance(group, list) or is_large or not all(each.is_short for each in group):
-            joined.append(group)
-        elif joined and isinstance(joined[-1], _Sequence):
-            joined[-1].launches.extend(group)
-        else:
-            joined.append(_Sequence(group))
-    return joined
+_Group = list[_Launch] | _Conditional
 
 
 def leaves_out_launches(device: wp.Device) -> bool:
@@ -332,10 +305,12 @@ class Recording:
         self.execution = execution
         self.values = dict(values)
         self._sections: dict[str, list[_Group]] = {}
+        self._calls: dict[str, list[Callable[[], None]]] = {}  # what plays sections on the CPU
         self._groups: list[_Group] = []  # of the section that is recorded
         self._is_at_once = False
         self._uses: dict[str, list[tuple[PackedLaunch, int]]] = {name: [] for name in values}
         self._structs: list[_PackedStruct] = []
+        self._changed: list[_PackedStruct] = []
         self._field_uses: dict[str, list[tuple[_PackedStruct, str]]] = {name: [] for name in values}
 
     @property
@@ -366,7 +341,7 @@ class Recording:
         """Record launches as a section."""
         self._groups = []
         yield
-        self._sections[name], self._groups = _in_sequences(self._groups), []
+        self._sections[name], self._groups = self._groups, []
 
     @contextmanager
     def only_if(self, condition: wp.array) -> Iterator[None]:
@@ -378,7 +353,7 @@ class Recording:
         outer, self._groups = self._groups, []
         yield
         on_host = None if self.execution.device.is_cuda else condition.numpy()
-        outer.append(_Conditional(condition, on_host, _in_sequences(self._groups)))
+        outer.append(_Conditional(condition, on_host, self._groups))
         self._groups = outer
 
     @contextmanager
@@ -462,36 +437,39 @@ class Recording:
             launch.bind(index, value)
         for struct, of_struct in self._field_uses[name]:
             setattr(struct.packed, of_struct, value)
-            struct.is_changed = True
+            if struct not in self._changed:
+                self._changed.append(struct)
         self.values[name] = value
 
     def play(self, section: str) -> None:
         """Launch a section: on the CPU on threads, unless a graph is captured, which records only this thread."""
         self.update_structs()
-        self._play_groups(section, self._sections[section])
+        if self.execution.is_serial:
+            self._play_serially(self._sections[section])
+            return
+        calls = self._calls.get(section)
+        if calls is None:
+            calls = self._calls[section] = self._calls_of(section, self._sections[section])
+        for call in calls:
+            call()
 
     def update_structs(self) -> None:
         """Let launches have what was bound to fields of their structs, within a section that is played."""
-        for struct in self._structs:
-            if struct.is_changed:
-                for launch, index in struct.uses:
-                    launch.bind(index, struct.packed)
-                struct.is_changed = False
+        while self._changed:
+            struct = self._changed[-1]
+            for launch, index in struct.uses:
+                launch.bind(index, struct.packed)
+            self._changed.pop()
 
-    def _play_groups(self, section: str, groups: list[_Group]) -> None:
-        is_serial = self.execution.is_serial
+    def _play_serially(self, groups: list[_Group]) -> None:
         for group in groups:
             if isinstance(group, _Conditional):
-                self._play_conditional(section, group)
-            elif is_serial:
-                for each in group.launches if isinstance(group, _Sequence) else group:
-                    each.packed.launch()
-            elif isinstance(group, _Sequence):
-                group.play()
+                self._play_conditional(group)
             else:
-                self._play_on_threads(section, group)
+                for each in group:
+                    each.packed.launch()
 
-    def _play_conditional(self, section: str, group: _Conditional) -> None:
+    def _play_conditional(self, group: _Conditional) -> None:
         """Launch what may be left out: as a branch of a graph; by the flag on the CPU; in any case otherwise on CUDA.
 
         There the host would have to wait for the flag, and the kernels find out by themselves.
@@ -499,25 +477,38 @@ class Recording:
         device = self.execution.device
 
         def play() -> None:
-            self._play_groups(section, group.groups)
+            self._play_serially(group.groups)
 
         if device.is_capturing and leaves_out_launches(device):
             wp.capture_if(group.condition, on_true=play)
-        elif device.is_capturing or group.on_host is None or group.on_host[0]:
+        else:
             play()
 
-    def _play_on_threads(self, section: str, group: list[_Launch]) -> None:
+    def _calls_of(self, section: str, groups: list[_Group]) -> list[Callable[[], None]]:
+        """What plays groups on the CPU, not in a capture: parts of launches, where these are not worth a thread."""
+        calls: list[Callable[[], None]] = []
+        for group in groups:
+            if isinstance(group, _Conditional):
+                assert group.on_host is not None
+                calls.append(partial(_call_if, group.on_host, self._calls_of(section, group.groups)))
+            elif (len(group) > 1 and any(each.is_large for each in group)) or not all(each.is_short for each in group):
+                of_each = [(each.packed.parts(), each.num_needed, each.is_long, each.is_large) for each in group]
+                calls.append(partial(self._play_on_threads, section, of_each))
+            else:
+                calls += [part for each in group for part in each.packed.parts()]
+        return calls
+
+    def _play_on_threads(self, section: str, group: list[tuple[Any, ...]]) -> None:
         """Launch what is needed of a group at once, on this thread alone where no other is worth waking."""
         parts: list[Callable[[], None]] = []
         is_long = is_worth_threads = False
-        for each in group:
-            needed = each.packed.parts()
-            if each.num_needed is not None:
-                needed = needed[: each.num_needed()]
+        for needed, num_needed, takes_long, is_large in group:
+            if num_needed is not None:
+                needed = needed[: num_needed()]
             if needed:
                 parts += needed
-                is_long = is_long or (each.is_long is not None and each.is_long())
-                is_worth_threads = is_worth_threads or len(needed) > 1 or each.is_large
+                is_long = is_long or (takes_long is not None and takes_long())
+                is_worth_threads = is_worth_threads or is_large or len(needed) > 1
         if not is_long and (len(parts) <= 1 or not is_worth_threads):
             for part in parts:
                 part()
@@ -530,3 +521,10 @@ class Recording:
             progress.done += 1
 
         self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]
+
+
+def _call_if(condition: NDArray[np.int32], calls: list[Callable[[], None]]) -> None:
+    """Call them where a flag is not 0."""
+    if condition[0]:
+        for call in calls:
+            call()

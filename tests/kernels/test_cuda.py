@@ -15,12 +15,13 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).resolve().parents[1] / "helpers"))
+sys.path += [str(Path(__file__).resolve().parents[1] / folder) for folder in ("", "helpers")]
 
 import ccd_warp.kernels
 import pytest
 import warp as wp
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
+from helpers import clock
 from kept import kept
 
 from ccd_warp._runtime.every_module import every_module
@@ -73,6 +74,7 @@ def place_of(name):
 
 
 @pytest.fixture(scope="module")
+@clock.stands_still
 def output(request):
     """What the processes said that compiled the PTX of every module asked for."""
     chosen = [item.callspec.params for item in request.session.items if hasattr(item, "callspec")]

@@ -12,7 +12,7 @@ from laws.scenes import drawn
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
 # Results that are lengths; the others have no unit.
 LENGTHS = ("gap", "points", "distance", "bounds")
-every_scene = pytest.mark.parametrize("seed", range(40))
+every_scene = pytest.mark.parametrize("seed", [*range(40), 9031, 9157])  # in these gaps are in doubt
 
 
 def remade(mesh, order, scale=1.0, **changed):
@@ -111,7 +111,11 @@ def test_a_shorter_step_ends_at_its_end(seed):
     case, mesh, start, end, precision, _ = made(seed)
     slack = 2.0**-20 + (case.options["tolerance"] if precision == "float64" else 1e-4)
     options = {**case.options, "precision": precision}
-    whole, part = (tois_of(ccd.mesh_ccd(mesh, start, end, **options | {"t_max": t}).contacts) for t in (1.0, 0.4))
+    of_both = [ccd.mesh_ccd(mesh, start, end, **options | {"t_max": t}).contacts for t in (1.0, 0.4)]
+    whole, part = map(tois_of, of_both)
+    # what rounding hides, or was within the tolerance alone, may be told apart in a shorter step
+    is_doubtful = of_both[0].gap > case.size * 2.0 ** (-40 if precision == "float64" else -12)
+    doubtful = tois_of(of_both[0][is_doubtful | (of_both[0].status == ccd.CCDStatus.ROUNDING_LIMIT)])
     assert part.keys() <= whole.keys()
     assert all(toi <= 0.4 and abs(toi - whole[pair]) <= slack for pair, toi in part.items())
-    assert all(whole[pair] > 0.4 - slack for pair in whole.keys() - part.keys())
+    assert all(whole[pair] > 0.4 - slack for pair in whole.keys() - part.keys() - doubtful.keys())

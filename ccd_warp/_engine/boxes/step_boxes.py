@@ -63,7 +63,7 @@ class _Around(NamedTuple):
     Attributes:
         positions: A copy of them.
         changes: Memory for what others differ by.
-        slack: The largest difference.
+        slack: The largest difference, at least 0: equal positions have the same quantization in any case.
     """
 
     positions: NDArray[np.float64]
@@ -74,7 +74,8 @@ class _Around(NamedTuple):
     def of(cls, positions: Positions, quantization: Quantization) -> "_Around":
         """Those around the positions of a step."""
         both = np.stack(positions)
-        return cls(both, np.empty_like(both), quantization.slack(float(np.abs(both).max(initial=0.0))))
+        slack = quantization.slack(float(np.abs(both).max(initial=0.0)))
+        return cls(both, np.empty_like(both), max(slack, 0.0))
 
     def has_near(self, positions: Positions) -> bool:
         """Whether they are among those."""

@@ -1,6 +1,5 @@
 """What both goals that solve pairs for their times of impact share: the distance of pairs, and what kernels read."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Self
 
@@ -29,10 +28,12 @@ class ImpactStep(HostStep):
         lets_part: Whether what starts within its distance may part and slide.
         start_distances: How near each vertex was to anything at the start, on the device; None where none keeps that.
         far_distance: The distance of pairs, if it is many edges long.
+        stages_with_planes: The names of the stages of a whole step with half-spaces, in their order.
         among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
     """
 
     is_for_impacts, lets_part = True, False
+    stages_with_planes = "input", "boxes", "pairs", "planes", "narrow phase"
     among: NDArray[np.bool_] | None = None
     start_distances: wp.array | None = None
     far_distance: DistanceInEdges | None = None
@@ -66,22 +67,20 @@ class ImpactStep(HostStep):
         plan, time_slice = self.plan_of_step(), self.motion.slices[0]
         if not self.plays_whole(plan):
             return None
-        begin, plan.now = self.timer.now(), self.timer.now
+        now = plan.now = self.timer.now
+        begin = now()
         self.begin_plan(plan, time_slice)
         plan.set_positions(self.positions)
         self.inflation = self._inflation()
         if self.far_distance is not None:
             return None
-        marks = [begin, self.timer.now()]
+        moments = [begin, now()]
         self.begin_boxes(self.motion.t_end, None if plan.near_bodies else self._bodies_near())
         self.bind_options(time_slice)
         plan.set_search(self.motion.t_end, self.inflation, self.separation)
         batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
         if batch is not None:
-            marks += plan.marks
-            self.timings |= dict.fromkeys(self.stages(plan)[1:], 0.0)
-            for stage, begin, end in zip(self.stages(plan), marks, marks[1:], strict=False):  # some may be left out
-                self.timer.add(stage, begin, end)
+            self.timer.add(self.stages_with_planes if plan.has_planes else _STAGES, moments + plan.marks)
             self.survivors |= batch.num_pairs
             if plan.near_bodies:
                 self._num_active_bodies = plan.note_bodies_near()
@@ -93,10 +92,6 @@ class ImpactStep(HostStep):
     def plays_whole(self, plan: HostPlan) -> bool:
         """Whether a step of one slice is played as a whole."""
         return plan.has_fitted and not plan.sampled_pairs
-
-    def stages(self, plan: HostPlan) -> Sequence[str]:
-        """The names of the stages of a whole step, in their order."""
-        return ("input", "boxes", "pairs", "planes", "narrow phase") if plan.has_planes else _STAGES
 
     def begin_found(self, plan: HostPlan) -> None:
         """Begin what the narrow phase writes, before a whole step is played."""
@@ -110,11 +105,15 @@ class ImpactStep(HostStep):
         return self.begin(self.motion.t_end, self._inflation, time_slice)
 
     def _inflation(self) -> float:
-        self.length_scale = length_scale_of(self.mesh, self.options)
-        self.separation = self.options.separation(self.length_scale)
+        plan, options = self.plan, self.options
+        if plan.lengths[0] is not options:
+            length_scale = length_scale_of(self.mesh, options)
+            separation = options.separation(length_scale)
+            plan.lengths = options, length_scale, separation, half_rounded_up(separation)
+        _, self.length_scale, self.separation, inflation = plan.lengths
         if self.separation > 0.0 or self.mesh.is_thick:
             self._note_distance()
-        return half_rounded_up(self.separation)
+        return inflation
 
     def _note_distance(self) -> None:
         """Note the distance of pairs, if it is many edges long."""

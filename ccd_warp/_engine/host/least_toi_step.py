@@ -1,6 +1,6 @@
 """The earliest toi of a step alone."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,6 +53,7 @@ class LeastToiStep(ImpactStep):
 
     goal = "bound"
     result_bytes = 8  # of a toi
+    stages_with_planes = "input", "planes", "boxes", "pairs", "narrow phase"
     _any_suffices = _lists_pairs = _is_cut_short = False
 
     def earliest(self) -> Earliest:
@@ -167,10 +168,6 @@ class LeastToiStep(ImpactStep):
     def plays_whole(self, plan: HostPlan) -> bool:
         """Whether a step is played as a whole: not where a toi of half-spaces suffices, which are looked at first."""
         return super().plays_whole(plan) and not (self._any_suffices and plan.has_planes)
-
-    def stages(self, plan: HostPlan) -> Sequence[str]:
-        """The names of the stages of a whole step, in their order."""
-        return ("input", "planes", "boxes", "pairs", "narrow phase") if plan.has_planes else super().stages(plan)
 
     def begin_found(self, plan: HostPlan) -> None:
         """Begin without a toi."""

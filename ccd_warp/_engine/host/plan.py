@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
+from operator import attrgetter, gt
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -28,20 +29,21 @@ from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS
 from ccd_warp.kernels.pair.norm import Norm
-from ccd_warp.kernels.step.minima import CANDIDATES, FOUND, OPEN, Minima
+from ccd_warp.kernels.step.minima import ANY_OPEN, CANDIDATES, FOUND, OPEN, Minima
 from ccd_warp.kernels.step.step import ContactList
 
 if TYPE_CHECKING:
     from ccd_warp._engine.host.workspace import Workspace
     from ccd_warp._scene.input.options import Options
 
-_CANDIDATES, _FOUND, _OPEN = int(CANDIDATES), int(FOUND), int(OPEN)
+_CANDIDATES, _FOUND, _OPEN, _ANY_OPEN = map(int, (CANDIDATES, FOUND, OPEN, ANY_OPEN))
 # Queries of a tree pair, and the pairs of them that are kept, where a few are likely to show a toi of 0.
 _FEW_QUERIES, _FEW_PAIRS = 16, 1 << 14
 # Blocks of queries from which it pays to look first whether a static tree is near at all.
 _WORTH_A_LOOK = 64
 # Plans that a workspace keeps, enough for the different kinds of calls in a loop.
 _MOST_PLANS = 8
+_structs_of = attrgetter("structs")
 NO_PAIRS = dict.fromkeys(PairKind, 0)
 _POSITIONS = ("vertices_t0", "vertices_t1")
 # Fields of the stages, each of which is a slot of its name.
@@ -77,6 +79,7 @@ class HostPlan(Plan):
         has_fitted: Whether all pairs of the last step did fit the memory, as those of the next one are likely to.
         near_bodies: What finds in a whole step which bodies others come near; None where the host does before it.
         of_options: What the options that the recording has were made of.
+        lengths: The options of the last step, and what they say of lengths.
         marks: When the stages of the last step that was played as a whole ended, as ``now`` tells.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
@@ -89,12 +92,14 @@ class HostPlan(Plan):
         if key not in workspace.plans:
             if len(workspace.plans) >= _MOST_PLANS:
                 workspace.plans.clear()
+                workspace.last_plans.clear()
             workspace.plans[key] = HostPlan(workspace, options, goal, norm, motion)
         return workspace.plans[key]
 
     def __init__(self, workspace: "Workspace", options: "Options", goal: Goal, norm: Norm, motion: Motion) -> None:
         self._workspace, self._boxes, topology = workspace, workspace.boxes, workspace.topology
-        execution = Execution(topology.device, options.threads, workspace.flag, workspace.progress)
+        device, threads = topology.device, options.threads
+        execution = Execution(device, threads, workspace.flag, workspace.progress, may_be_captured=False)
         self._radii = motion.radius, motion.box_radius
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
@@ -117,6 +122,7 @@ class HostPlan(Plan):
         # what boxes depend on besides positions and trees: objects by their identities, as the recording keeps them
         self._of_boxes: tuple[Any, ...] = ()
         self.of_options: tuple[Any, ...] = ()
+        self.lengths: tuple[Options | None, float, float, float] = None, 0.0, 0.0, 0.0
         self._positions: tuple[wp.array, ...] = ()
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
@@ -161,13 +167,15 @@ class HostPlan(Plan):
 
     def begin_counts(self) -> None:
         """Forget the counts of the last step."""
-        self.num_searches = dict(NO_PAIRS)
+        self.num_searches = dict.fromkeys(self.kinds, 0)
         self.num_batches = 0
         self.begin_candidates()
 
     def begin_candidates(self, num_with_planes: int = 0) -> None:
         """Count the candidates of the next search, besides so many pairs of vertices and planes."""
-        self.num_candidates = NO_PAIRS | {PairKind.VERTEX_PLANE: num_with_planes}
+        self.num_candidates = dict.fromkeys(self.kinds, 0)
+        if num_with_planes:
+            self.num_candidates[PairKind.VERTEX_PLANE] = num_with_planes
 
     def play(self, section: str, record: Callable[[Stages, Recording], None]) -> None:
         """Run a section of the recording; ``record`` records it at its first use."""
@@ -179,15 +187,14 @@ class HostPlan(Plan):
 
     def set_positions(self, positions: Positions) -> tuple[wp.array, wp.array]:
         """Use the positions of a step, and return them on the device."""
-        names, (start, end) = _POSITIONS, positions
         if self._are_copied:
-            arrays = self._workspace.positions(names[0], start), self._workspace.positions(names[1], end)
+            arrays = self._workspace.copied(positions)
         else:
             device = self.topology.device
             of_ends: list[wp.array] = [wp.array(x, dtype=wp.vec3d, device=device, copy=False) for x in positions]
             arrays = of_ends[0], of_ends[1]
         if arrays != self._positions:  # which are the same or not
-            self.bind(**dict(zip(names, arrays, strict=True)))
+            self.bind(**dict(zip(_POSITIONS, arrays, strict=True)))
             self._positions = arrays
         return arrays
 
@@ -282,7 +289,7 @@ class HostPlan(Plan):
             self.play("shorter boxes", lambda stages, recording: self.record_boxes(recording, stages, self._active))
 
     def _bind_trees(self) -> None:
-        structs = [tree.structs for tree in self.trees]
+        structs = list(map(_structs_of, self.trees))
         if structs != self._bound:  # tuples of one object each, which are the same or not
             for tree in self.trees:
                 for slot, struct in zip(tree.slots, tree.structs, strict=True):
@@ -395,7 +402,7 @@ class HostPlan(Plan):
             for tree_pair, meets in zip(tree_pairs, self._meets, strict=True):
                 self.num_searches[tree_pair.kind] += meets
             self._needed = needed = self._num_needed()
-            if any(needed[kind] > capacity for kind, capacity in self.memory.capacities.items()):
+            if any(map(gt, needed.values(), self.memory.capacities.values())):
                 self.has_fitted = self.memory.grow(needed, largest)
                 if not self.has_fitted:
                     return None
@@ -562,6 +569,8 @@ class HostPlan(Plan):
     def num_open(self) -> dict[PairKind, int]:
         """Number of pairs that the first round of the narrow phase has left open, by kind."""
         rows = self.counters.rows()
+        if not rows[0][_ANY_OPEN]:
+            return {}
         return {kind: rows[kind][_OPEN] for kind in self._searched_kinds if rows[kind][_OPEN]}
 
     def solve(self, *, is_second: bool) -> None:

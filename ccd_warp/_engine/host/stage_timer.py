@@ -1,9 +1,10 @@
 """Seconds of the stages of a step: on CUDA by events, which are read once the result is available."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from functools import partial
+from operator import sub
 from typing import Any, TypeVar
 
 import warp as wp
@@ -17,25 +18,32 @@ class StageTimer:
     Attributes:
         seconds: Seconds by the name of the stage; once it is finished also their ``total``.
         timed: Adds the time of a block to that of a stage.
+        now: This moment: on CUDA that in which the device comes to it.
     """
 
     def __init__(self, device: wp.Device) -> None:
         self.seconds = {"input": 0.0}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
-        self._device = device if device.is_cuda else None
-        of_device = partial(_BlockOnDevice, self._events, device) if device.is_cuda else partial(_Block, self.seconds)
-        self.timed: Callable[[str], AbstractContextManager[None]] = of_device
+        self.now: Callable[[], Any] = time.perf_counter
+        self.timed: Callable[[str], AbstractContextManager[None]] = partial(_Block, self.seconds)
+        self._is_cuda = device.is_cuda
+        if self._is_cuda:
+            self.now, self.timed = partial(_event_on, device), partial(_BlockOnDevice, self._events, device)
 
-    def now(self) -> Any:
-        """This moment: on CUDA that in which the device comes to it."""
-        return time.perf_counter() if self._device is None else _event_on(self._device)
+    def add(self, stages: Sequence[str], moments: Sequence[Any]) -> None:
+        """Add the times of stages, each from one moment to the next; the first has taken some already.
 
-    def add(self, stage: str, begin: Any, end: Any) -> None:
-        """Add the time between two moments to that of a stage."""
-        if self._device is not None:
-            self._events.append((stage, begin, end))
-        else:
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + end - begin
+        Where there are too few moments, the last stages were left out, and have taken none.
+        """
+        seconds = self.seconds
+        if self._is_cuda:
+            self._events += zip(stages, moments, moments[1:], strict=False)
+            seconds |= dict.fromkeys(stages[1:], 0.0)
+            return
+        seconds[stages[0]] += moments[1] - moments[0]
+        seconds |= zip(stages[1:], map(sub, moments[2:], moments[1:]), strict=False)
+        if len(seconds) < len(stages):
+            seconds |= dict.fromkeys(stages, 0.0) | seconds
 
     def timed_items(self, stage: str, items: Iterator[_T]) -> Iterator[_T]:
         """Items, while the time in which each is made is added to that of a stage."""

@@ -17,7 +17,6 @@ from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice, StepPaths
 from ccd_warp._engine.plan import Goal
 from ccd_warp._results.results import Counts
-from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.quick import of_values
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.pair.norm import Norm
@@ -35,6 +34,7 @@ class HostStep:
         result_bytes: Bytes that a pair takes for what is found of it, besides what its search takes.
         plan: What is searched, from `begin` on.
         planes: The stage in which vertices meet half-spaces; None in scenes without.
+        motion: How vertices move, and in which slices the step is searched.
         vertices_t0: Positions at the start, on the device.
         survivors: Pairs that the search has left, by kind.
         counts: What the step has done, from `finish` on.
@@ -45,6 +45,7 @@ class HostStep:
     """
 
     goal: Goal
+    motion: Motion
     result_bytes = 0
     counts_survivors = is_for_impacts = _has_boxes = False
     _active: NDArray[np.bool_] | None = None
@@ -69,18 +70,16 @@ class HostStep:
         self.topology, self.mesh = workspace.topology, workspace.topology.mesh
         self.positions = self.ends = positions
         self.paths = paths
+        if paths is None:
+            t_max = options.t_max
+            self.motion = workspace.packed_once(("straight", t_max), lambda: Motion(self.topology, t_max))
+        else:
+            self.motion = paths.begin(workspace, positions, options, for_impacts=self.is_for_impacts)
         self.timer = StageTimer(self.topology.device)
         self.timed, self.timings = self.timer.timed, self.timer.seconds
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()
         self._num_active_bodies = self.mesh.num_bodies
-
-    @lazy_property
-    def motion(self) -> Motion:
-        """How vertices move, and in which slices the step is searched."""
-        if self.paths is None:
-            return Motion(self.topology, self.positions, self.options.t_max)
-        return self.paths.begin(self.workspace, self.positions, self.options, for_impacts=self.is_for_impacts)
 
     def __enter__(self) -> Self:
         return self
@@ -109,8 +108,13 @@ class HostStep:
         return plan
 
     def plan_of_step(self) -> HostPlan:
-        """The plan."""
-        return HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
+        """The plan: that of the last step with this goal, where nothing that it depends on has changed."""
+        of_step, last_plans = (self.options, self.motion, self.options.threads), self.workspace.last_plans
+        last = last_plans.get(self.goal)
+        if last is None or last[0] != of_step:
+            plan = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion)
+            last = last_plans[self.goal] = of_step, plan
+        return last[1]
 
     def begin_plan(self, plan: HostPlan, time_slice: Slice | None) -> None:
         """Begin a step, or a slice of it, with a plan."""
@@ -120,7 +124,8 @@ class HostStep:
             plan.begin_counts()
         self._active = None
         if time_slice is not None:
-            self.positions, self._active = self.motion.placed(time_slice, self.execution), time_slice.active
+            self.positions = self.motion.placed(time_slice, plan.execution) or self.positions
+            self._active = time_slice.active
 
     def begin_boxes(self, t_end: float, near: NDArray[np.bool_] | None) -> bool:
         """Begin the boxes over [0, t_end] of the bodies that are near others; returns whether there are any."""
@@ -186,14 +191,13 @@ class HostStep:
         plan.release_positions()
         if self.paths is not None:
             self.motion.release()
-        kinds, searches, candidates = plan.kinds, plan.num_searches, plan.num_candidates
         of_step = {
             "num_active_bodies": self._num_active_bodies,
             "num_boxes": boxes.num_boxes,
             "num_sorted_sets": boxes.num_sorted,
-            "num_searches": {kind: searches[kind] for kind in kinds},
-            "num_candidates": {kind: candidates[kind] for kind in kinds},
-            "num_after_cull": {kind: self.survivors[kind] for kind in kinds} if self.counts_survivors else {},
+            "num_searches": plan.num_searches,
+            "num_candidates": plan.num_candidates,
+            "num_after_cull": {kind: self.survivors[kind] for kind in plan.kinds} if self.counts_survivors else {},
             "num_contacts": {},
             "num_batches": plan.num_batches,
         }

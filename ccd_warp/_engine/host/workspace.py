@@ -51,10 +51,10 @@ class Workspace:
         self.boxes = StepBoxes(self.topology, self.buffers)
         self.progress = Progress()
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
+        self.last_plans: dict[str, Any] = {}  # that of the last step with a goal, after what it depends on
         self._kept: dict[type, Any] = {}
         self._num_asked: dict[object, int] = {}
         self._packed: dict[Any, Any] = {}
-        self._positions: dict[str, Written] = {}
         self._is_all_active = False
         self._at_one_time: dict[str, Workspace] = {}
         self._said: set[object] = set()
@@ -107,13 +107,18 @@ class Workspace:
         """The contacts and the minima of a step."""
         return ContactStore(self.topology, self.buffers)
 
-    def positions(self, name: str, values: NDArray[np.float64]) -> wp.array:
-        """An array that stays, with a copy of the positions."""
-        if name not in self._positions:
-            self._positions[name] = Written(wp.empty(len(values), dtype=wp.vec3d, device=self.topology.device))
-        written = self._positions[name]
-        written.write(values)
-        return written.array
+    def copied(self, positions: Positions) -> tuple[wp.array, wp.array]:
+        """Arrays that stay, with copies of the positions at both ends of a step."""
+        start, end = self._copies
+        start.write(positions[0])
+        end.write(positions[1])
+        return start.array, end.array
+
+    @lazy_property
+    def _copies(self) -> tuple[Written, Written]:
+        count, device = self.topology.mesh.num_vertices, self.topology.device
+        start, end = (Written(wp.empty(count, dtype=wp.vec3d, device=device)) for _ in range(2))
+        return start, end
 
     def active(self, bodies: NDArray[np.bool_] | None) -> wp.array:
         """Which bodies are active, int32, shape [B]: all of them by default."""

@@ -642,14 +642,14 @@ def choose_quantization(topology: Topology, positions: Positions, num_aabbs: int
             distances = np.sort(np.abs(centres).max(axis=0))
         _longest_sides(sampled[:, :, 1], sampled[:, :, -1], num_aabbs, out=rows[3])
         rows.sort()
-        *of_axes, (_, low_extent, high_extent, _) = rows.take(_RANKS, axis=1).tolist()
-        half_extent = (low_extent + high_extent) / 2.0
-        half = max([0.5 * high - 0.5 * low for low, _, _, high in of_axes])
+        low, middle, centre, high = rows.take(_RANKS, axis=1).T.tolist()  # of each axis, and of the extents
+        half_extent = (middle.pop() + centre.pop()) / 2.0
+        half = max(0.5 * high[0] - 0.5 * low[0], 0.5 * high[1] - 0.5 * low[1], 0.5 * high[2] - 0.5 * low[2])
         if has_origins:
             half = float(distances[-1 - 2 * _MARGIN])
         half = max(half, half_extent)
         exponent = min(max(math.frexp(half)[1] + 3, -LARGEST_EXPONENT), LARGEST_EXPONENT)
-        lattice, centre = 2.0 ** (exponent - 2), [middle for _, _, middle, _ in of_axes]
+        lattice = 2.0 ** (exponent - 2)
         x, y, z = [min(max(_rounded(c / lattice) * lattice, -LARGEST_ORIGIN), LARGEST_ORIGIN) for c in centre]
         scale = 2.0 ** -(exponent + topology.world_places.bits)
         half_extent += topology.typical_radius_of(topology.samples[1])
