@@ -34,7 +34,7 @@ from .simd import (
     vec,
 )
 from .support import length
-from .volume import clip_volume, clip_with_reach, reach_of
+from .volume import above_bound, clip_hull, clip_volume, lowered, reach_of, restrict, whole
 
 _NONE = wp.constant(wp.uint32(0))
 # Clips with the volume in a round: in the first rounds, and at most in the later ones.
@@ -229,8 +229,10 @@ elif not is_euclidean:
 if with_facets:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes, is_whole: bool):
         """Clip open lanes until the volume gains nothing more: in later rounds most are about to be contacts.
+
+        None of these rounds is ``is_whole``.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
         """
@@ -251,8 +253,8 @@ if with_facets:
 else:
 
     @simd.func
-    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes):
-        """Clip all lanes a few times.
+    def clip_with_volume(n: LanePair, volume: Volume, open: Mask, t: Lanes, end: Lanes, is_whole: bool):
+        """Clip all lanes a few times; where ``is_whole`` says so, from t = 0 on and to 1.
 
         Returns the time reached, which lanes are free until the end, and those in which it gains nothing more.
         """
@@ -261,12 +263,19 @@ else:
         last = t
         if wp.static(by_pair):
             reach = reach_of(volume, n.separation)
-        for _ in range(_VOLUME_CLIPS):
+        for k in range(_VOLUME_CLIPS):
             last = t
+            h = whole(volume)
             if wp.static(by_pair):
-                t, x, now_free = clip_with_reach(volume, reach, t, x, end)
-            else:
-                t, x, now_free = clip_volume(volume, n.separation, False, t, x, end)
+                kept = whole(reach)
+            if k > 0 or not is_whole:
+                h = restrict(volume, t, x)
+                if wp.static(by_pair):
+                    kept = restrict(reach, t, x)
+            h = above_bound(volume, h)
+            if wp.static(by_pair):
+                h = lowered(h, kept)
+            t, x, now_free = clip_hull(h, t, x, end)
             free = free | now_free
             if bits_of(open & opposite(free)) == _NONE:
                 break
@@ -274,14 +283,16 @@ else:
 
 
 @simd.func
-def advance_round(kind: int, n: LanePair, volume: Volume, t_end: real, reached: LaneReached) -> LaneReached:
+def advance_round(
+    kind: int, n: LanePair, volume: Volume, t_end: real, is_whole: bool, reached: LaneReached
+) -> LaneReached:
     """One round of the lanes that are open.
 
     Invariant: each pair is free of contact on [0, t).
     """
     is_face = kind == VERTEX_FACE
     end = spread(t_end)
-    t, free, is_settled = clip_with_volume(n, volume, reached.open, reached.t, end)
+    t, free, is_settled = clip_with_volume(n, volume, reached.open, reached.t, end, is_whole)
     r = reached
     r.iterations = select(reached.open, reached.iterations + one, reached.iterations)
     still_open = reached.open & opposite(free)

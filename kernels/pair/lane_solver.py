@@ -128,8 +128,10 @@ def make_solve(with_facets: bool):
                 open = open & ~answer.free
         reached = start(t, open)
         rounds = int(0)
+        is_whole = wp.static(not with_facets and width > 1) and options.t_end == real(1.0)
         while open != _NONE and rounds < num_rounds:
-            reached = advance_round(kind, n, volume, options.t_end, reached)
+            reached = advance_round(kind, n, volume, options.t_end, is_whole, reached)
+            is_whole = False
             answer.free = answer.free | bits_of(reached.free)
             answer.contact = answer.contact | bits_of(reached.contact)
             # what is free up to the bound needs no better answer

@@ -168,15 +168,31 @@ def lowered(h: Hull, by: Hull) -> Hull:
 
 
 @simd.func
-def beyond_bound(f: Volume, t: Lanes, x: Lanes) -> Hull:
-    """Bernstein coefficients of |f| on [t, x] with the sign at t, less the bound."""
-    h = restrict(f, t, x)
+def whole(f: Volume) -> Hull:
+    """What `restrict` gives on [0, 1], in every bit."""
+    h = Hull()
+    h.c0 = f.b0
+    h.c1 = f.b1
+    h.c2 = f.b2
+    h.c3 = f.b3
+    return h
+
+
+@simd.func
+def above_bound(f: Volume, h: Hull) -> Hull:
+    """Coefficients of |f|, with the sign at the begin, less the bound, from those of f on an interval."""
     is_negative = is_less(h.c0, zero)
     h.c0 = select(is_negative, minus(h.c0), h.c0) - f.bound
     h.c1 = select(is_negative, minus(h.c1), h.c1) - f.bound
     h.c2 = select(is_negative, minus(h.c2), h.c2) - f.bound
     h.c3 = select(is_negative, minus(h.c3), h.c3) - f.bound
     return h
+
+
+@simd.func
+def beyond_bound(f: Volume, t: Lanes, x: Lanes) -> Hull:
+    """`above_bound` of f on [t, x]."""
+    return above_bound(f, restrict(f, t, x))
 
 
 @simd.func
