@@ -3,7 +3,7 @@
     python benchmarks/cuda_code.py [--arch 90] [--modules WORD ...] [--compare OLD.csv] [--output cuda_code.csv]
 
 It needs no GPU: modules are compiled to the code that runs there (that of gpu_pack.py is used), `cuobjdump` and
-`nvdisasm` read it (`pip install -e '.[benchmarks,cuda-tools]'`), and launches are counted on the emulated device. Stack
+`nvdisasm` read it (`pip install -e '.[test,cuda-tools]'`), and launches are counted on the emulated device. Stack
 is what the driver reserves for each thread that could be resident: docs/cuda.md says how much that is.
 """
 

@@ -166,7 +166,7 @@ PROGRAMS = (
     "docs/redraw.py method rigid readme stale",
 )
 # What --all needs and a part would do without, by the extra that brings it.
-NEEDED = {name: "rigid-peers" for name in rigid_peers.PEERS.values()} | {"pyvista": "viz", "nvidia": "cuda-tools"}
+NEEDED = {name: "rigid-peers" for name in rigid_peers.PEERS.values()} | {"pytest": "test", "nvidia": "cuda-tools"}
 
 
 def main(about: str | None) -> None:

@@ -1,6 +1,6 @@
 """Measures, and writes the raw figures: a CSV file for each part.
 
-    pip install -e '.[benchmarks,cuda-tools,docs,examples,rigid-peers,viz]'
+    pip install -e '.[test,cuda-tools,rigid-peers]'
     python benchmarks/run.py --all                                   # all, and the pages: an hour on two cores
     python benchmarks/run.py --quick --output quick                  # all parts in small: minutes
     python benchmarks/run.py steps small --output benchmarks/results # some parts again
