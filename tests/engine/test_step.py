@@ -12,9 +12,10 @@ from exact import exact_tois
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
 from held_memory import held_bytes, requires_status
-from scenes import FACE, TRIANGLE, crowd, leaning_stack, sheet, single, soup
+from scenes import FACE, TETRAHEDRON, TRIANGLE, crowd, leaning_stack, sheet, single, soup
 
 import ccd_warp as ccd
+from ccd_warp._engine.boxes import step_boxes
 from ccd_warp._engine.mesh.topology import Topology, choose_quantization
 
 pytestmark = OF_ROUNDING
@@ -67,6 +68,18 @@ def test_positions_as_near_others_as_these_allow_have_their_quantization():
             assert near[:2] == found[:2]
             num_other += far[:2] != found[:2]
     assert num_other > 40
+
+
+def test_a_loop_of_equal_steps_of_a_scene_whose_size_is_a_power_of_two_chooses_coordinates_a_few_times(monkeypatch):
+    chosen = []
+    monkeypatch.setattr(step_boxes, "choose_quantization", lambda *a: chosen.append(a) or choose_quantization(*a))
+    plate = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+    bodies = [(plate, [[0, 1, 2], [0, 2, 3]]), (0.1 * TETRAHEDRON[0] + [0, 0, 0.5], TETRAHEDRON[1])]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, static=[0])
+    pipeline, end = ccd.CollisionPipeline(mesh), mesh.vertices - [[0, 0, 1]] * (mesh.vertex_body == 1)[:, None]
+    for _ in range(20):
+        pipeline.collision_free_step(mesh.vertices, end)
+    assert 0 < len(chosen) <= 4
 
 
 def test_boxes_of_static_bodies_are_made_once():
