@@ -18,7 +18,7 @@ from .pair_options import LaneOptions as Options
 from .points import Points
 from .query import CLIPPING
 from .rounding import RELATIVE, SLACK, UNIT_ROUNDOFF
-from .simd import Lanes, Vec3, bits_of, greatest, is_less, least, magnitude, mask_of, select, spread
+from .simd import Lanes, Vec3, bits_of, greatest, is_at_most, is_less, least, magnitude, mask_of, select, spread
 
 # Rounds of every pair; and further ones, after which a pair goes on to the solver for single pairs.
 FIRST_ROUNDS = wp.constant(2)
@@ -128,7 +128,8 @@ def make_solve(with_facets: bool):
                 open = open & ~answer.free
         reached = start(t, open)
         rounds = int(0)
-        is_whole = wp.static(not with_facets and width > 1) and options.t_end == real(1.0)
+        is_at_begin = bits_of(is_at_most(t, real(0.0))) == all_lanes
+        is_whole = wp.static(not with_facets and width > 1) and is_at_begin and options.t_end == real(1.0)
         while open != _NONE and rounds < num_rounds:
             reached = advance_round(kind, n, volume, options.t_end, is_whole, reached)
             is_whole = False
