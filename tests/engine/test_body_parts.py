@@ -42,7 +42,7 @@ def placed(motion, corners, t):
 def scene(radius=0.0):
     """Bodies of a few parts, boxes and a plate that stand, a half-space, and a motion of several worlds."""
     rng = np.random.default_rng(3)
-    body = trimesh.creation.capsule(0.25, 0.05, count=[8, 8])
+    body = trimesh.creation.capsule(0.25, 0.05, count=[9, 9])
     boxes = [trimesh.creation.box(rng.uniform(0.05, 0.3, 3)).apply_translation(c) for c in rng.uniform(-1, 1, (6, 3))]
     boxes += [trimesh.creation.box([2, 2, 0.01]).apply_translation([0, 0, -0.3])]
     ground, count = ccd.HalfSpace((0, 0, -0.6), (0.1, 0, 1)), BODIES + 7
