@@ -8,7 +8,7 @@ from distance_oracle import exact_distance
 from hard_cases import FAMILIES
 from hard_contacts import first_of_pair
 from laws.calls import on_device
-from laws.outputs import different, outputs_of
+from laws.outputs import different, outputs_of, rows_of
 from oracle import exact_gap
 from scenes import FACE, NO_FACES, crowd_of_all_kinds, pairs_in_worlds, stacked
 
@@ -26,10 +26,6 @@ def crowd(**arguments):
 
 def check_same(found, expected):
     assert different(outputs_of(found), outputs_of(expected)) == []
-
-
-def rows_of(found):
-    return [(KIND(k), *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
 
 
 # --- hard pairs ---
