@@ -121,20 +121,6 @@ def test_a_vertex_near_the_common_edge_of_two_faces_is_one_proximity_in_several_
     assert once.vertices.tolist() == [[4, 0, 1, 2]] and once.bodies.tolist() == [[1, 0]] and once.world.tolist() == [0]
 
 
-def test_unique_keeps_each_two_features_once():
-    found = ccd.find_proximity(*crowd(), 0.1)
-
-    def features(proximities):
-        spanned = []
-        for vertices, bits, kind in zip(proximities.vertices, proximities.features, proximities.kind, strict=True):
-            chosen, cut = [int(v) if bits >> k & 1 else None for k, v in enumerate(vertices)], 1 if kind == 0 else 2
-            spanned.append(frozenset(frozenset(side) - {None} for side in (chosen[:cut], chosen[cut:])))
-        return spanned
-
-    every, once = features(found), features(found.unique())
-    assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
-
-
 def test_features_with_one_hash_are_told_apart(monkeypatch):
     found, bits = ccd.find_proximity(*crowd(), 0.1), shared_features.index_bits
     once, num_vertices = found.unique(), found.mesh.num_vertices
