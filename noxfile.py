@@ -19,7 +19,7 @@ OBJECTS = Path(os.environ.get("WARP_CACHE_PATH") or Path.home() / ".cache" / "wa
 PYTHONS = nox.project.python_versions(nox.project.load_toml("pyproject.toml"))
 TESTS = Path(__file__).resolve().parent / "tests"
 # What a Python can break: the options' signatures, arguments, the readers. Steps and kernels are those of the users.
-FEW = ["input/test_options", "input/test_mesh", "files/test_files", "files/test_public_data"]
+FEW = ["input/test_options", "input/test_mesh", "files/test_files"]
 
 
 @nox.session(python=PYTHONS)

@@ -208,22 +208,6 @@ def test_bodies_whose_rows_are_others_in_each_step_are_not_divided_in_each(monke
     assert len(made) == 2
 
 
-@pytest.mark.parametrize("of_copies", [False, True])
-def test_bodies_meet_in_other_worlds_than_in_the_step_before(of_copies):
-    count = 40
-    one = ccd.CollisionMesh.from_trimesh([BOX, BOX], rigid=[0, 1])
-    mesh, shape = (one.replicate(count), (-1,)) if of_copies else (one, (count, 2))
-    pipeline, poses, met = ccd.CollisionPipeline(mesh), poses_of([[0, 0, 0], [1.5, 0, 0]], count), []
-    steps = ([], range(34), range(2, 39), [], range(count), range(20), [3], [], [7, 30])
-    for moving in steps:
-        twist = np.full((count, 2, 6), 0.03)
-        twist[list(moving), 0, 0] = 1.0
-        motion = ccd.RigidMotion(poses.reshape(*shape, 7), twist=twist.reshape(*shape, 6))
-        result = pipeline.mesh_ccd(mesh.vertices, mesh.vertices, motion=motion)
-        met.append(np.flatnonzero(np.isfinite(result.world_toi)).tolist())
-    assert met == [list(moving) for moving in steps]
-
-
 def test_a_capacity_that_is_refused_leaves_those_of_worlds_as_they_are():
     mesh = ccd.CollisionMesh.from_trimesh([BOX, BOX.copy().apply_translation([1.02, 0.1, 0.05])], rigid=[0, 1])
     motion = ccd.RigidMotion(poses_of([[0, 0, 0]] * 2, 200), twist=np.full((200, 2, 6), 0.05) * [[1], [-1]])

@@ -50,10 +50,7 @@ def folder(tmp_path_factory):
     ]:
         (folder / f"{name}.ply").write_bytes(ply(vertices, faces))
     trimesh.Trimesh(start, BALL.faces, process=False).export(folder / "soup.stl")
-    for name, content in {
-        "escape.obj": b"v 0 0 \x1b[31m\n",
-    }.items():
-        (folder / name).write_bytes(content)
+    (folder / "escape.obj").write_bytes(b"v 0 0 \x1b[31m\n")
     (folder / "folder.png").mkdir()
     return folder
 

@@ -39,20 +39,9 @@ def run_ranks(count, *cases, seconds=1200):
     # the program prints what matters; a container has no other user; and who waits leaves the core to others
     of_mpi = ("ALLOW_RUN_AS_ROOT", "ALLOW_RUN_AS_ROOT_CONFIRM", "MCA_mpi_yield_when_idle")
     environment = os.environ | {f"OMPI_{name}": "1" for name in of_mpi}
-    command = [
-        mpiexec(),
-        *flags,
-        "-n",
-        str(count),
-        sys.executable,
-        "-m",
-        "mpi4py",
-        str(FOLDER / "mpi_program.py"),
-        *cases,
-    ]
-    return subprocess.run(
-        command, capture_output=True, text=True, errors="replace", timeout=seconds, env=environment, cwd=FOLDER
-    )
+    program = [sys.executable, "-m", "mpi4py", str(FOLDER / "mpi_program.py"), *cases]
+    how = {"capture_output": True, "text": True, "errors": "replace", "timeout": seconds, "env": environment}
+    return subprocess.run([mpiexec(), *flags, "-n", str(count), *program], cwd=FOLDER, check=False, **how)
 
 
 @needs_ranks

@@ -31,23 +31,15 @@ class ExactToi:
     @property
     def rational(self) -> bool:
         """Whether tau is a rational number, which `lo == hi` then states exactly."""
-        return self.root is not None and bool(self.root.denominator)
+        return self.hit and self.root.value is not None
 
     def refine(self, bits: int = 80) -> tuple[fmpq, fmpq]:
         """Rational lo <= tau <= hi with hi - lo <= 2**-bits * hi."""
-        root = self.root
-        if root is None:
+        if self.root is None:
             raise ValueError("there is no contact to refine")
-        p, q = self.t_max.as_integer_ratio()
-        scale = fmpq(p, q)
-        if not root.denominator:
-            root.refine(bits)
-            while root.a.bit_length() <= bits and not root.denominator:
-                root.refine(root.k + bits + 1 - root.a.bit_length())
-        if root.denominator:
-            tau = scale * fmpq(root.numerator, root.denominator)
-            return tau, tau
-        return scale * fmpq(root.a, 1 << root.k), scale * fmpq(root.a + 1, 1 << root.k)
+        scale = fmpq(*self.t_max.as_integer_ratio())
+        lo, hi = self.root.bounds(bits)
+        return scale * lo, scale * hi
 
     @property
     def lo(self) -> fmpq | None:
@@ -77,7 +69,7 @@ class ExactToi:
             return signum(toi)
         p, q = toi.as_integer_ratio()
         mp, mq = self.t_max.as_integer_ratio()
-        return -self.root.compare_rational(p * mq, q * mp)
+        return Root(p * mq, q * mp).compare(self.root)
 
     def late(self, toi: float) -> bool:
         """Whether toi > tau, exactly: a missed collision. Equal is not late; without a hit nothing is late."""
@@ -88,7 +80,7 @@ class ExactToi:
         if not self.hit or math.isinf(toi):
             raise ValueError("early_by needs a hit and a finite toi")
         p, q = float(toi).as_integer_ratio()
-        difference = self.refine()[0] - fmpq(p, q)
+        difference = self.refine(200)[0] - fmpq(p, q)
         return int(difference.p) / int(difference.q)
 
     def __repr__(self) -> str:

@@ -101,6 +101,25 @@ def crowd_in_plane(rng, count=25, size=0.1, speed=0.3, **options):
 
 # --- laid out ---
 
+# A rotation or reflection whose columns lie along no axis.
+TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]]))[0]
+
+
+def tube(num=800):
+    """Needles around an axis along no axis of the coordinates: vertices, and two faces for each needle."""
+    angle = np.linspace(0, 2 * np.pi, num, endpoint=False)
+    circle = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    vertices = np.concatenate([np.column_stack([circle, np.full(num, z)]) for z in (0.0, 10.0)]) @ TURN.T
+    i, j = np.arange(num), (np.arange(num) + 1) % num
+    faces = np.concatenate([np.stack([i, j, i + num], axis=1), np.stack([j, j + num, i + num], axis=1)])
+    return vertices, faces
+
+
+def squeezed(vertices, share):
+    """A tube whose far side moves towards the near one, and beyond for a share above 1."""
+    across = (vertices - vertices.mean(axis=0)) @ TURN[:, 0]
+    return vertices - share * np.outer(across, TURN[:, 0])
+
 
 def stacked(*heights):
     """Triangles above each other, each a little aside of the one before, a body each: mesh and positions."""
@@ -166,9 +185,9 @@ def two_of_every_kind(*half_spaces, **options):
     return ccd.CollisionMesh.from_arrays(bodies, **options)
 
 
-def sheet_over_floor():
+def sheet_over_floor(n=8):
     """A sheet that falls through a static floor: mesh, start and end positions."""
-    vertices, faces = sheet(8)
+    vertices, faces = sheet(n)
     floor = vertices * 1.3 + [0.013, 0.007, -0.2]
     mesh = ccd.CollisionMesh.from_arrays([(vertices, faces), (floor, faces)], static=[1])
     return mesh, mesh.vertices, mesh.vertices - [0, 0, 0.4] * (mesh.vertex_body == 0)[:, None]

@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 import tempfile
-import textwrap
 from functools import cache
 from itertools import product
 from pathlib import Path
@@ -23,6 +22,7 @@ import warp as wp
 from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST
 from helpers import clock
 from kept import kept
+from programs import begun
 
 from ccd_warp._runtime.every_module import every_module
 from ccd_warp._runtime.lanes import search_on
@@ -126,42 +126,39 @@ def test_boxes_are_loaded_four_numbers_at_a_time(output):
 
 
 NAMES_OF_MODULES = """
-    import warp as wp
+import warp as wp
 
-    wp.config.log_level = wp.LOG_ERROR
-    from ccd_warp._runtime.every_module import every_module
+wp.config.log_level = wp.LOG_ERROR
+from ccd_warp._runtime.every_module import every_module
 
-    wp.init()
-    modules = {name: module for name, module in every_module(None).items() if "float64" in name}
-
-
-    def names():
-        for module in modules.values():
-            module.hashers.clear()
-        return {name: module.get_module_identifier() for name, module in modules.items()}
+wp.init()
+modules = {name: module for name, module in every_module(None).items() if "float64" in name}
 
 
-    before = names()
-    for name, module in modules.items():
-        if "points_toi first" in name:
-            module._run_codegen(module.resolve_options(wp.config) | {"output_arch": 90}, False)
-    after = names()
-    print(*(name for name in modules if before[name] != after[name]), sep=", ")
+def names():
+    for module in modules.values():
+        module.hashers.clear()
+    return {name: module.get_module_identifier() for name, module in modules.items()}
+
+
+before = names()
+for name, module in modules.items():
+    if "points_toi first" in name:
+        module._run_codegen(module.resolve_options(wp.config) | {"output_arch": 90}, False)
+after = names()
+print(*(name for name in modules if before[name] != after[name]), sep=", ")
 """
 
 
 @pytest.mark.emulated
-def test_what_was_built_before_does_not_change_the_name_of_a_module():
+def test_what_was_built_before_does_not_change_the_name_of_a_module(tmp_path):
     """Else a second run would compile modules again that the first has compiled under other names.
 
     Warp takes a local variable of a function for a constant of that name, as its own number ``e``, until it has built
     the function once.
     """
-    command = [sys.executable, "-P", "-c", textwrap.dedent(NAMES_OF_MODULES)]
-    path = os.pathsep.join([str(Path(__file__).parents[1] / "helpers"), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == ""
+    status, shown, error = begun(tmp_path, "-P", "-c", NAMES_OF_MODULES)
+    assert (status, shown.strip()) == (0, ""), error
 
 
 def optimization_level(name):

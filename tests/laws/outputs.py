@@ -123,3 +123,11 @@ def different(ours: Outputs, theirs: Outputs) -> list[str]:
             shown = [f"[{row}] {np.atleast_1d(a)[row]}, expected {np.atleast_1d(b)[row]}" for row in rows[:3]]
             lines.append(f"{name}: {len(rows)} of {len(np.atleast_1d(a))} rows: {'; '.join(shown)}")
     return sorted(lines)
+
+
+def assert_shared_bits(launched: Any, host: Any, *names: str) -> None:
+    """What both results have is equal in every bit, and has these names."""
+    launched, host = outputs_of(launched), outputs_of(host)
+    shared = launched.keys() & host.keys()
+    assert shared >= {*names} and len(shared) > 4
+    assert different(*({name: each[name] for name in shared} for each in (launched, host))) == []

@@ -93,11 +93,6 @@ def pressed(seed: int) -> Scene:
     return Scene(lambda: (mesh, mesh.vertices, -1.5 * count * size * turn[-1]), options, 1_000, "pressed", size)
 
 
-# --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
-
-_CHAIN = np.array([[0, 1], [1, 2], [2, 3]])
-
-
 def motion_of(mesh, rng, num_worlds=None):
     """Bodies that turn, by next to nothing or by several turns, on screws or about pivots, towards each other."""
     bodies = np.flatnonzero(mesh.rigid)
@@ -118,6 +113,9 @@ def motion_of(mesh, rng, num_worlds=None):
     if motion["path"] == "linear" and rng.random() < 0.7:
         motion["pivot"] = centre
     return motion
+
+
+# --- bodies of about unit size, in space and in the plane: vertices, faces, edges ---
 
 
 def _mixed(rng):

@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from flint import arb, arb_poly, ctx
 
 import ccd_warp as ccd
 from ccd_warp._rigid import motion_worlds
@@ -13,7 +14,8 @@ from laws.moving import Moves
 from laws.near_paths import NearPaths
 from laws.outputs import different, outputs_of, tois_of
 from laws.scenes import drawn, motion_of
-from laws.truth import PLANE, UNITS
+from laws.trajectories import BITS
+from laws.truth import PLANE, UNITS, first_sides, halfway, plane_moves
 from laws.turning import FAMILIES, KINDS, answers, hostile_pairs, prisms, random_pairs, step_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -84,6 +86,25 @@ class Scene:
 scene_of = cache(Scene)
 
 
+def check_places(scene, contacts):
+    """Points and velocities of contacts are those of their primitives on the paths."""
+    contacts, step = contacts[:: 1 + len(contacts) // 20], 1e-9
+    found = np.zeros((2, len(contacts), 4, 3))
+    with ctx.workprec(BITS):
+        for k, (vertices, is_first) in enumerate(zip(contacts.vertices, first_sides(contacts), strict=True)):
+            time = arb_poly([arb(float(contacts.toi[k])), arb(step)])
+            for side in (is_first, ~is_first)[: 1 + (contacts.kind[k] != PLANE)]:
+                places = scene.on_paths.primitive(vertices[side])(time)
+                found[:, k, side] = [[[float(arb_poly(x)[n]) for x in place] for place in places] for n in (0, 1)]
+    places, moves = found[..., : scene.mesh.dimension]
+    velocity = np.einsum("mk,mkd->md", contacts.weights, moves) / step
+    velocity -= plane_moves(contacts, scene.mesh, scene.start, scene.end)
+    lost = 1e-13 * scene.on_paths.size * (1 + scene.motion.turns.max(initial=0.0))
+    apart = np.abs(halfway(contacts, scene.mesh, places) - contacts.points)[contacts.kind != PLANE]
+    assert apart.max(initial=0.0) <= lost
+    assert np.abs(velocity - contacts.relative_velocity).max(initial=0.0) <= 1e3 * lost
+
+
 @pytest.mark.parametrize(("seed", "is_beside"), SCENES)
 def test_contacts_of_a_step(seed, is_beside, precision):
     scene = scene_of(seed, is_beside)
@@ -98,6 +119,7 @@ def test_contacts_of_a_step(seed, is_beside, precision):
     early = scene.on_paths.first_times(scene.drawn.distance + near, factor, list(found))
     for key, toi, status in zip(found, contacts.toi.tolist(), contacts.status.tolist(), strict=True):
         assert toi <= t_max and (toi >= early[key][0] or status in LIMITS), key
+    check_places(scene, contacts)
 
 
 @pytest.mark.parametrize(("seed", "is_beside"), SCENES)

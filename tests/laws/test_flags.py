@@ -35,7 +35,13 @@ def test_a_capacity_is_flagged_exactly_where_there_is_more(seed):
         assert bool(flags_found & FLAG.PAIRS_OVERFLOW) == (most > max_pairs)
         assert bool(flags_found & FLAG.CONTACTS_OVERFLOW) == (count_found > max_contacts)
         assert np.bitwise_or.reduce(found.world_flags.numpy()) == flags_found
+        tois, whole_tois = (x.vertex_toi.numpy() for x in (found, whole))
         if most > max_pairs:
             assert found.toi.numpy()[0] == 0.0 and count_found <= count
+            # with toi 0, and nothing else is: four vertices of each pair at most
+            marked = tois != whole_tois
+            beyond = np.maximum(found.num_pairs.numpy()[:4] - max_pairs, 0).sum()
+            assert not tois[marked].any() and marked.sum() <= 4 * beyond
         else:
+            np.testing.assert_array_equal(tois, whole_tois)
             assert flags_found & ~FLAG.CONTACTS_OVERFLOW == flags and count_found == count

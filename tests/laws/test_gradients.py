@@ -20,6 +20,7 @@ from laws.calls import EVERY_PER
 from laws.moving import Moves
 from laws.scenes import drawn, motion_of
 from laws.trajectories import BITS
+from laws.truth import Pairs
 from laws.turning import KINDS, random_pairs, step_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -349,7 +350,7 @@ def test_tapes_of_drawn_scenes():
             given["radius"] = pipeline.radius
             pipeline.radius.requires_grad = True
         tape, result = taped(lambda: pipeline.launch(given["start"], given["end"]))  # noqa: B023
-        firsts, weights = first_contacts(step.mesh, contacts), {}
+        firsts, weights = first_contacts(Pairs(step.mesh), contacts), {}
         of_contact = np.append(contacts.toi_gradient().is_regular, False)  # the last one is none
         for name in TOIS:
             regular = np.atleast_1d(result.is_regular(name.removesuffix("_toi").replace("toi", "scene")).numpy())
@@ -382,16 +383,16 @@ def searched_by_launches(step, per, **options):
     dtype, rating = wp.vec3d if mesh.dimension == 3 else wp.vec2d, np.full(mesh.num_vertices, CHANGES)
     own = {"world": mesh.vertex_world, "body": mesh.vertex_body, "vertex": np.arange(mesh.num_vertices)}
     free = np.flatnonzero(~(mesh.static | mesh.kinematic)[mesh.vertex_body])
-    pairs, least_toi = Moves(mesh, start, x).pairs, np.inf
+    pairs, least_toi, pipeline = Pairs(mesh), np.inf, ccd.CollisionPipeline(mesh, **options)
     for number, (of, share) in enumerate(passes_of(LineSearch.of(per, ROUNDS))):
-        pipeline, name = ccd.CollisionPipeline(mesh, **options), TOIS[EVERY_PER.index(of)]
-        _, result = taped(lambda: pipeline.launch(array(start, dtype), array(x, dtype)))  # noqa: B023
+        name = TOIS[EVERY_PER.index(of)]
+        _, result = taped(lambda: pipeline.launch(array(start, dtype), array(x, dtype)))
         contacts, before = result.to_host().contacts, rating.copy()
         tois, firsts, is_regular = (
             np.atleast_1d(values)
             for values in (
                 getattr(result, name).numpy(),
-                first_contacts(mesh, contacts)[name],
+                first_contacts(pairs, contacts)[name],
                 result.is_regular(of).numpy(),
             )
         )
@@ -432,11 +433,11 @@ def test_positions_of_line_searches_have_derivatives_by_the_contacts_of_their_pa
     assert num_compared > 20 and seen >= {(False, True), (True, True), (False, False)}
 
 
-def first_contacts(mesh, contacts):
+def first_contacts(pairs, contacts):
     """The first contact of the scene and of each world, body and vertex; -1 for none."""
+    mesh, order = pairs.mesh, np.argsort(contacts.toi, kind="stable")
     result = {"toi": np.full(1, -1), "world_toi": np.full(mesh.num_worlds, -1)}
     result |= {"body_toi": np.full(mesh.num_bodies, -1), "vertex_toi": np.full(mesh.num_vertices, -1)}
-    pairs, order = Moves(mesh, mesh.vertices, mesh.vertices).pairs, np.argsort(contacts.toi, kind="stable")
     for k in order[::-1].tolist():
         corners = pairs.corners(contacts.kind[k], contacts.primitives[k])[0]
         bodies = contacts.bodies[k]

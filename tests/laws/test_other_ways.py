@@ -7,11 +7,8 @@ place of launches, the device, the width of lanes, the place of a pair among oth
 import hashlib
 import os
 import pickle
-import subprocess
-import sys
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,14 +16,15 @@ import trimesh
 import warp as wp
 from expected_warnings import OF_ROUNDING
 from hard_cases import FAMILIES
-from scenes import crowd_of_three, pairs_in_worlds, sheet, with_static_at_rest
+from programs import begun
+from scenes import crowd_of_three, pairs_in_worlds, sheet, single, squeezed, tube, with_static_at_rest
 
 import ccd_warp as ccd
 from ccd_warp._engine.boxes import near_bodies
 from ccd_warp._runtime.every_module import every_module
 from laws import calls
 from laws.calls import CALLS, PRECISIONS, StepCase, on_device, pairs
-from laws.outputs import different, kept_outputs, outputs_of, tois_of
+from laws.outputs import assert_shared_bits, different, kept_outputs, outputs_of, rows_in_order, tois_of
 from laws.scenes import drawn
 
 pytestmark = [OF_ROUNDING, pytest.mark.filterwarnings("ignore:the distance|motion is None:RuntimeWarning")]
@@ -69,15 +67,8 @@ def parting():
 
 def slender():
     """Needles around an axis, squeezed, whose pairs are searched in a frame of their own, as they are many."""
-    turn = np.linalg.qr([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]])[0]
-    angle, i = np.linspace(0, 2 * np.pi, 800, endpoint=False), np.arange(800)
-    rings = [np.column_stack([0.1 * np.cos(angle), 0.1 * np.sin(angle), 0 * angle + z]) for z in (0.0, 10.0)]
-    x, j = np.concatenate(rings) @ turn.T, (i + 1) % 800
-    mesh = ccd.CollisionMesh.from_arrays(
-        [(x, np.concatenate([np.stack([i, j, i + 800], 1), np.stack([j, j + 800, i + 800], 1)]))]
-    )
-    across = x @ turn[:, 0]
-    return mesh, x, x - 0.6 * np.outer(across - across.mean(), turn[:, 0])
+    mesh = single(*tube())
+    return mesh, mesh.vertices, squeezed(mesh.vertices, 0.6)
 
 
 def needles():
@@ -218,7 +209,7 @@ def test_motions_of_many_worlds_one_after_another_change_no_bit(seed):
     pipeline = ccd.CollisionPipeline(mesh, max_pairs=1 << 16, max_contacts=1 << 16)
     reach = np.repeat([0.4, 0.03], 3)  # all in one slice
     for k, call in enumerate((*["mesh_ccd"] * 5, *["collision_free_step"] * 3, "launch", "launch")):
-        spread = np.append(np.full(3, (4.0, 3.0, 2.0)[k % 3]), np.ones(4))
+        spread = np.append(np.full(3, (4.0, 3.0, 100.0, 2.0)[k % 4]), np.ones(4))
         poses, twist = rng.normal(size=(count, 2, 7)) * spread, rng.normal(size=(count, 2, 6)) * reach
         motion = ccd.RigidMotion(poses.reshape(*axes, 7), twist=twist.reshape(*axes, 6))
         alone = ccd.CollisionPipeline(pickle.loads(pickle.dumps(mesh)), max_pairs=1 << 16, max_contacts=1 << 16)
@@ -244,6 +235,31 @@ def test_a_graph_changes_no_bit(scene):
     assert different(found, truth) == []
 
 
+def check_columns(of_device, expected, *there):
+    """What contacts on the device say, also of other positions, is what those on the host say."""
+    found = {name: getattr(of_device, name) for name in ("points", "vertices", "weights", "bodies", "world")}
+    pairs = [*((column, getattr(expected, name)) for name, column in found.items())]
+    pairs.append((of_device.points_at(*there), of_device.to_host(*there).points))
+    for column, of_host in pairs:  # of the plane points in space
+        rows = column.numpy()[rows_in_order(of_device)]
+        np.testing.assert_array_equal(rows[tuple(map(slice, of_host.shape))], of_host)
+
+
+def launched_in_turn(pipeline, x, y, moves, motion):
+    """Results of launches of a step in every form of its positions, which share their arrays, and how it is told.
+
+    Before it static bodies were elsewhere.
+    """
+    moving, (t0, t1) = pipeline.mesh.moving_vertices, (on_device(each, x.dtype.name) for each in (x, y))
+    aside = np.where(np.isin(np.arange(len(x)), moving)[:, None], 0, np.ptp(x))
+    pipeline.launch(x + aside, y + aside, **motion)
+    yield "to", pipeline.launch(x, y, **motion)
+    yield "to", pipeline.launch(t0, t1, **motion)
+    yield "to", pipeline.launch(x[moving], y[moving], **motion)
+    if not motion:
+        yield "by", pipeline.launch(t0, displacements=on_device(moves, x.dtype.name))
+
+
 _PLATE = np.array([[-1.0, -1, -1], [4.5, -4.5, 0], [0, 1.5, -4.5]])
 _LAUNCHED = [*range(24), 9031, *(scene for scene in ON_DEVICE if scene != "slender"), *(f"arcs {k}" for k in range(12))]
 
@@ -264,16 +280,15 @@ def test_a_launch_gives_the_bits_of_the_call_on_the_host(scene, monkeypatch):
             name: ccd.mesh_ccd(mesh, x.astype(float), z, precision=precision_of(scene), **case.options, **motion)
             for name, z in (("to", y.astype(float)), ("by", x.astype(float) + moves.astype(float)))
         }
-        launched = [
-            ("to", pipeline.launch(x, y, **motion)),
-            ("to", pipeline.launch(on_device(x, dtype), on_device(y, dtype), **motion)),
-        ]
-        for name, result in launched if motion else [*launched, ("by", None)]:
-            result = result or pipeline.launch(on_device(x, dtype), displacements=on_device(moves, dtype))
-            result, expected = result.to_host(), host[name]
+        for name, result in launched_in_turn(pipeline, x, y, moves, motion):
+            of_device, result, expected = result.contacts, result.to_host(), host[name]
             tois, expected_tois = ([tois_of(part) for part in by_doubt(each)] for each in (result, expected))
             if tois[1].keys() == expected_tois[1].keys():
                 assert_shared_bits(result, expected, ".toi", ".vertex_toi", ".body_toi", ".contacts.points")
+                if not motion:  # of which a list may have a pair in several slices
+                    check_columns(
+                        of_device, expected.contacts, *(on_device(each + case.size, dtype) for each in (x, y))
+                    )
             else:  # boxes in float32 decide which phantoms the solver sees that rounding hides from it
                 assert tois[0] == expected_tois[0] and precision_of(scene) == "float32"
         distance = (0.05 if dtype == "float64" else 0.02) * case.size
@@ -313,14 +328,6 @@ def by_doubt(result):
     """The contacts of a result, and those of them that may be none, as rounding hides the gap at the start."""
     is_hidden = result.contacts.status == ccd.CCDStatus.ROUNDING_LIMIT
     return result.contacts[~is_hidden], result.contacts[is_hidden]
-
-
-def assert_shared_bits(launched, host, *names):
-    """What both results have is equal in every bit, and has these names."""
-    launched, host = outputs_of(launched), outputs_of(host)
-    shared = launched.keys() & host.keys()
-    assert shared >= {*names} and len(shared) > 4
-    assert different(*({name: each[name] for name in shared} for each in (launched, host))) == []
 
 
 # --- another device: the emulated one where the run is on the CPU, which is asked in the place of a GPU ---
@@ -505,7 +512,7 @@ def digest_of_lanes():
 @pytest.mark.parametrize(
     ("lanes", "flags"), [("1", None), pytest.param("4", "-target-cpu haswell", marks=pytest.mark.long)]
 )
-def test_the_width_of_lanes_changes_no_bit(lanes, flags):
+def test_the_width_of_lanes_changes_no_bit(lanes, flags, tmp_path):
     from ccd_warp._runtime.lanes import cpu_lanes
 
     if wp.get_device().ordinal >= 0 or (flags and cpu_lanes() < 4):
@@ -513,9 +520,6 @@ def test_the_width_of_lanes_changes_no_bit(lanes, flags):
     script = "import conftest, warp; warp.set_device('cpu')\nfrom laws import test_other_ways\n"
     script += f"warp.config.cpu_compiler_flags = {flags!r}\n" if flags else ""
     script += "print(test_other_ways.digest_of_lanes())"
-    tests = Path(__file__).resolve().parents[1]
-    path = os.pathsep.join([str(tests), *filter(None, [os.environ.get("PYTHONPATH")])])
-    environment = {**os.environ, "CCD_WARP_LANES": lanes, "PYTHONPATH": path, "PYTHONWARNINGS": "ignore"}
-    done = subprocess.run([sys.executable, "-P", "-c", script], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split()[-1] == digest_of_lanes()
+    status, shown, error = begun(tmp_path, "-P", "-c", script, CCD_WARP_LANES=lanes, PYTHONWARNINGS="ignore")
+    assert status == 0, error
+    assert shown.split()[-1] == digest_of_lanes()

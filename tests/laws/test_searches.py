@@ -10,7 +10,7 @@ from laws.asked import SEEDS, kinds_of, scene_of
 from laws.calls import OF_SEARCH
 from laws.outputs import rows_of
 from laws.scenes import drawn
-from laws.truth import candidates, displacement_bounds, intersections, plane_value, proximities
+from laws.truth import candidates, check_sides, displacement_bounds, intersections, plane_value, proximities
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
@@ -71,6 +71,9 @@ def test_what_is_near_and_how_far_vertices_may_move(seed):
         exact, radii, size = np.array([near[row] for row in rows]).reshape(-1, 3).T
         # 1e-15 of the size is what is promised; points add the roundings of positions and weights
         assert (np.abs(found.distance - exact) <= 1e-15 * size).all()
+        check_sides(found, pairs)
+        spans = (found.features[:, None] >> np.arange(4) & 1 == 1) == (found.weights != 0)
+        assert spans[found.kind <= int(ccd.PairKind.EDGE_EDGE)].all()
         of_weights = (
             np.einsum("mk,mkd->md", found.weights, x[found.vertices]) - found.distance[:, None] * found.direction
         )

@@ -12,8 +12,11 @@ from laws.truth import (
     PLANE,
     UNITS,
     PlaneTruth,
+    check_sides,
     distances_at,
     first_times,
+    halfway,
+    plane_moves,
     sizes,
 )
 
@@ -59,17 +62,20 @@ def check_gaps(scene, start, end, pairs, contacts, unit):
 
 
 def check_places(scene, mesh, start, end, contacts, unit):
-    """The points of a contact are those of its primitives, and its normal is along the gap between them."""
-    of_pairs = contacts[contacts.kind != PLANE]
+    """The normal of a contact is along the gap between its primitives, its point halfway between their surfaces."""
+    of_pairs, limit = contacts[contacts.kind != PLANE], np.abs([start, end]).max(initial=0.0) * 2.0**-44
     x, y, t = start[of_pairs.vertices], end[of_pairs.vertices], of_pairs.toi[:, None, None]
-    gap = np.einsum("mk,mkd->md", of_pairs.weights, (1 - t) * x + t * y)
-    assert np.allclose(of_pairs.weights.sum(axis=1), 0, atol=1e-14)
-    length, limit = np.linalg.norm(gap, axis=1, keepdims=True), np.abs([start, end]).max(initial=0.0) * 2.0**-44
+    at_toi = (1 - t) * x + t * y
+    gap = np.einsum("mk,mkd->md", of_pairs.weights, at_toi)
+    velocity = np.einsum("mk,mkd->md", contacts.weights, (end - start)[contacts.vertices])
+    velocity -= plane_moves(contacts, mesh, start, end)
+    assert np.abs(velocity - contacts.relative_velocity).max(initial=0.0) <= limit
+    length = np.linalg.norm(gap, axis=1, keepdims=True)
     is_clear = length[:, 0] > scene.delta + 2**14 * unit * sizes(x, y) + limit
     assert (np.abs(gap - length * of_pairs.normal)[is_clear] <= 1e-3 * length[is_clear]).all()
     lengths = np.linalg.norm(contacts.normal, axis=1)
     assert np.all((np.abs(lengths - 1) < 1e-12) | (lengths == 0))
-    assert np.array_equal(of_pairs.bodies, mesh.vertex_body[of_pairs.vertices[:, [0, 3]]])
+    assert np.abs(halfway(of_pairs, mesh, at_toi) - of_pairs.points).max(initial=0.0) <= limit
 
 
 def check_planes(scene, mesh, start, end, pairs, found):
@@ -140,13 +146,13 @@ def test_contacts_of_a_step(seed, precision):
     found, truth = tois_of(contacts), exact_contacts(scene, start, end, pairs, scene.options["t_max"])
     assert truth.keys() <= found.keys()
     assert not [key for key, time in truth.items() if time.late(found[key])]
-    allowed = {(kind, *pair) for kind, of_kind in enumerate(pairs.of_kinds) for pair in of_kind.tolist()}
-    allowed |= {(int(PLANE), *pair) for pair in pairs.with_planes.tolist()}
-    assert found.keys() <= {key for key in allowed if ccd.PairKind(key[0]) in kinds_of(scene)}
+    of_kinds = [*pairs.of_kinds, pairs.with_planes]
+    assert found.keys() <= {(int(kind), *pair) for kind in kinds_of(scene) for pair in of_kinds[kind].tolist()}
     assert ((contacts.toi >= 0) & (contacts.toi <= scene.options["t_max"])).all()
     at_start = np.isin(contacts.status, [STATUS.INITIAL_CONTACT, STATUS.ROUNDING_LIMIT])
     assert (at_start <= (contacts.toi == 0)).all()
     check_gaps(scene, start, end, pairs, contacts, UNITS[precision])
+    check_sides(contacts, pairs)
     check_places(scene, mesh, start, end, contacts, UNITS[precision])
     check_planes(scene, mesh, start, end, pairs, found)
     check_minima(mesh, result, pairs)

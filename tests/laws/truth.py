@@ -161,6 +161,47 @@ def sizes(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.max([np.ptp(x, axis=1).max(axis=1), np.ptp(y, axis=1).max(axis=1)], axis=0)
 
 
+# --- what every table of pairs says ---
+
+_COLUMNS = ([0, 1, 2, 3], [0, 1, 2, 3], [0, 2, 3], [0, 2], [0])  # of different vertices, by kind
+
+
+def first_sides(found) -> np.ndarray:
+    """Which of the vertices of each pair are those of its first primitive, [n, 4]."""
+    return np.arange(4) < np.where(found.kind == 0, 1, np.where(found.kind == PLANE, 4, 2))[:, None]
+
+
+def check_sides(found, pairs: Pairs) -> None:
+    """The first primitive and its body come first, and its weights are 1 together, those of the other one -1."""
+    mesh, is_plane = pairs.mesh, found.kind == PLANE
+    for kind, columns in enumerate(_COLUMNS):
+        rows = found.kind == kind
+        assert np.array_equal(found.vertices[rows][:, columns], pairs.corners(kind, found.primitives[rows]))
+    bodies = mesh.vertex_body[found.vertices[:, [0, 3]]]
+    bodies[is_plane, 1] = mesh.planes.bodies[found.primitives[is_plane, 1]]
+    assert np.array_equal(found.bodies, bodies)
+    of_sides = [(found.weights * side).sum(axis=1) for side in (first_sides(found), ~first_sides(found))]
+    assert np.allclose(of_sides, [np.ones(len(found)), is_plane - 1.0], rtol=0, atol=1e-14)
+
+
+def halfway(contacts, mesh: ccd.CollisionMesh, places: np.ndarray) -> np.ndarray:
+    """The middle between the surfaces of two primitives, whose vertices are in these places, [n, 4, dimension]."""
+    between = 0.5 * np.einsum("mk,mkd->md", np.abs(contacts.weights), places)
+    if mesh.radius is not None:
+        sides = first_sides(contacts), ~first_sides(contacts)
+        first, second = ((mesh.radius[contacts.vertices] * side).max(axis=1) for side in sides)
+        between += 0.5 * (second - first)[:, None] * contacts.normal
+    return between
+
+
+def plane_moves(contacts, mesh: ccd.CollisionMesh, start, end) -> np.ndarray:
+    """How the planes of contacts move in the step, [n, dimension]; 0 for contacts of other kinds."""
+    moves, rows = np.zeros((len(contacts), mesh.dimension)), np.flatnonzero(contacts.kind == PLANE)
+    own = mesh.planes.vertices[contacts.primitives[rows, 1]]
+    moves[rows[own >= 0]] = (end - start)[own[own >= 0]]
+    return moves
+
+
 # --- vertices and planes ---
 
 

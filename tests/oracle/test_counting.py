@@ -27,7 +27,7 @@ def test_exact_times_decide_late_as_the_oracle_does(family):
             answer = np.full(len(exact), np.inf)
             answer[i] = toi
             assert times.faults(answer)["late"] == int(e.late(toi))
-            # one rounding each of the rest, the difference and the sum; the oracle refines τ to 80 bits
+            # one rounding each of the rest, the difference and the sum
             assert times.early_by(answer) == pytest.approx(e.early_by(toi), rel=4 * 2**-53, abs=2**-79)
 
 

@@ -9,11 +9,11 @@ import numpy as np
 import oracle
 import published
 import pytest
-from algebraic import Root, unit_roots, value_dyadic
+from algebraic import unit_roots
 from daily import marked
 from distance_oracle import exact_distance, exact_distance_tois, is_within
 from distance_queries import KINDS
-from flint import fmpq, fmpq_mat
+from flint import fmpq, fmpq_mat, fmpz_poly
 from hard_cases import FAMILIES, POINTS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -79,7 +79,8 @@ rationals = st.fractions(-1, 2, max_denominator=10**6) | st.sampled_from([0, 1, 
 @given(st.lists(rationals.map(Fraction), min_size=1, max_size=3), st.sampled_from([1, -1, 12]))
 def test_all_rational_roots_are_found_in_order(values, scale):
     roots = unit_roots(product([(-x.numerator, x.denominator) for x in values] + [(scale,)]))
-    assert [Fraction(r.numerator, r.denominator) for r in roots] == sorted({x for x in values if 0 <= x <= 1})
+    inside = sorted({x for x in values if 0 <= x <= 1})
+    assert [r.value for r in roots] == [fmpq(x.numerator, x.denominator) for x in inside]
 
 
 def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
@@ -88,7 +89,7 @@ def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
     assert first.compare(second) == second.compare(first) == 0 and first.compare(near) == -1 == -near.compare(first)
     assert first.sign_of((-3, 2, 2)) == -1 and near.sign_of((-1, 0, 2)) == 1 and near.sign_of((0, 0, 0)) == 0
     roots = unit_roots(product([(-(2**300), 3 * 2**300), (-(2**300) - 1, 3 * 2**300)]))
-    assert [Fraction(r.numerator, r.denominator) for r in roots] == [Fraction(1, 3), Fraction(2**300 + 1, 3 * 2**300)]
+    assert [r.value for r in roots] == [fmpq(1, 3), fmpq(2**300 + 1, 3 * 2**300)]
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -96,11 +97,10 @@ def test_roots_that_are_equal_or_two_to_the_minus_hundreds_apart():
 def test_refinement_keeps_the_root(poly, bits):
     roots = unit_roots(tuple(poly)) if any(poly) else []
     assert all(x.compare(y) < 0 for x, y in pairwise(roots))
-    for root in (root for root in roots if not root.denominator):
-        root.refine(bits)
-        ends = [value_dyadic(root.poly, root.a + i, root.k) for i in (0, 1)]
-        assert root.k >= bits and ends[0] * ends[1] < 0 and root.sign_of(tuple(poly)) == 0
-        assert Root.isolated(root.poly, root.a, root.k).compare(root) == 0
+    for root in (root for root in roots if root.value is None):
+        lo, hi = root.bounds(bits)
+        values = [fmpz_poly(list(root.poly))(x) for x in (lo, hi)]
+        assert hi - lo <= hi / 2**bits and values[0] * values[1] < 0 and root.sign_of(tuple(poly)) == 0
 
 
 @by_turns(0)

@@ -7,7 +7,7 @@ PLANTED = [
     # --- calls ---
     Fault("velocities that add up", "ccd_warp/_results/contact_place.py",
           "weights = contacts.weights[chunk, :, None]", "weights = np.abs(contacts.weights[chunk, :, None])",
-          ("calls/test_fields.py",)),
+          ("laws/test_truth.py::test_contacts_of_a_step",)),
     Fault("a library without the extra that has it", "ccd_warp/jax.py",
           "needs JAX; install with: pip install 'ccd-warp[interop]'", "needs JAX", ("calls/test_frameworks.py",)),
     Fault("launches that are recorded anew and kept each time", "ccd_warp/_engine/device/step.py",

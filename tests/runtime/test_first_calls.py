@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import warp as wp
 from programs import begun
+from scenes import sheet_over_floor
 
 import ccd_warp as ccd
 from ccd_warp._runtime.threads import run
@@ -32,11 +33,7 @@ def bits_of(name, options):
     if name in PAIRS:
         start, end = (x[:, : PAIRS[name]].copy() for x in POINTS)
         return getattr(ccd, name)(start, end, minimum_separation=0.02, **options).toi.tobytes()
-    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
-    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
-    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
-    end = mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
-    result = getattr(ccd, name)(mesh, mesh.vertices, end, num_threads=2, **options)
+    result = getattr(ccd, name)(*sheet_over_floor(4), num_threads=2, **options)
     field = {"mesh_ccd": "vertex_toi", "find_candidates": "edge_edge"}.get(name)
     return np.array(getattr(result, field) if field else result).tobytes()
 

@@ -3,8 +3,7 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -138,15 +137,10 @@ keep_in_cache(module, 1)
 """
 
 
-def _begin(copy, *arguments):
-    environment = {**os.environ, "PYTHONPATH": str(copy), "WARP_CACHE_PATH": str(copy.parent / "cache")}
-    environment.pop("PYTHONDONTWRITEBYTECODE", None)
-    command = [sys.executable, "-P", "-c", OF_COPY, *arguments]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-
-
-def _outcome(process):
-    is_recalled, module_hash = process.communicate()[0].split()[-2:]
+def _outcome(copy, *arguments):
+    """Whether a process that takes a copy of the package recalls the hash of a module, and the hash."""
+    of_copy = {"PYTHONPATH": str(copy), "WARP_CACHE_PATH": str(copy.parent / "cache"), "PYTHONDONTWRITEBYTECODE": ""}
+    is_recalled, module_hash = begun(copy, "-P", "-c", OF_COPY, *arguments, **of_copy)[1].split()[-2:]
     return is_recalled == "True", module_hash
 
 
@@ -161,29 +155,29 @@ def copy(tmp_path):
 
 
 def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes_between(copy, tmp_path):
-    both = [_begin(copy), _begin(copy)]
-    (_, first), (_, other) = map(_outcome, both)
-    assert first == other and _outcome(_begin(copy)) == (True, first)
+    with ThreadPoolExecutor(2) as threads:
+        (_, first), (_, other) = threads.map(_outcome, [copy, copy])
+    assert first == other and _outcome(copy) == (True, first)
     kept = [*(tmp_path / "cache").rglob("wp_ccd_warp.hashes/*")]
     assert len(kept) == 1 and json.loads(kept[0].read_text())["hashes"]
-    assert _outcome(_begin(copy, "edits")) == (True, first), "as it was executed"
+    assert _outcome(copy, "edits") == (True, first), "as it was executed"
     for name, words, is_of_module in (("pair/rounding.py", "", False), ("atomics.py", "values[index] |= bits", True)):
         path = copy / "ccd_warp" / "kernels" / name
         text = path.read_text()
         assert words in text
         path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n")
-        is_recalled, module_hash = _outcome(_begin(copy))
+        is_recalled, module_hash = _outcome(copy)
         assert not is_recalled and (module_hash != first) == is_of_module
 
 
 def test_no_hash_of_stale_bytecode_is_kept_and_none_of_its_source_taken_for_it(copy):
-    first, path = _outcome(_begin(copy))[1], copy / "ccd_warp" / "kernels" / "boxes" / "thickness.py"
+    first, path = _outcome(copy)[1], copy / "ccd_warp" / "kernels" / "boxes" / "thickness.py"
     text, time = path.read_text(), path.stat().st_mtime_ns
 
     def outcome_of(text):
         path.write_text(text)
         os.utime(path, ns=(time, time))  # as `rsync -t`, reproducible builds and layers of images leave it
-        return _outcome(_begin(copy))
+        return _outcome(copy)
 
     edited = text.replace("1.7976931348623157e308", "1.6976931348623157e308")
     assert outcome_of(edited) == (False, first)
@@ -197,10 +191,10 @@ OF_FIRST_CALL = """
 import warp as wp
 from ccd_warp.kernels import later
 
-from runtime import test_packaged
+import scenes
 
 before = len(later._functions)
-test_packaged.ccd.mesh_ccd(*test_packaged._scene())
+scenes.ccd.mesh_ccd(*scenes.sheet_over_floor(4))
 print(0 < before < len(later._functions))
 """
 

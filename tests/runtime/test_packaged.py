@@ -12,6 +12,7 @@ import warp as wp
 from ccd_warp.kernels.kept_code import codes
 from ccd_warp.kernels.later import sources
 from programs import begun
+from scenes import sheet_over_floor
 from shared_objects import SharedObjects
 from warp._src import build
 
@@ -171,13 +172,6 @@ def test_a_gpu_is_given_the_newest_code_of_its_own_generation(package, arch, cho
     assert packaged.load_packaged(module, device, 64) == bool(chosen) and module.loads == loads
 
 
-def _scene():
-    x = np.array([[i, j, 0.0] for i in range(5) for j in range(5)])
-    faces = [[k, k + 5, k + 1 + 5 * side] for side in (0, 1) for k in range(20) if k % 5 < 4]
-    mesh = ccd.CollisionMesh.from_arrays([(x + [0.1, 0.2, 1.0], faces), (x, faces)], static=[1])
-    return mesh, mesh.vertices, mesh.vertices - np.outer(mesh.vertex_body == 0, [0, 0, 1.5])
-
-
 OF_PROCESS = """
 import sys
 from pathlib import Path
@@ -190,7 +184,7 @@ packaged.FOLDER = Path(sys.argv[1])
 build.build_cpu = None
 from runtime import test_packaged
 
-print(test_packaged.ccd.mesh_ccd(*test_packaged._scene()).vertex_toi.tobytes().hex())
+print(test_packaged.ccd.mesh_ccd(*test_packaged.sheet_over_floor(4)).vertex_toi.tobytes().hex())
 """
 
 
@@ -205,7 +199,7 @@ def test_two_processes_at_once_need_neither_a_compiler_nor_a_cache(folder, tmp_p
 
     with ThreadPoolExecutor(2) as threads:
         both = [*threads.map(shown_with, [folder, folder])]
-    expected = ccd.mesh_ccd(*_scene()).vertex_toi.tobytes().hex()
+    expected = ccd.mesh_ccd(*sheet_over_floor(4)).vertex_toi.tobytes().hex()
     assert [out.split()[-1:] for out, _ in both] == [[expected]] * 2, both[0][1]
     assert not list(tmp_path.glob("ccd_warp_*")), "the cache in place of that which cannot be is gone at the end"
     assert f"cannot be written in {tmp_path}/file" in shown_with(tmp_path)[1]
@@ -273,7 +267,7 @@ def test_a_call_finds_all_modules_that_its_words_have_compiled(words, monkeypatc
     monkeypatch.setattr(launch, "load_or_repair", load)
     monkeypatch.setattr(launch, "_loaded", set())
     with wp.ScopedDevice("cpu"):
-        OF_WORDS[words](*_scene())
+        OF_WORDS[words](*sheet_over_floor(4))
     compiled = {*needed(names.values(), words.split(","))}
     assert loaded <= compiled
     is_plain = words in ("mesh_ccd", "pairs")

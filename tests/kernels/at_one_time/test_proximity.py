@@ -8,7 +8,7 @@ from distance_oracle import exact_distance
 from hard_cases import FAMILIES
 from hard_contacts import first_of_pair
 from laws.calls import on_device
-from laws.outputs import different, outputs_of
+from laws.outputs import different, outputs_of, rows_of
 from oracle import exact_gap
 from scenes import FACE, NO_FACES, crowd_of_all_kinds, pairs_in_worlds, stacked
 
@@ -26,10 +26,6 @@ def crowd(**arguments):
 
 def check_same(found, expected):
     assert different(outputs_of(found), outputs_of(expected)) == []
-
-
-def rows_of(found):
-    return [(KIND(k), *pair) for k, pair in zip(found.kind.tolist(), found.primitives.tolist(), strict=True)]
 
 
 # --- hard pairs ---
@@ -123,20 +119,6 @@ def test_a_vertex_near_the_common_edge_of_two_faces_is_one_proximity_in_several_
     assert rows_of(once) == [(KIND.VERTEX_FACE, 4, 0)]
     assert once.points.tolist() == [[[1, 0, 0.25], [1, 0, 0]]] and once.weights.tolist() == [[1, -0.5, -0.5, 0]]
     assert once.vertices.tolist() == [[4, 0, 1, 2]] and once.bodies.tolist() == [[1, 0]] and once.world.tolist() == [0]
-
-
-def test_unique_keeps_each_two_features_once():
-    found = ccd.find_proximity(*crowd(), 0.1)
-
-    def features(proximities):
-        spanned = []
-        for vertices, bits, kind in zip(proximities.vertices, proximities.features, proximities.kind, strict=True):
-            chosen, cut = [int(v) if bits >> k & 1 else None for k, v in enumerate(vertices)], 1 if kind == 0 else 2
-            spanned.append(frozenset(frozenset(side) - {None} for side in (chosen[:cut], chosen[cut:])))
-        return spanned
-
-    every, once = features(found), features(found.unique())
-    assert len(once) < len(every) and len({*once}) == len(once) and {*once} == {*every}
 
 
 def test_features_with_one_hash_are_told_apart(monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 from ccd_warp.kernels.boxes import body_frames as kernels
 from laws.outputs import different, outputs_of
-from scenes import sheet
+from scenes import TURN, sheet, squeezed, tube
 
 import ccd_warp as ccd
 from ccd_warp._engine.mesh import slender, topology
@@ -77,26 +77,6 @@ def test_points_that_meet_between_the_ends_of_a_turn_have_boxes_that_meet(t, t_e
 
 
 # --- searches ---
-
-
-# A rotation or reflection whose columns lie along no axis.
-TURN = np.linalg.qr(np.array([[1.0, 0.3, -0.2], [0.9, -1.0, 0.4], [1.1, 0.2, 1.3]]))[0]
-
-
-def tube(num=800):
-    """Needles around an axis along no axis of the coordinates: vertices, and two faces for each needle."""
-    angle = np.linspace(0, 2 * np.pi, num, endpoint=False)
-    circle = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    vertices = np.concatenate([np.column_stack([circle, np.full(num, z)]) for z in (0.0, 10.0)]) @ TURN.T
-    i, j = np.arange(num), (np.arange(num) + 1) % num
-    faces = np.concatenate([np.stack([i, j, i + num], axis=1), np.stack([j, j + num, i + num], axis=1)])
-    return vertices, faces
-
-
-def squeezed(vertices, share):
-    """A tube whose far side moves towards the near one, and beyond for a share above 1."""
-    across = (vertices - vertices.mean(axis=0)) @ TURN[:, 0]
-    return vertices - share * np.outer(across, TURN[:, 0])
 
 
 def needles_side_by_side():

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import warp as wp
+from laws.calls import EVERY_PER
 from oracle import exact_gap
 from scenes import FACE, NO_FACES, TRIANGLE, sheet
 from slides import FACES, GROUND, slides_of
@@ -16,7 +17,6 @@ NORMS = {
 }
 # In sizes of a pair, whose coordinates are no larger here: what a search may lose is a third of it.
 LOST = 400 * 2.0**-53
-EVERY_PER = ("scene", "world", "body", "vertex")
 every_norm = pytest.mark.parametrize("norm", NORMS)
 
 
