@@ -11,6 +11,7 @@ from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.scene import length_scale_of, norm_of
 from ccd_warp._engine.mesh.start_distances import corners_by_kind
 from ccd_warp._engine.mesh.topology import Positions
+from ccd_warp._engine.motion import Slice
 from ccd_warp._results.results import Contacts
 from ccd_warp._runtime.launch import Execution
 from ccd_warp.kernels.narrow_phase.sinks import START_DISTANCE
@@ -22,6 +23,7 @@ class StartDistanceStep(StepAtOneTime):
     """The start distance of each vertex."""
 
     goal = "start distances"
+    sink = int(START_DISTANCE)
 
     def __init__(self, workspace: Workspace, positions: Positions, *arguments: Any) -> None:
         """Begin at the first of these positions; the others are those at the end of the step."""
@@ -34,13 +36,14 @@ class StartDistanceStep(StepAtOneTime):
 
     def start_distances(self, distance: float) -> NDArray[np.float64]:
         """For each vertex how near it is to anything within a distance, inf beyond, as share and length, [V, 2]."""
-        plan = self.search(distance)
+        batches = self.search(distance)
+        return self.least_of_vertices(batches, self.workspace.start_distances).reshape(-1, 2)
+
+    def bind_options(self, time_slice: Slice) -> None:
+        """Let the kernels know how near is near, what pairs keep, and where start distances go."""
         found = self.workspace.start_distances
-        with self.timed("pairs"):
-            found.fill_(np.inf)
-            plan.bind(reach=self._reach(distance), start_distances=found.view(wp.int64))
-            batches = plan.batches(self.capacity())
-        return self.least_of_vertices(plan, batches, START_DISTANCE, found).reshape(-1, 2)
+        found.fill_(np.inf)
+        self.plan.bind(reach=self._reach(self.separation), start_distances=found.view(wp.int64))
 
     def _reach(self, distance: float) -> Any:
         """How near is near, and what pairs keep besides their radii."""

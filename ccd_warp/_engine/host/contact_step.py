@@ -93,7 +93,7 @@ class ContactStep(ImpactStep):
 
     def _find(self, time_slice: Slice, store: ContactStore) -> None:
         """Add the contacts of a slice, or of the whole step."""
-        plan = self.begin_slice(time_slice)
+        plan = self.begin(time_slice)
         with self.timed("pairs"):
             if time_slice is self.motion.slices[0]:
                 limit = self.options.memory_limit
