@@ -58,7 +58,7 @@ PLANTED = [
     Fault("the bound of a side in the cull below what it loses", "kernels/search/cull.py",
           "bound = _SIDES * dot(m, size)", "bound = _QUARTER * _SIDES * dot(m, size)", (_COUNTED,)),
     Fault("a pair of an earlier step as near as it was", "ccd_warp/_engine/host/start_witnesses.py",
-          "self._pairs) < 1.0).any()", "self._pairs) < np.inf).any()",
+          "self._pairs.shares(start) < 1.0", "self._pairs.shares(start) < np.inf",
           ("laws/test_other_ways.py::test_steps_repeated_and_after_others_change_no_bit_nor_one_another",)),
     # --- worlds of a motion ---
     Fault("bodies of slices as if half-spaces were last in the mesh", "ccd_warp/_rigid/motion_worlds.py",

@@ -43,9 +43,10 @@ class ImpactStep(HostStep):
         """
         self.lets_part = self.options.keeps_start_distances
         if start_distances is not None:
-            self.options = replace(self.options, precision="float64")
-            self.start_distances = self.workspace.start_distances
-            self.start_distances.assign(start_distances.ravel())
+            if self.options.precision != "float64":
+                self.options = replace(self.options, precision="float64")
+            self.workspace.start_distances.write(start_distances.ravel())
+            self.start_distances = self.workspace.start_distances.array
         return self
 
     def played_whole(self) -> Batch | None:

@@ -64,7 +64,7 @@ class LeastToiStep(ImpactStep):
         """
         witnesses, mesh = self.workspace.kept(StartWitnesses, StartWitnesses), self.mesh
         is_followed = self.paths is None and keeps_start_distances(mesh, self.options)
-        if is_followed and witnesses.are_within(mesh, self.options, self.positions[0]):
+        if is_followed and witnesses.are_within(self.options, self.positions[0]):
             return Earliest(0.0, None)
         self._lists_pairs = True
         toi = self.least_toi()
