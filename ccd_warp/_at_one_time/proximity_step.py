@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound
 from ccd_warp._engine.host.oddities import DistanceInEdges
-from ccd_warp._engine.host.plan import Batch, HostPlan
+from ccd_warp._engine.host.plan import Batch
 from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
@@ -122,11 +122,11 @@ class ProximityStep(StepAtOneTime):
         """Let the kernels know how near is near."""
         self.plan.bind(reach=self.reach(self.separation))
 
-    def begin_found(self, plan: HostPlan) -> None:
+    def begin_found(self) -> None:
         """Begin a list, with places for what the last call has found."""
-        super().begin_found(plan)
+        super().begin_found()
         self._store.begin(self.execution)
-        plan.bind(proximities=self._store.begin_batch(self._store.expected))
+        self.plan.bind(proximities=self._store.begin_batch(self._store.expected))
 
     def fits(self) -> bool:
         """Whether the list holds all pairs; the next one does if not."""

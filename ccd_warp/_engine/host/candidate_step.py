@@ -1,6 +1,5 @@
 """All pairs of a step whose boxes overlap."""
 
-from dataclasses import replace
 from typing import Any
 
 from ccd_warp._engine.host.candidates import NO_KEYS, Candidates, Collector, pairs_of, union
@@ -11,6 +10,7 @@ from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.topology import WIDTH
 from ccd_warp._engine.motion import Slice
+from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.status import PairKind
 
 
@@ -81,4 +81,5 @@ class CandidateStep(HostStep):
             return candidates
         with self.timed("planes"):
             near = self.planes.candidates(self.positions, self.inflation, self.motion.box_radius)
-        return replace(candidates, vertex_plane=near)
+        with_planes: Candidates = of_values(Candidates, vars(candidates) | {"vertex_plane": near})
+        return with_planes

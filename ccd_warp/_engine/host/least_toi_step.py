@@ -169,8 +169,9 @@ class LeastToiStep(ImpactStep):
         """Whether a step is played as a whole: not where a toi of half-spaces suffices, which are looked at first."""
         return super().plays_whole(plan) and not (self._any_suffices and plan.has_planes)
 
-    def begin_found(self, plan: HostPlan) -> None:
+    def begin_found(self) -> None:
         """Begin without a toi."""
+        plan = self.plan
         plan.counters.clear()
         plan.counters.set_least(np.inf)
         self._begin_list(plan)

@@ -137,7 +137,7 @@ class HostStep:
         self.begin_boxes(None if plan.near_bodies else self._bodies_near())
         self.bind_options(time_slice)
         plan.set_search(self.t_end, self.inflation, self.separation)
-        batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits, self.record_found)
+        batch = plan.play_step(self.capacity(), self.begin_found, self.fits, self.record_found)
         if batch is not None:
             self.timer.add(self.stages_with_planes if plan.has_planes else self.stages, moments + plan.marks)
             self.survivors |= batch.num_pairs
@@ -157,9 +157,9 @@ class HostStep:
     def bind_options(self, time_slice: Slice) -> None:
         """Let the kernels have what a slice is asked for."""
 
-    def begin_found(self, plan: HostPlan) -> None:
+    def begin_found(self) -> None:
         """Begin what is found of the pairs, before a whole step is played."""
-        plan.counters.clear()
+        self.plan.counters.clear()
 
     def fits(self) -> bool:
         """Whether there was a place for all of it."""
