@@ -22,7 +22,7 @@ PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
 
 # Pairs for which a list has places at least, and how many more than there were it has in the next call.
-_LEAST, _GROWTH = 1 << 10, 1.25
+LEAST_PLACES, _GROWTH = 1 << 10, 1.25
 # Pairs up to which a result has copies of them, as other arrays for the next list take longer.
 _FEW = 1 << 13
 _Columns = dict[str, Callable[[], NDArray[Any]]]
@@ -44,7 +44,7 @@ class ProximityStore:
     """
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
-        self.total, self.expected, self._capacity = 0, _LEAST, 0
+        self.total, self.expected, self._capacity = 0, LEAST_PLACES, 0
         self._topology, self._buffers = topology, buffers
         self._count = Written(wp.zeros(1, dtype=wp.int32, device=topology.device))
         self._list: Any = None  # until somebody else has it
@@ -70,7 +70,7 @@ class ProximityStore:
     def end_batch(self) -> None:
         """Count what the batch has appended."""
         self.total = int(self._count.array.numpy()[0])
-        self.expected = max(_LEAST, int(_GROWTH * self.total))
+        self.expected = max(LEAST_PLACES, int(_GROWTH * self.total))
 
     def ends_complete(self) -> bool:
         """Count what the only batch has appended; whether there was a place for each, as the next one has if not."""
@@ -83,7 +83,7 @@ class ProximityStore:
         A column is computed when it is asked for, sorted by kind and pair.
         """
         if self.total == 0:
-            return 0, _NOTHING | ({"shared_by": _NO_SHARES} if unique else {})
+            return 0, _NOTHING | ({"shared_by": partial(np.zeros, 0, np.int32)} if unique else {})
         if self._views is not None and self.total <= _FEW and not unique:
             return self.total, self._copied(self._views)
         return self._given_away(unique=unique)
@@ -142,9 +142,8 @@ class ProximityStore:
 
 _NOTHING: _Columns = {
     name: partial(np.zeros, (0, *shape), dtype)
-    for name, (dtype, shape) in {name: on_host(dtype) for name, dtype in PROXIMITY_DTYPES.items()}.items()
+    for name, (dtype, shape) in zip(PROXIMITY_DTYPES, map(on_host, PROXIMITY_DTYPES.values()), strict=True)
 }
-_NO_SHARES = partial(np.zeros, 0, np.int32)
 
 
 def _in_order(values: NDArray[Any], order: Callable[[], NDArray[np.intp]]) -> NDArray[Any]:

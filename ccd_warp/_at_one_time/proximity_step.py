@@ -7,7 +7,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, ProximityStore, largest_bound
+from ccd_warp._at_one_time.proximities import BYTES_PER_PROXIMITY, LEAST_PLACES, ProximityStore, largest_bound
 from ccd_warp._engine.host.oddities import DistanceInEdges
 from ccd_warp._engine.host.plan import Batch
 from ccd_warp._engine.host.step import HostStep
@@ -143,7 +143,7 @@ class ProximityStep(StepAtOneTime):
         if self.planes is not None:
             begin = lambda count: plan.bind(proximities=store.begin_batch(count))  # noqa: E731
             with self.timed("planes"):
-                count = self.planes.listed(store.expected, begin, Stages.list_near_planes)
+                count = self.planes.listed(LEAST_PLACES, begin, Stages.list_near_planes)
                 self.survivors[PairKind.VERTEX_PLANE] = count
                 store.end_batch()
         for batch in self.batches(batches):

@@ -64,7 +64,7 @@ class StartDistanceStep(StepAtOneTime):
         plan.bind(reach=self._reach(distance))
         plan.play(*worlds.section(contacts, self.norm()))
         plan.release_positions()
-        return worlds.near.numpy() != 0
+        return worlds.near.array.numpy() != 0
 
 
 class _NearWorlds:
@@ -76,8 +76,7 @@ class _NearWorlds:
 
     def __init__(self, topology: Topology) -> None:
         self._topology, self._arrays = topology, dict[int, dict[str, Written]]()
-        self._count, near = (Written(self._zeros(n, wp.int32)) for n in (1, topology.mesh.num_worlds))
-        self._near, self.near = near, near.array
+        self._count, self.near = (Written(self._zeros(n, wp.int32)) for n in (1, topology.mesh.num_worlds))
 
     def _zeros(self, count: int, dtype: Any) -> wp.array:
         return wp.zeros(count, dtype=dtype, device=self._topology.device)
@@ -91,12 +90,12 @@ class _NearWorlds:
         for name, array in arrays.items() if len(contacts) else ():
             array.write_first(getattr(contacts, name))
         self._count.write(np.int32(len(contacts)))
-        self._near.write(np.int32(0))
+        self.near.write(np.int32(0))
 
         def record(stages: Stages, recording: Recording) -> None:
             kernel = specialised("at_one_time.near_contacts", norm=norm.shape).note_near_contacts
             listed = [self._count.array, *(array.array for array in arrays.values())]
             of_step = [stages.step.vertices_t0, stages.step.vertices_t1, stages.reach, stages.step.minima]
-            recording.launch(kernel, capacity, [*listed, *corners_by_kind(self._topology), *of_step], [self.near])
+            recording.launch(kernel, capacity, [*listed, *corners_by_kind(self._topology), *of_step], [self.near.array])
 
         return f"{capacity} near contacts", record
