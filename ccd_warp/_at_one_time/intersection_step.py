@@ -1,6 +1,6 @@
 """What intersects at one time: candidates of the search, tests in float64, exact tests of what these leave open."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from ccd_warp._at_one_time import exact_intersections as exact
 from ccd_warp._at_one_time import intersection_points as points
 from ccd_warp._at_one_time.edge_points import EdgePointTopology, MeshWithEdgePoints
 from ccd_warp._engine.boxes.body_boxes import bodies_near
-from ccd_warp._engine.host.plan import HostPlan
+from ccd_warp._engine.host.plan import Batch, HostPlan
 from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.planes import vertices_in_half_spaces
@@ -89,15 +89,12 @@ class IntersectionStep(HostStep):
             execution = HostPlan.of(self.workspace, self.options, self.goal, self.norm(), self.motion).execution
             fill = self.points.fill_positions
             execution.run([lambda k=k, at=at: fill(self.x, at, k) for k, at in enumerate(self.positions)])  # type: ignore[misc]
-        plan = self.begin(1.0, inflation=0.0)
-        with self.timed("pairs"):
-            plan.set_search(1.0, 0.0, 0.0)
-            batches = plan.batches(self.capacity())
-        for batch in self.batches(batches):
+        whole = self.played_whole()
+        for batch in self._searched() if whole is None else (whole,):
             with self.timed("tests"):
                 for kind, count in batch.num_pairs.items():
                     if count:
-                        keys = plan.memory.keys(kind, count)
+                        keys = self.plan.memory.keys(kind, count)
                         self._take(kind, keys, self.topology.corner_arrays(kind))
         with self.timed("tests"):
             self._take_more(PairKind.EDGE_EDGE, _keys_of(self.points.close_edges))
@@ -106,6 +103,14 @@ class IntersectionStep(HostStep):
             kinds, pairs, parameters = (np.concatenate(part) for part in zip(*parts, strict=True))
         self.finish(num_vertices=self.original.num_vertices)
         return located(self.original, self.x[:, : self.original.dimension], kinds, pairs, parameters)
+
+    def _searched(self) -> Iterator[Batch]:
+        """The batches of a search that is played section by section."""
+        plan = self.begin()
+        with self.timed("pairs"):
+            plan.set_search(self.t_end, self.inflation, self.separation)
+            batches = plan.batches(self.capacity())
+        return self.batches(batches)
 
     def _take(self, kind: PairKind, keys: wp.array, corner_arrays: tuple[str, str]) -> None:
         """Test pairs, given by keys on the device, and keep those that are not apart."""

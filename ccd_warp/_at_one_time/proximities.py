@@ -21,6 +21,11 @@ from ccd_warp.kernels.at_one_time.unique import FeaturePairs
 PROXIMITY_DTYPES = dtypes_of(kernels.ProximityList)
 BYTES_PER_PROXIMITY = sum(map(wp.types.type_size_in_bytes, PROXIMITY_DTYPES.values()))
 
+# Pairs for which a list has places at least, and how many more than there were it has in the next call.
+LEAST_PLACES, _GROWTH = 1 << 10, 1.25
+# Pairs up to which a result has copies of them, as other arrays for the next list take longer.
+_FEW = 1 << 13
+_Columns = dict[str, Callable[[], NDArray[Any]]]
 
 new_proximity_list = partial(struct_of, kernels.ProximityList)
 
@@ -35,10 +40,11 @@ class ProximityStore:
 
     Attributes:
         total: Number of pairs found.
+        expected: Number of pairs for which a list begins with places.
     """
 
     def __init__(self, topology: Topology, buffers: Buffers) -> None:
-        self.total = self._capacity = 0
+        self.total, self.expected, self._capacity = 0, LEAST_PLACES, 0
         self._topology, self._buffers = topology, buffers
         self._count = Written(wp.zeros(1, dtype=wp.int32, device=topology.device))
         self._list: Any = None  # until somebody else has it
@@ -56,23 +62,42 @@ class ProximityStore:
             }
             self._list = new_proximity_list({"count": self._count.array, **arrays})
             self._capacity = min(map(len, arrays.values()))
+            is_cpu = self._topology.device.is_cpu
+            self._views = {name: array.numpy() for name, array in arrays.items()} if is_cpu else None
         self._count.write(np.int32(self.total))
         return self._list
 
     def end_batch(self) -> None:
         """Count what the batch has appended."""
         self.total = int(self._count.array.numpy()[0])
+        self.expected = max(LEAST_PLACES, int(_GROWTH * self.total))
 
-    def gather(self, *, unique: bool) -> tuple[int, dict[str, Callable[[], NDArray[Any]]]]:
+    def ends_complete(self) -> bool:
+        """Count what the only batch has appended; whether there was a place for each, as the next one has if not."""
+        self.end_batch()
+        return self.total <= self._capacity
+
+    def gather(self, *, unique: bool) -> tuple[int, _Columns]:
         """The number of all pairs, or of the first of each two features alone, and their columns by name.
 
-        A column is computed when it is asked for, sorted by kind and pair, from the list, which is then no one else's.
+        A column is computed when it is asked for, sorted by kind and pair.
         """
+        if self.total == 0:
+            return 0, _NOTHING | ({"shared_by": partial(np.zeros, 0, np.int32)} if unique else {})
+        if self._views is not None and self.total <= _FEW and not unique:
+            return self.total, self._copied(self._views)
+        return self._given_away(unique=unique)
+
+    def _copied(self, views: dict[str, NDArray[Any]]) -> _Columns:
+        """The columns of few pairs on the host, from copies."""
+        copies = {name: view[: self.total].copy() for name, view in views.items()}
+        first, second = copies["primitives"].T
+        order = cache(lambda: np.lexsort((second, first, copies["kind"])))
+        return {name: partial(_in_order, values, order) for name, values in copies.items()}
+
+    def _given_away(self, *, unique: bool) -> tuple[int, _Columns]:
+        """The same from the list, which is then no one else's."""
         device, count, pairs = self._execution.device, self.total, self._list
-        if count == 0:
-            arrays = {name: on_host(dtype) for name, dtype in PROXIMITY_DTYPES.items()}
-            arrays |= {"shared_by": (np.int32, ())} if unique else {}
-            return 0, {name: partial(_nothing, dtype, shape) for name, (dtype, shape) in arrays.items()}
         keys: wp.array = wp.empty(2 * count if device.is_cuda else count, dtype=wp.int64, device=device)
         rows = shared_by = None
         if unique:
@@ -115,9 +140,15 @@ class ProximityStore:
         return rows, shared.shared_by.numpy()[rows]
 
 
-def _nothing(dtype: type, shape: tuple[int, ...]) -> NDArray[Any]:
-    """A column of no pairs."""
-    return np.zeros((0, *shape), dtype)
+_NOTHING: _Columns = {
+    name: partial(np.zeros, (0, *shape), dtype)
+    for name, (dtype, shape) in zip(PROXIMITY_DTYPES, map(on_host, PROXIMITY_DTYPES.values()), strict=True)
+}
+
+
+def _in_order(values: NDArray[Any], order: Callable[[], NDArray[np.intp]]) -> NDArray[Any]:
+    """A column of pairs, sorted."""
+    return values.take(order(), axis=0)
 
 
 def _order(keys: wp.array, count: int, execution: Execution) -> NDArray[np.intp]:

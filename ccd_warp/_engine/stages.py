@@ -1,6 +1,7 @@
 """The stages of a step, each written once: a driver gives them an `Execution`, or a `Recording` to record them in."""
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from typing import Any
@@ -21,7 +22,7 @@ from ccd_warp.kernels.narrow_phase.sinks import BOUND, CONTACTS, DISPLACEMENT, N
 from ccd_warp.kernels.narrow_phase.whole_warp import WARP
 from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.pair.turns import Turns
-from ccd_warp.kernels.search.search_types import CULL, LIST, Candidates, Searched
+from ccd_warp.kernels.search.search_types import BOXES, CULL, LIST, Candidates, Searched
 from ccd_warp.kernels.step import contacts, device_step
 from ccd_warp.kernels.step.minima import FOUND, OPEN
 from ccd_warp.kernels.step.pair_list import LeastToi, PairList, Round
@@ -32,6 +33,8 @@ Launcher = Execution | Recording
 # Parts of a search for each CPU thread, and the fewest blocks of queries that are worth a part.
 _PARTS_PER_THREAD = 8
 _SMALLEST_SEARCH = 64
+# The most blocks of queries that are one part of a search, whose pairs are in the order of the boxes.
+MOST_IN_ORDER = 2 * _SMALLEST_SEARCH - 1
 # Largest number of CUDA threads that share the candidates of a kind; and of warps that search for the candidates
 # of a tree pair again if they exceeded the list, so few that a launch takes no time where they did not.
 _MOST_CULLS = 1 << 17
@@ -86,6 +89,7 @@ class Stages:
         is_thick: Whether each pair has a distance of its own.
         search_options: What the search is asked for.
         options: What the narrow phase is asked for.
+        ranges: Of a search for all pairs whose boxes overlap, on the CPU, how many keys of a kind it may write.
         open_toi: Beside each key of a pair that the first round leaves open its toi so far, where no contacts are kept.
         queue: On CUDA, the queue of open pairs of a kind, one for all kinds.
         plane_query: What vertices and planes are asked for; None where there are no half-spaces.
@@ -113,6 +117,7 @@ class Stages:
     is_thick: bool
     search_options: Any
     options: Any
+    ranges: dict[PairKind, Any] = field(default_factory=dict)
     open_toi: dict[PairKind, Any] = field(default_factory=dict)
     queue: Any = None
     plane_query: Any = None
@@ -259,7 +264,7 @@ class Stages:
         if not tree_pairs:
             return
         if not recording.is_cuda:
-            with recording.at_once():
+            with nullcontext() if self.ranges else recording.at_once():
                 for number, tree_pair in enumerate(tree_pairs):
                     needed = None
                     if is_needed is not None and tree_pair.target.primitives.is_static:
@@ -290,7 +295,9 @@ class Stages:
         marks_overflow: bool = False,
         is_needed: Callable[[], bool] | None = None,
     ) -> None:
-        """On the CPU: search a tree pair, and count all pairs that the cull leaves, whether or not there was capacity.
+        """On the CPU: search a tree pair, and count all that is left, whether or not there was capacity.
+
+        These are the pairs that the cull leaves, or with `ranges` all whose boxes overlap.
 
         Args:
             launcher: Where to launch, or to record.
@@ -306,13 +313,14 @@ class Stages:
         num_tests = count * WIDTH**level * tree_pair.target.primitives.count
         num_parts = max(1, min(count // _SMALLEST_SEARCH, _PARTS_PER_THREAD * launcher.num_threads))
         is_long = num_tests > LONG_SEARCH * num_parts
+        part = self.ranges.get(tree_pair.kind)
+        kernel = self.search_kernel(tree_pair, CULL if part is None else BOXES, is_cuda=False)
+        if part is None:
+            part = search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow)
         launcher.launch(
-            self.search_kernel(tree_pair, CULL, is_cuda=False),
+            kernel,
             count,
-            inputs=[
-                search_range(level, int(tree_pair.kind), items, marks_overflow=marks_overflow),
-                *self.searched(tree_pair),
-            ],
+            inputs=[part, *self.searched(tree_pair)],
             outputs=[self.step, self.keys[tree_pair.kind]],
             grain=_SMALLEST_SEARCH,
             parts_per_thread=_PARTS_PER_THREAD,

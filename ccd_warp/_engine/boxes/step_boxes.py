@@ -155,10 +155,12 @@ class StepBoxes:
             self._laid_out.clear()
             size = mesh.num_vertices * num_aabbs * VERTEX_AABB_FLOATS
             self.vertex_aabbs = self.buffers.get("vertex_aabbs", size, wp.float32)
-        if keeps_order and id(sets) in self._laid_out:
+        if id(sets) in self._laid_out:
             self.num_boxes += self._laid_out[id(sets)][1]
         else:
-            self._lay_out_all(sets, num_aabbs, positions, execution, keeps_order=keeps_order)
+            self._lay_out_all(sets, num_aabbs, positions, execution)
+        if not keeps_order:
+            self._begin_in_rest_order(sets)
         if mesh.static_vertex_ranges:
             self._begin_static(start, inflation, execution)
             for box_set in sets:
@@ -168,9 +170,7 @@ class StepBoxes:
                     self.keep_in_order(box_set, execution)
                     self._filled.add(box_set.name)
 
-    def _lay_out_all(
-        self, sets: Sequence[BoxSet], num_aabbs: int, positions: Positions, execution: Execution, *, keeps_order: bool
-    ) -> None:
+    def _lay_out_all(self, sets: Sequence[BoxSet], num_aabbs: int, positions: Positions, execution: Execution) -> None:
         """Give all sets their arrays; of trees these stay, so that it is not asked again."""
         layout = Layout(
             num_aabbs,
@@ -180,7 +180,7 @@ class StepBoxes:
             self.topology.vertex_group,
         )
         for box_set in sets:
-            self._lay_out(box_set, layout, keeps_order=keeps_order)
+            self._lay_out(box_set, layout)
         if not any(box_set.is_sorted_when_filled for box_set in sets):
             moving = [box_set.primitives for box_set in sets if not box_set.primitives.is_static]
             self._laid_out[id(sets)] = sets, sum(primitives.count for primitives in moving)
@@ -204,8 +204,8 @@ class StepBoxes:
         elif num_vertices <= _FEW_VERTICES and self.topology.mesh.num_worlds == 1:
             self._around = _Around.of(positions, self.quantization)
 
-    def _lay_out(self, box_set: BoxSet, layout: Layout, *, keeps_order: bool) -> None:
-        """Give a set its arrays, and a tree of moving bodies its order."""
+    def _lay_out(self, box_set: BoxSet, layout: Layout) -> None:
+        """Give a set its arrays, and a new tree of moving bodies the order of the rest configuration."""
         is_new = box_set.name not in self._rest
         if is_new:
             box_set.lay_out(layout)
@@ -214,11 +214,16 @@ class StepBoxes:
         if is_changed:
             self._rest[box_set.name] = box_set.structs
             self._filled.discard(box_set.name)
+            self._are_neighbours.pop(box_set.name, None)
         if not box_set.primitives.is_static:
-            if is_changed or not keeps_order:
+            self.num_boxes += box_set.primitives.count
+
+    def _begin_in_rest_order(self, sets: Sequence[BoxSet]) -> None:
+        """Give trees of moving bodies the order of the rest configuration."""
+        for box_set in sets:
+            if not box_set.primitives.is_static:
                 box_set.structs = self._rest[box_set.name]
                 self._are_neighbours.pop(box_set.name, None)
-            self.num_boxes += box_set.primitives.count
 
     def _begin_static(self, start: NDArray[np.float64], inflation: float, execution: Execution) -> None:
         """Compute the vertex AABBs of static bodies, unless they are those of an earlier step."""

@@ -22,6 +22,7 @@ _CHUNK = 1 << 14
 _TASK = 1 << 17
 # The first index is the upper half of a key.
 _COLUMNS = slice(None, None, -1 if sys.byteorder == "little" else 1)
+NO_KEYS: NDArray[np.int64] = np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ class Collector:
             for found in sorted(of_kind, key=lambda found: found.part.place):
                 piece = pairs[begin : begin + found.count]
                 self._pieces[kind].append((found.part, piece))
-                copies.append((piece, found.host_keys().view(np.int32).reshape(-1, 2)[:, _COLUMNS]))
+                copies.append((piece, _columns_of(found.host_keys())))
                 begin += found.count
             if begin:
                 self._batches[kind].append(pairs)
@@ -150,6 +151,19 @@ def validated_inflation(value: float) -> float:
     return check_real("inflation", value, "a finite length that is not negative", lambda x: x >= 0)
 
 
+def pairs_of(keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """The pairs of keys, in a new array."""
+    pairs = np.empty((len(keys), 2), dtype=np.int32)
+    if len(keys):
+        _copy_pairs(pairs, _columns_of(keys))
+    return pairs
+
+
+def _columns_of(keys: NDArray[np.int64]) -> NDArray[np.int32]:
+    """A view of keys as pairs."""
+    return keys.view(np.int32).reshape(-1, 2)[:, _COLUMNS]
+
+
 def _copy_pairs(target: NDArray[np.int32], source: NDArray[np.int32]) -> None:
     """Copy pairs column by column in chunks that fit the cache, which NumPy does four times as fast as by rows."""
     for k in range(0, len(target), _CHUNK):
@@ -161,7 +175,7 @@ def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
     """Pairs in lexicographic order, in a new array."""
     result = np.empty_like(pairs, order="C")
     keys: NDArray[np.int64] = np.empty(len(pairs), dtype=np.int64)
-    keys.view(np.int32).reshape(-1, 2)[:, _COLUMNS] = pairs
+    _columns_of(keys)[:] = pairs
     threads = default_num_threads() if len(pairs) > _WORTH_RANGES else 1
     cuts = [len(keys) * k // threads for k in range(threads + 1)]
     if threads > 1:
@@ -170,7 +184,7 @@ def _sorted_pairs(pairs: NDArray[np.int32]) -> NDArray[np.int32]:
 
     def finish(low: int, high: int) -> None:
         keys[low:high].sort()
-        _copy_pairs(result[low:high], keys[low:high].view(np.int32).reshape(-1, 2)[:, _COLUMNS])
+        _copy_pairs(result[low:high], _columns_of(keys[low:high]))
 
     run([lambda c=c: finish(*c) for c in itertools.pairwise(cuts)], threads)  # type: ignore[misc]
     return result

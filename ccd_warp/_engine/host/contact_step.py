@@ -93,7 +93,7 @@ class ContactStep(ImpactStep):
 
     def _find(self, time_slice: Slice, store: ContactStore) -> None:
         """Add the contacts of a slice, or of the whole step."""
-        plan = self.begin_slice(time_slice)
+        plan = self.begin(time_slice)
         with self.timed("pairs"):
             if time_slice is self.motion.slices[0]:
                 limit = self.options.memory_limit
@@ -137,11 +137,11 @@ class ContactStep(ImpactStep):
         """Whether a step is played as a whole: not where few of the queries of a large mesh are needed."""
         return super().plays_whole(plan) and not (self.among is not None and plan.may_leave_out_queries)
 
-    def begin_found(self, plan: HostPlan) -> None:
+    def begin_found(self) -> None:
         """Begin a list of contacts, with places for those of the last step."""
         store = self.workspace.contacts
         store.begin(self.execution, MOST_PAIRS)
-        plan.bind(contacts=store.begin_batch(0))
+        self.plan.bind(contacts=store.begin_batch(0))
 
     def fits(self) -> bool:
         """Whether the list holds all contacts; a longer one is made if not."""

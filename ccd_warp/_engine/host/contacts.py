@@ -180,6 +180,7 @@ class ContactStore:
             }
             self._list = new_contact_list({"count": self.count, **arrays})
             self._capacity = min(map(len, arrays.values()))
+            self._views = None if self._is_cuda else {name: array.numpy() for name, array in arrays.items()}
         self._read = None
         if self._is_cuda:
             self.count.fill_(kept)
@@ -247,10 +248,9 @@ class ContactStore:
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the contacts in the list, of which there are some; on the CPU the list's own memory."""
-        arrays, count = {name: getattr(self._list, name) for name in CONTACT_DTYPES}, self.total
-        if self._is_cuda:
-            return {name: array[:count].numpy() for name, array in arrays.items()}
-        return {name: array.numpy()[:count] for name, array in arrays.items()}
+        if self._views is None:
+            return {name: getattr(self._list, name)[: self.total].numpy() for name in CONTACT_DTYPES}
+        return {name: view[: self.total] for name, view in self._views.items()}
 
     def gather(self, *, is_ordered: bool = True) -> dict[str, Any]:
         """All contacts, sorted by kind and pair, and the first of every vertex, body and world: fields of `MeshResult`.

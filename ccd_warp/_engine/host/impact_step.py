@@ -13,12 +13,9 @@ from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.mesh.lengths import half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.motion import Slice
-from ccd_warp._runtime.status import PairKind
 
 if TYPE_CHECKING:
     from ccd_warp.kernels.pair.turns import Turns
-
-_STAGES = "input", "boxes", "pairs", "narrow phase"
 
 
 class ImpactStep(HostStep):
@@ -27,16 +24,14 @@ class ImpactStep(HostStep):
     Attributes:
         lets_part: Whether what starts within its distance may part and slide.
         start_distances: How near each vertex was to anything at the start, on the device; None where none keeps that.
-        far_distance: The distance of pairs, if it is many edges long.
-        stages_with_planes: The names of the stages of a whole step with half-spaces, in their order.
         among: Vertices of which a pair has at least one whose contacts are wanted; None where those of all are.
     """
 
     is_for_impacts, lets_part = True, False
+    stages = "input", "boxes", "pairs", "narrow phase"
     stages_with_planes = "input", "boxes", "pairs", "planes", "narrow phase"
     among: NDArray[np.bool_] | None = None
     start_distances: wp.array | None = None
-    far_distance: DistanceInEdges | None = None
 
     def parting(self, start_distances: NDArray[np.float64] | None = None) -> Self:
         """This step, in which what starts within its distance may part and slide, if the options let it.
@@ -48,72 +43,33 @@ class ImpactStep(HostStep):
         """
         self.lets_part = self.options.keeps_start_distances
         if start_distances is not None:
-            self.options = replace(self.options, precision="float64")
-            self.start_distances = self.workspace.start_distances
-            self.start_distances.assign(start_distances.ravel())
+            if self.options.precision != "float64":
+                self.options = replace(self.options, precision="float64")
+            self.workspace.start_distances.write(start_distances.ravel())
+            self.start_distances = self.workspace.start_distances.array
         return self
 
     def played_whole(self) -> Batch | None:
-        """All pairs of a step, solved but for the second round of a bound, of which all stages are played as one.
-
-        The sections of a recording are played whole where all that the last step of the same plan found did fit, of
-        one slice and one search, without a limit of memory.
-
-        Returns:
-            The pairs; None if nothing has been done, and the step is to be played section by section.
-        """
-        if self.options.memory_limit is not None or len(self.motion.slices) > 1:
-            return None
-        plan, time_slice = self.plan_of_step(), self.motion.slices[0]
-        if not self.plays_whole(plan):
-            return None
-        now = plan.now = self.timer.now
-        begin = now()
-        self.begin_plan(plan, time_slice)
-        plan.set_positions(self.positions)
-        self.inflation = self._inflation()
-        if self.far_distance is not None:
-            return None
-        moments = [begin, now()]
-        self.begin_boxes(self.motion.t_end, None if plan.near_bodies else self._bodies_near())
-        self.bind_options(time_slice)
-        plan.set_search(self.motion.t_end, self.inflation, self.separation)
-        batch = plan.play_step(self.capacity(), lambda: self.begin_found(plan), self.fits)
+        """All pairs of a step whose stages are played as one section (`HostStep.played_whole`)."""
+        batch = super().played_whole()
         if batch is not None:
-            self.timer.add(self.stages_with_planes if plan.has_planes else _STAGES, moments + plan.marks)
-            self.survivors |= batch.num_pairs
-            if plan.near_bodies:
-                self._num_active_bodies = plan.note_bodies_near()
-            if self.planes is not None:
-                self.survivors[PairKind.VERTEX_PLANE] = self.planes.count()
-            self.oddities.note_pairs(plan, sum(self.survivors.values()), batch.num_pairs)
+            self.oddities.note_pairs(self.plan, sum(self.survivors.values()), batch.num_pairs)
         return batch
 
     def plays_whole(self, plan: HostPlan) -> bool:
         """Whether a step of one slice is played as a whole."""
         return plan.has_fitted and not plan.sampled_pairs
 
-    def begin_found(self, plan: HostPlan) -> None:
-        """Begin what the narrow phase writes, before a whole step is played."""
-
-    def fits(self) -> bool:
-        """Whether that was large enough."""
-        return True
-
-    def begin_slice(self, time_slice: Slice) -> HostPlan:
-        """Compute the boxes of a slice, or of the whole step, in which pairs within their distance overlap."""
-        return self.begin(self.motion.t_end, self._inflation, time_slice)
-
-    def _inflation(self) -> float:
-        plan, options = self.plan, self.options
+    def set_extent(self) -> None:
+        """Let boxes of pairs within their distance overlap, until the end of the motion."""
+        plan, options, self.t_end = self.plan, self.options, self.motion.t_end
         if plan.lengths[0] is not options:
             length_scale = length_scale_of(self.mesh, options)
             separation = options.separation(length_scale)
             plan.lengths = options, length_scale, separation, half_rounded_up(separation)
-        _, self.length_scale, self.separation, inflation = plan.lengths
+        _, self.length_scale, self.separation, self.inflation = plan.lengths
         if self.separation > 0.0 or self.mesh.is_thick:
             self._note_distance()
-        return inflation
 
     def _note_distance(self) -> None:
         """Note the distance of pairs, if it is many edges long."""

@@ -64,16 +64,16 @@ class LeastToiStep(ImpactStep):
         """
         witnesses, mesh = self.workspace.kept(StartWitnesses, StartWitnesses), self.mesh
         is_followed = self.paths is None and keeps_start_distances(mesh, self.options)
-        if is_followed and witnesses.are_within(mesh, self.options, self.positions[0]):
+        if is_followed and witnesses.are_within(self.options, self.positions[0]):
             return Earliest(0.0, None)
         self._lists_pairs = True
         toi = self.least_toi()
-        if toi == np.inf or self._is_cut_short:
+        if toi == np.inf or self._is_cut_short or (toi <= 0.0 and not is_followed):
             return Earliest(toi, None)
         pairs = self.workspace.contacts.with_toi(toi)
         if toi > 0.0:
             return Earliest(toi, pairs)
-        if is_followed and pairs is not None:
+        if pairs is not None:
             witnesses.note(mesh, self.options, self.positions[0], pairs)
         return Earliest(toi, None)
 
@@ -117,7 +117,7 @@ class LeastToiStep(ImpactStep):
 
     def _least_of(self, time_slice: Slice, best: float) -> float:
         """The least of a toi and those in a slice, or in the whole step."""
-        plan = self.begin_slice(time_slice)
+        plan = self.begin(time_slice)
         if time_slice is self.motion.slices[0]:
             self._begin_list(plan)
         if self.is_idle():
@@ -169,8 +169,9 @@ class LeastToiStep(ImpactStep):
         """Whether a step is played as a whole: not where a toi of half-spaces suffices, which are looked at first."""
         return super().plays_whole(plan) and not (self._any_suffices and plan.has_planes)
 
-    def begin_found(self, plan: HostPlan) -> None:
+    def begin_found(self) -> None:
         """Begin without a toi."""
+        plan = self.plan
         plan.counters.clear()
         plan.counters.set_least(np.inf)
         self._begin_list(plan)

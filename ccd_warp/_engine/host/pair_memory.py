@@ -5,7 +5,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
+from ccd_warp._engine.boxes.trees import search_range
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._runtime.launch import Recording, Slot
 from ccd_warp._runtime.pair_queue import queue_bytes, queue_dtypes
@@ -34,7 +36,14 @@ class PairMemory:
     """
 
     def __init__(
-        self, buffers: Buffers, kinds: list[PairKind], *, is_cuda: bool, keeps_toi: bool, has_queue: bool
+        self,
+        buffers: Buffers,
+        kinds: list[PairKind],
+        *,
+        is_cuda: bool,
+        keeps_toi: bool,
+        has_queue: bool,
+        has_ranges: bool = False,
     ) -> None:
         """Have no memory yet.
 
@@ -44,6 +53,7 @@ class PairMemory:
             is_cuda: Whether it is for a search on CUDA.
             keeps_toi: Whether there is a toi for each key.
             has_queue: Whether there is a queue.
+            has_ranges: Whether a search is told how many keys it may write.
         """
         self.kinds = kinds
         self.capacities = dict.fromkeys(kinds, 0)
@@ -52,6 +62,8 @@ class PairMemory:
         self.pair_bytes = KEY_BYTES * (1 + CANDIDATES_EACH) + of_queue if is_cuda else KEY_BYTES
         self.most_pairs = MOST_PAIRS // CANDIDATES_EACH if is_cuda else MOST_PAIRS
         self._buffers, self._is_cuda, self._keeps_toi, self._has_queue = buffers, is_cuda, keeps_toi, has_queue
+        self._has_ranges = has_ranges
+        self._views: dict[PairKind, NDArray[np.int64]] = {}
         self._keys: wp.array | None = None  # the array that is divided among the kinds
         self._total = 0  # of the capacities
         self._queue: dict[str, wp.array] = {}
@@ -60,7 +72,7 @@ class PairMemory:
 
     def slots(self) -> dict[str, dict[PairKind, Slot]]:
         """The slots for each kind, by what they are for the stages."""
-        names = "keys", "candidates", "open_toi"
+        names = "keys", "candidates", "open_toi", *(("ranges",) if self._has_ranges else ())
         return {name: {kind: Slot(f"{kind.name} {name}") for kind in self.kinds} for name in names}
 
     def bind_to(self, recording: Recording) -> None:
@@ -71,6 +83,10 @@ class PairMemory:
         """The first keys of a kind: those of pairs that the narrow phase leaves open are marked."""
         keys: wp.array = self._recording.values[f"{kind.name} keys"][:count]
         return keys
+
+    def host_keys(self, kind: PairKind, count: int) -> NDArray[np.int64]:
+        """The same of a search with ranges, which is one on the CPU: a view."""
+        return self._views[kind][:count]
 
     def open_toi(self, kind: PairKind, count: int) -> wp.array:
         """What there is for these keys."""
@@ -139,6 +155,9 @@ class PairMemory:
         for name, array in {"keys": keys, "open_toi": toi, "candidates": candidates}.items():
             if array is not None:
                 self._recording.bind(f"{kind.name} {name}", array)
+        if self._has_ranges:
+            self._views[kind] = keys.numpy()
+            self._recording.bind(f"{kind.name} ranges", search_range(1, int(kind), range(1), len(keys)))
 
     def _reserve_queue(self, count: int) -> None:
         """Have capacity for so many pairs in the queue."""

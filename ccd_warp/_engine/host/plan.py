@@ -23,7 +23,7 @@ from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
 from ccd_warp._engine.plan import AT_ONE_TIME, NUM_ALL_COUNTS, Goal, Plan, high_half
-from ccd_warp._engine.stages import Stages, StepFields
+from ccd_warp._engine.stages import MOST_IN_ORDER, Stages, StepFields
 from ccd_warp._runtime.launch import Execution, Recording, Slot
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
@@ -81,6 +81,7 @@ class HostPlan(Plan):
         of_options: What the options that the recording has were made of.
         lengths: The options of the last step, and what they say of lengths.
         marks: When the stages of the last step that was played as a whole ended, as ``now`` tells.
+        lists_in_order: Whether the search is one for all pairs whose boxes overlap, in the order of its few boxes.
         lists_pairs: Whether the earliest pairs of the last step with the goal of a bound were listed.
     """
 
@@ -104,12 +105,15 @@ class HostPlan(Plan):
         super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         has_queue = execution.is_cuda and self._has_narrow_phase
+        are_few = all(tree.levels[0] <= MOST_IN_ORDER for tree in self.trees)
+        self.lists_in_order = goal == "candidates" and not execution.is_cuda and are_few
         self.memory = PairMemory(
             workspace.buffers,
             self._searched_kinds,
             is_cuda=execution.is_cuda,
             keeps_toi=goal == "bound",
             has_queue=has_queue,
+            has_ranges=self.lists_in_order,
         )
         self._excess: dict[str, Mapping[PairKind, int]] = {}  # pairs of the last step that was searched in parts
         self._needed: Mapping[PairKind, int] = {}  # pairs of the last search
@@ -124,6 +128,7 @@ class HostPlan(Plan):
         self.of_options: tuple[Any, ...] = ()
         self.lengths: tuple[Options | None, float, float, float] = None, 0.0, 0.0, 0.0
         self._positions: tuple[wp.array, ...] = ()
+        self._active = workspace.active(None)
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
         self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
@@ -412,13 +417,20 @@ class HostPlan(Plan):
                     self._note_order()
                 return self._batch(self._num_found() if self.execution.is_cuda else needed, is_only=True)
 
-    def play_step(self, largest: int, begin: Callable[[], None], fits: Callable[[], bool]) -> Batch | None:
+    def play_step(
+        self,
+        largest: int,
+        begin: Callable[[], None],
+        fits: Callable[[], bool],
+        record_found: Callable[[Stages, Recording], None],
+    ) -> Batch | None:
         """Play all stages of a step whose boxes have begun as one section, and again until all that is found fits.
 
         Args:
             largest: The largest capacity.
-            begin: Called before each time: begins what the narrow phase writes.
+            begin: Called before each time: begins what is found of the pairs.
             fits: Whether that was large enough.
+            record_found: Records what follows the search where there is no narrow phase.
 
         Returns:
             The pairs, which are solved but for the second round of a bound; None if they are more than the capacity.
@@ -429,13 +441,24 @@ class HostPlan(Plan):
         def search() -> None:
             begin()
             self.marks, self._meets = [], [False] * len(tree_pairs)
-            self.play("step without pairs" if self.is_idle else "step", partial(self._record_step, tree_pairs))
+            section = "step without pairs" if self.is_idle else "step"
+            self.play(section, partial(self._record_step, tree_pairs, record_found))
             self._has_counted_blocks = self.execution.is_cuda and bool(tree_pairs)
 
         return self._fitting(tree_pairs, largest, search, fits)
 
-    def _record_step(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording) -> None:
+    def _record_step(
+        self,
+        tree_pairs: list[TreePair],
+        record_found: Callable[[Stages, Recording], None],
+        stages: Stages,
+        recording: Recording,
+    ) -> None:
         """Record all stages; of a bound, half-spaces come first, and nothing else where a toi is 0 there."""
+        if not self._has_narrow_phase:
+            self._record_pairs(tree_pairs, stages, recording, self._active)
+            record_found(stages, recording)
+            return
         near, active = self.near_bodies, self._active
         planes_first = self.sink == BOUND and self.has_planes
         if self.sink == CONTACTS:
@@ -450,16 +473,16 @@ class HostPlan(Plan):
             if self.sink == CONTACTS and self.has_planes:
                 self._record_planes(stages, recording)
             self.record_rounds(recording, stages)
-            recording.call(self._mark)
+            self.mark(recording)
 
     def _record_pairs(self, tree_pairs: list[TreePair], stages: Stages, recording: Recording, active: wp.array) -> None:
         """Record the boxes of active bodies, and the search, where there is anything to search."""
         if tree_pairs:
             self._record_boxes(stages, recording, active)
         recording.call(partial(self._look_at_static, tree_pairs))
-        recording.call(self._mark)
+        self.mark(recording)
         self._record_search(tree_pairs, stages, recording)
-        recording.call(self._mark)
+        self.mark(recording)
 
     def note_bodies_near(self) -> int:
         """Note whether the last whole step had boxes; returns how many bodies are static, or near others."""
@@ -471,10 +494,11 @@ class HostPlan(Plan):
 
     def _record_planes(self, stages: Stages, recording: Recording) -> None:
         stages.meet_planes(recording, self.sink, Slot("searched"))
-        recording.call(self._mark)
+        self.mark(recording)
 
-    def _mark(self) -> None:
-        self.marks.append(self.now())
+    def mark(self, recording: Recording) -> None:
+        """Record that a stage of a whole step ends here."""
+        recording.call(lambda: self.marks.append(self.now()))
 
     @lazy_property
     def may_leave_out_queries(self) -> bool:

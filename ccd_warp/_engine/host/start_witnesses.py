@@ -1,5 +1,7 @@
 """Pairs that show that the toi of a step is 0, before it is searched, where nothing may start within its distance."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,37 +28,58 @@ class StartWitnesses:
 
     def __init__(self) -> None:
         self._options: Options | None = None
-        self._pairs: Contacts | None = None
+        self._pairs: _Pairs | None = None
 
     def note(self, mesh: CollisionMesh, options: Options, start: NDArray[np.float64], contacts: Contacts) -> None:
         """Keep those of the contacts of a step, none with a plane, that are farthest within their distances."""
-        shares = _shares(mesh, options, start, contacts)
-        self._options, self._pairs = options, contacts[np.argsort(shares)[:_MOST]]
+        shares = _Pairs.of(mesh, options, contacts).shares(start)
+        self._options, self._pairs = options, _Pairs.of(mesh, options, contacts[np.argsort(shares)[:_MOST]])
 
-    def are_within(self, mesh: CollisionMesh, options: Options, start: NDArray[np.float64]) -> bool:
+    def are_within(self, options: Options, start: NDArray[np.float64]) -> bool:
         """Whether one is certain to start within its distance; not if the options are others, as pairs may be."""
         if self._pairs is None or self._options != options:
             return False
-        return bool((_shares(mesh, options, start, self._pairs) < 1.0).any())
+        return bool((self._pairs.shares(start) < 1.0).any())
 
 
-def _shares(mesh: CollisionMesh, options: Options, start: NDArray[np.float64], pairs: Contacts) -> NDArray[np.float64]:
-    """An upper bound of the distance of each pair, as a share of that which it is to keep; shape [m]."""
-    vertices, distance = pair_vertices(mesh, pairs), options.separation(length_scale_of(mesh, options))
-    with np.errstate(all="ignore"):
-        corners = start[vertices]
-        corners = corners - corners[:, :1]  # differences come first, so the distance from the origin does not matter
-        size = np.abs(corners).max(axis=(1, 2), initial=0.0)
-        difference = (_weights(pairs)[:, :, None] * corners).sum(axis=1)
-        if norm_of(mesh, options).is_ball:
-            gap = np.linalg.norm(difference, axis=1)
-        else:
-            gap = np.abs(difference).max(axis=1, initial=0.0)
-        kept = np.full(len(pairs), distance)
+class _Pairs(NamedTuple):
+    """Pairs with what positions do not change.
+
+    Attributes:
+        vertices: Their vertices, shape [m, 4].
+        weights: The weights of these in the difference of two points of a pair, shape [m, 4].
+        kept: The distance that each is to keep, shape [m].
+        is_ball: Whether it is Euclidean.
+    """
+
+    vertices: NDArray[np.int32]
+    weights: NDArray[np.float64]
+    kept: NDArray[np.float64]
+    is_ball: bool
+
+    @classmethod
+    def of(cls, mesh: CollisionMesh, options: Options, contacts: Contacts) -> "_Pairs":
+        """Those of contacts."""
+        vertices = pair_vertices(mesh, contacts)
+        kept = np.full(len(contacts), options.separation(length_scale_of(mesh, options)))
         if mesh.radius is not None:
-            kept += radii_of_pairs(pairs.kind, vertices, mesh.radius, mesh.radius).sum(axis=1)
-        shares: NDArray[np.float64] = ((1.0 + _OF_GAP) * gap + _OF_SIZE * size + _LENGTH) / kept
-    return shares
+            with np.errstate(all="ignore"):
+                kept += radii_of_pairs(contacts.kind, vertices, mesh.radius, mesh.radius).sum(axis=1)
+        return cls(vertices, _weights(contacts), kept, norm_of(mesh, options).is_ball)
+
+    def shares(self, start: NDArray[np.float64]) -> NDArray[np.float64]:
+        """An upper bound of the distance of each pair, as a share of that which it is to keep; shape [m]."""
+        with np.errstate(all="ignore"):
+            corners = start[self.vertices]
+            corners -= corners[:, :1].copy()  # differences come first: the distance from the origin does not matter
+            size = np.abs(corners).max(axis=(1, 2), initial=0.0)
+            difference = (self.weights[:, :, None] * corners).sum(axis=1)
+            if self.is_ball:
+                gap = np.linalg.norm(difference, axis=1)
+            else:
+                gap = np.abs(difference).max(axis=1, initial=0.0)
+            shares: NDArray[np.float64] = ((1.0 + _OF_GAP) * gap + _OF_SIZE * size + _LENGTH) / self.kept
+        return shares
 
 
 def _weights(pairs: Contacts) -> NDArray[np.float64]:

@@ -1,13 +1,13 @@
 """What every goal of a step on the host shares: its boxes, batches of pairs, memory, counts and timings."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._engine.boxes.body_boxes import bodies_near
-from ccd_warp._engine.host.oddities import Oddities
+from ccd_warp._engine.host.oddities import DistanceInEdges, Oddities
 from ccd_warp._engine.host.plan import NO_PAIRS, Batch, HostPlan
 from ccd_warp._engine.host.plane_stage import PlaneStage
 from ccd_warp._engine.host.stage_timer import StageTimer
@@ -16,8 +16,11 @@ from ccd_warp._engine.mesh.scene import norm_of
 from ccd_warp._engine.mesh.topology import Positions
 from ccd_warp._engine.motion import Motion, Slice, StepPaths
 from ccd_warp._engine.plan import Goal
+from ccd_warp._engine.stages import Stages
 from ccd_warp._results.results import Counts
+from ccd_warp._runtime.launch import Recording
 from ccd_warp._runtime.quick import of_values
+from ccd_warp._runtime.status import PairKind
 from ccd_warp._scene.input.options import Options
 from ccd_warp.kernels.pair.norm import Norm
 
@@ -36,6 +39,12 @@ class HostStep:
         planes: The stage in which vertices meet half-spaces; None in scenes without.
         motion: How vertices move, and in which slices the step is searched.
         vertices_t0: Positions at the start, on the device.
+        separation: The distance within which pairs are searched.
+        inflation: By how much boxes grow.
+        t_end: The end of the boxes of a slice, as a fraction of the way between the positions at its ends.
+        far_distance: The distance of pairs, if it is many edges long.
+        stages: The names of the stages of a step that is played whole, in their order.
+        stages_with_planes: The same with half-spaces.
         survivors: Pairs that the search has left, by kind.
         counts: What the step has done, from `finish` on.
         timings: Seconds of its stages.
@@ -47,6 +56,11 @@ class HostStep:
     goal: Goal
     motion: Motion
     result_bytes = 0
+    separation = inflation = 0.0
+    t_end = 1.0
+    far_distance: DistanceInEdges | None = None
+    stages: tuple[str, ...] = ("input", "boxes", "pairs")
+    stages_with_planes = stages
     counts_survivors = is_for_impacts = _has_boxes = False
     _active: NDArray[np.bool_] | None = None
     counts = Counts()
@@ -92,20 +106,67 @@ class HostStep:
         """The norm of separations (``kernels.pair.norm``)."""
         return norm_of(self.mesh, self.options, on_arcs=self.motion.on_arcs)
 
-    def begin(self, t_end: float, inflation: float | Callable[[], float], time_slice: Slice | None = None) -> HostPlan:
-        """Compute the boxes over [0, t_end], or of a slice; a body that none comes near costs only its own box.
-
-        What returns the inflation of the boxes is called when the positions are known.
-        """
+    def begin(self, time_slice: Slice | None = None) -> HostPlan:
+        """Compute the boxes of a slice, or of the whole step; a body that none comes near costs only its own box."""
         with self.timed("input"):
             plan = self.plan_of_step()
             self.begin_plan(plan, time_slice)
-            self.vertices_t0 = plan.set_positions(self.positions)[0]
-            self.inflation = inflation() if callable(inflation) else inflation
         with self.timed("boxes"):
-            if self.begin_boxes(t_end, self._bodies_near()):
+            if self.begin_boxes(self._bodies_near()):
                 plan.fill_boxes()
         return plan
+
+    def played_whole(self) -> Batch | None:
+        """All pairs of a step of one slice without a limit of memory, of which all stages are played as one section.
+
+        Returns:
+            The pairs, of which all is found but what a second round of a bound finds; None if nothing has been done,
+            and the step is to be played section by section.
+        """
+        if self.options.memory_limit is not None or len(self.motion.slices) > 1:
+            return None
+        plan, time_slice = self.plan_of_step(), self.motion.slices[0]
+        if not self.plays_whole(plan):
+            return None
+        now = plan.now = self.timer.now
+        begin = now()
+        self.begin_plan(plan, time_slice)
+        if self.far_distance is not None:
+            return None
+        moments = [begin, now()]
+        self.begin_boxes(None if plan.near_bodies else self._bodies_near())
+        self.bind_options(time_slice)
+        plan.set_search(self.t_end, self.inflation, self.separation)
+        batch = plan.play_step(self.capacity(), self.begin_found, self.fits, self.record_found)
+        if batch is not None:
+            self.timer.add(self.stages_with_planes if plan.has_planes else self.stages, moments + plan.marks)
+            self.survivors |= batch.num_pairs
+            if plan.near_bodies:
+                self._num_active_bodies = plan.note_bodies_near()
+            if self.planes is not None:
+                self.survivors[PairKind.VERTEX_PLANE] = self.planes.count()
+        return batch
+
+    def plays_whole(self, plan: HostPlan) -> bool:
+        """Whether a step of one slice is played as a whole: where all that the last step of the plan found did fit."""
+        return plan.has_fitted
+
+    def set_extent(self) -> None:
+        """Choose where the boxes of a slice end and by how much they grow, when its positions are known."""
+
+    def bind_options(self, time_slice: Slice) -> None:
+        """Let the kernels have what a slice is asked for."""
+
+    def begin_found(self) -> None:
+        """Begin what is found of the pairs, before a whole step is played."""
+        self.plan.counters.clear()
+
+    def fits(self) -> bool:
+        """Whether there was a place for all of it."""
+        return True
+
+    def record_found(self, stages: Stages, recording: Recording) -> None:
+        """Record what follows the search in a whole step of a goal without a narrow phase."""
 
     def plan_of_step(self) -> HostPlan:
         """The plan: that of the last step with this goal, where nothing that it depends on has changed."""
@@ -117,7 +178,7 @@ class HostStep:
         return last[1]
 
     def begin_plan(self, plan: HostPlan, time_slice: Slice | None) -> None:
-        """Begin a step, or a slice of it, with a plan."""
+        """Begin a step, or a slice of it, with a plan: its positions, and the extent of its boxes."""
         self.plan, self.execution = plan, plan.execution
         self.planes = PlaneStage(plan, self.workspace) if plan.has_planes else None
         if time_slice is None or time_slice is self.motion.slices[0]:
@@ -126,15 +187,17 @@ class HostStep:
         if time_slice is not None:
             self.positions = self.motion.placed(time_slice, plan.execution) or self.positions
             self._active = time_slice.active
+        self.vertices_t0 = plan.set_positions(self.positions)[0]
+        self.set_extent()
 
-    def begin_boxes(self, t_end: float, near: NDArray[np.bool_] | None) -> bool:
-        """Begin the boxes over [0, t_end] of the bodies that are near others; returns whether there are any."""
+    def begin_boxes(self, near: NDArray[np.bool_] | None) -> bool:
+        """Begin the boxes of the bodies that are near others; returns whether there are any."""
         plan = self.plan
         if near is not None and not near.any():
             plan.skip_boxes(goes_on=self._has_boxes)
             return False
         active = self.workspace.active(near)
-        plan.begin_boxes(self.positions, t_end, self.inflation, active, goes_on=self._has_boxes)
+        plan.begin_boxes(self.positions, self.t_end, self.inflation, active, goes_on=self._has_boxes)
         self._has_boxes = True
         return True
 

@@ -134,9 +134,9 @@ class Workspace:
         return Written(wp.empty(self.topology.mesh.num_bodies, dtype=wp.int32, device=self.topology.device))
 
     @lazy_property
-    def start_distances(self) -> wp.array:
+    def start_distances(self) -> Written:
         """How near each vertex is to anything at the start of a step, as share and length, float64, shape [2 V]."""
-        return wp.empty(2 * self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device)
+        return Written(wp.empty(2 * self.topology.mesh.num_vertices, dtype=wp.float64, device=self.topology.device))
 
     def kept(self, kind: type[_T], make: Callable[[], _T]) -> _T:
         """What a step of an outer ring keeps here, by its class."""

@@ -236,16 +236,18 @@ def test_searches_that_exceed_the_memory_limit_keep_the_order():
 
 
 def test_candidates_keep_their_order_belong_to_the_caller_and_are_sorted_on_demand():
-    """Static bodies keep their boxes while others move far in one step and little in the next."""
+    """Static bodies keep their boxes while others move far in one step and little in the next, or are mixed up."""
     rng = np.random.default_rng(3)
     bodies = [soup(rng, 600, 0.03, spread=1.4) for _ in range(2)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1])
-    start = np.concatenate([bodies[0][0], bodies[1][0].reshape(-1, 3, 3)[rng.permutation(600)].reshape(-1, 3)])
-    ends = [with_static_at_rest(mesh, start, start + s * rng.standard_normal(start.shape)) for s in (0.01, 0.1)]
-    expected = [[*vars(ccd.CollisionPipeline(mesh).find_candidates(start, end)).values()] for end in ends]
-    for order in ((0, 1, 0, 1, 1, 0), (1, 0)):
+    moving = bodies[0][0]
+    mixed, resting = (x.reshape(-1, 3, 3)[rng.permutation(600)].reshape(-1, 3) for x, _ in bodies)
+    steps = [(np.concatenate([x, resting]), s) for x, s in ((moving, 0.01), (moving, 0.1), (mixed, 0.01))]
+    steps = [(x, with_static_at_rest(mesh, x, x + s * rng.standard_normal(x.shape))) for x, s in steps]
+    expected = [[*vars(ccd.CollisionPipeline(mesh).find_candidates(*step)).values()] for step in steps]
+    for order in ((0, 1, 2, 0, 1, 1, 2, 0), (2, 1, 0)):
         find = ccd.CollisionPipeline(mesh).find_candidates
-        found = [find(start, ends[k]) for k in order]
+        found = [find(*steps[k]) for k in order]
         for each, k in zip(found, order, strict=True):
             assert all(map(np.array_equal, vars(each).values(), expected[k]))
     before, last, in_order = (vars(x).values() for x in (found[0], found[-1], found[-1].sorted()))
