@@ -55,7 +55,7 @@ def _memory() -> int:
     """Bytes that this process may use: those of the machine, or fewer in a container."""
     total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     limit = Path("/sys/fs/cgroup/memory.max")
-    text = limit.read_text().strip() if limit.exists() else ""
+    text = limit.read_text("utf-8").strip() if limit.exists() else ""
     return min(total, int(text)) if text.isdigit() else total
 
 

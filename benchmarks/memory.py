@@ -31,5 +31,5 @@ class PeakMemory:
 
 def resident(name: str, process: int | str = "self") -> int:
     """Resident bytes of a process under Linux: VmRSS for now, VmHWM for the peak."""
-    lines = Path(f"/proc/{process}/status").read_text().splitlines()
+    lines = Path(f"/proc/{process}/status").read_text("utf-8").splitlines()
     return 1024 * next(int(line.split()[1]) for line in lines if line.startswith(name))

@@ -105,7 +105,7 @@ def test_three_modules_use_private_names_of_warp_which_this_version_has():
 
 def test_benchmarks_find_what_they_take_of_the_tests():
     """With the folders of `benchmarks/checkout.py` alone, and without the packages that they need themselves."""
-    text = "\n".join(path.read_text() for path in (ROOT / "benchmarks").glob("*.py"))
+    text = "\n".join(path.read_text("utf-8") for path in (ROOT / "benchmarks").glob("*.py"))
     own = {path.stem for path in (ROOT / "benchmarks").glob("*.py")}
     taken = {name for name in re.findall(r"^(?:from|import) (\w+)", text, re.M)} - own
     taken &= {path.stem for path in (TESTS / "helpers").glob("*.py")}

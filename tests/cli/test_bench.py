@@ -33,7 +33,7 @@ def test_a_quick_run_writes_a_table(tmp_path, capsys, monkeypatch):
     out, num_devices = capsys.readouterr().out, len(wp.get_devices())
     assert f"{36_000 * num_devices:,} answers of ours: 0 missed, 0 late" in out
     assert "mesh_ccd, cpu" in out
-    assert (tmp_path / "bench.csv").read_text().count("ours float32") == 6 * 3 * num_devices
+    assert (tmp_path / "bench.csv").read_text("utf-8").count("ours float32") == 6 * 3 * num_devices
 
 
 def test_without_the_extra_there_is_a_table_and_a_missed_collision_is_the_exit_status(tmp_path, capsys, monkeypatch):

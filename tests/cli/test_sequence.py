@@ -93,7 +93,7 @@ def test_columns_and_statuses_are_those_of_the_library_for_drawn_sequences(capfd
             if flag:
                 command = ["run", *names[:2], *words, "--quiet", *flag, "--output", "run.json"]
                 assert main(command) == int(hits[0] > 0 or crossing[0] > 0), seed
-                data, first = json.loads(Path("run.json").read_text()), results[0]
+                data, first = json.loads(Path("run.json").read_text("utf-8")), results[0]
                 assert (np.inf if data["toi"] is None else data["toi"]) == first.toi
                 assert data["contact"]["toi"] == np.sort(first.contacts.toi).tolist()
                 assert {name: data["options"][name] for name in options} == options
@@ -108,11 +108,11 @@ def test_columns_and_statuses_are_those_of_the_library_for_drawn_sequences(capfd
 def test_ctrl_c_keeps_the_rows_of_the_steps_so_far(monkeypatch, capfd):
     """Each is in the file as soon as its step is solved; what is left is a sequence of its own."""
     run(*BALLS, *ON, "--length-scale", "1", "--output", "whole", "--quiet")
-    header, *lines = Path("whole/steps.csv").read_text().splitlines(keepends=True)
+    header, *lines = Path("whole/steps.csv").read_text("utf-8").splitlines(keepends=True)
     solve, seen = solve_module.solve, []
 
     def solve_or_press(*arguments, **options):
-        seen.append(Path("out/steps.csv").read_text() if Path("out").exists() else "")
+        seen.append(Path("out/steps.csv").read_text("utf-8") if Path("out").exists() else "")
         if len(seen) == 8:
             raise KeyboardInterrupt
         return solve(*arguments, **options)

@@ -155,7 +155,7 @@ def test_the_command_line_of_the_page_runs(tmp_path, monkeypatch, capsys):
     for command in block.splitlines():
         program, *arguments = shlex.split(command)
         assert program == "ccd-warp" and main(arguments) == 0, capsys.readouterr().err
-    demo, again = (json.loads((tmp_path / name).read_text()) for name in ("demo/cloth.json", "result.json"))
+    demo, again = (json.loads((tmp_path / name).read_text("utf-8")) for name in ("demo/cloth.json", "result.json"))
     assert demo["toi"] == again["toi"] and 0.0 < demo["toi"] < 1.0
     out, error = capsys.readouterr()
     assert out.count("MISS") == 2 and "HIT" not in out and error == ""  # of the demo, at both ends

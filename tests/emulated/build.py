@@ -81,7 +81,7 @@ def device_folder(is_sanitized: bool = False) -> Path:
     changed = {"builtin.h": builtin}
     changed["crt.h"] = (_NATIVE / "crt.h").read_text(encoding="utf-8").replace("#include <assert.h>", "")
     flags = flags_for(is_sanitized)
-    texts = [*changed.values(), *(path.read_text() for path in own)]
+    texts = [*changed.values(), *(path.read_text("utf-8") for path in own)]
     name = _hash_of(*texts, wp.__version__, _version(), *flags)
     folder = cache_folder() / f"device_{name}"
     with _made_once(folder) as made:

@@ -88,8 +88,8 @@ def test_pieces_are_one_where_their_points_are_in_one_place(tmp_path):
     for k, corners in enumerate(([0, 1, 2, 3], [1, 2, 3, 4])):
         path = tmp_path / f"{k}.vtu"
         meshio.Mesh(points[corners], [("tetra", [[0, 1, 2, 3]])]).write(path, binary=False)
-        pieces.append(re.search(r"(?s)<Piece.*</Piece>", path.read_text())[0])
-    text = path.read_text().replace(pieces[1], "".join(pieces))
+        pieces.append(re.search(r"(?s)<Piece.*</Piece>", path.read_text("utf-8"))[0])
+    text = path.read_text("utf-8").replace(pieces[1], "".join(pieces))
     (tmp_path / "a.vtu").write_text(text)
     sources = "".join(f'<Piece Source="{k}.vtu"/>' for k in range(2))
     (tmp_path / "a.pvtu").write_text(

@@ -12,7 +12,7 @@ from published import DATA, requires_data
 @pytest.mark.parametrize("path", sorted(DATA.glob("*/*/*/*.csv")), ids=lambda path: "/".join(path.parts[-3:]))
 def test_published_queries_are_the_fractions_of_the_file(path):
     start, end, truth = read_queries(path)
-    lines, points = path.read_text().split(), np.stack([start, end], axis=1).reshape(-1, 3).tolist()
+    lines, points = path.read_text("utf-8").split(), np.stack([start, end], axis=1).reshape(-1, 3).tolist()
     assert len(lines) == len(points) > 0 and len(truth) == len(start)
     for line, point, of_query in zip(lines[::7], points[::7], np.repeat(truth, 8).tolist()[::7], strict=True):
         fields = list(map(int, line.split(",")))

@@ -95,7 +95,7 @@ NAMES = [name for name in every_module(None) if not name.endswith("thick") or na
 def _ptx(name, output):
     paths = list(place_of(name).glob("*.ptx"))
     assert len(paths) == 1, output
-    return paths[0].read_text()
+    return paths[0].read_text("utf-8")
 
 
 @pytest.mark.emulated

@@ -102,7 +102,7 @@ def test_what_is_compiled_is_named_by_warp_whatever_was_kept(cache, monkeypatch)
     set_flags(module, device)
     right = _kept()
     (path,) = cache.glob("wp_ccd_warp.hashes/*")
-    path.write_text(path.read_text().replace(right.hex(), "0" * 64))
+    path.write_text(path.read_text("utf-8").replace(right.hex(), "0" * 64))
     assert _is_recalled(module) and module.get_module_hash(1) == bytes(32)
 
     def load_module(**_):
@@ -159,23 +159,23 @@ def test_an_edit_of_any_file_of_kernels_makes_a_hash_useless_also_where_it_comes
         (_, first), (_, other) = threads.map(_outcome, [copy, copy])
     assert first == other and _outcome(copy) == (True, first)
     kept = [*(tmp_path / "cache").rglob("wp_ccd_warp.hashes/*")]
-    assert len(kept) == 1 and json.loads(kept[0].read_text())["hashes"]
+    assert len(kept) == 1 and json.loads(kept[0].read_text("utf-8"))["hashes"]
     assert _outcome(copy, "edits") == (True, first), "as it was executed"
     for name, words, is_of_module in (("pair/rounding.py", "", False), ("atomics.py", "values[index] |= bits", True)):
         path = copy / "ccd_warp" / "kernels" / name
-        text = path.read_text()
+        text = path.read_text("utf-8")
         assert words in text
-        path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n")
+        path.write_text(text.replace(words, f"{words} ") if words else f"{text}\n", "utf-8")
         is_recalled, module_hash = _outcome(copy)
         assert not is_recalled and (module_hash != first) == is_of_module
 
 
 def test_no_hash_of_stale_bytecode_is_kept_and_none_of_its_source_taken_for_it(copy):
     first, path = _outcome(copy)[1], copy / "ccd_warp" / "kernels" / "boxes" / "thickness.py"
-    text, time = path.read_text(), path.stat().st_mtime_ns
+    text, time = path.read_text("utf-8"), path.stat().st_mtime_ns
 
     def outcome_of(text):
-        path.write_text(text)
+        path.write_text(text, "utf-8")
         os.utime(path, ns=(time, time))  # as `rsync -t`, reproducible builds and layers of images leave it
         return _outcome(copy)
 

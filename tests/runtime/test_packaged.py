@@ -111,13 +111,13 @@ def test_an_object_that_was_empty_when_it_was_packed_is_passed_over(package):
 
 
 def _of_other_warp(package):
-    index = json.loads((package / packaged.INDEX).read_text())
+    index = json.loads((package / packaged.INDEX).read_text("utf-8"))
     (package / packaged.INDEX).write_text(json.dumps(index | {"warp": "1.18.0"}))
     return f"those of the package are for Warp 1.18.0; this is {wp.config.version}"
 
 
 def _half_an_index(package):
-    text = (package / packaged.INDEX).read_text()
+    text = (package / packaged.INDEX).read_text("utf-8")
     (package / packaged.INDEX).write_text(text[: len(text) // 2])
     return "this installation holds none"
 

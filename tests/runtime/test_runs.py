@@ -40,7 +40,7 @@ def test_what_dies_or_hangs_is_named_and_the_others_run(tmp_path):
     assert status == 1 and "2 failed, 2 passed" in shown, shown + error
     for name in ("test_dies", "test_hangs"):
         assert f"crashed while running 'test_it.py::{name}'" in shown
-        assert f'name="{name}"' in (tmp_path / "it.xml").read_text()
+        assert f'name="{name}"' in (tmp_path / "it.xml").read_text("utf-8")
 
 
 def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path):
