@@ -6,13 +6,15 @@ the last one, for few pairs, runs the solver for single pairs. Each is small: th
 ways do not burden the common ones. A pair gets the answer, in every bit, that the kernels of `narrow_phase` give on the
 CPU: it goes through the same functions in the same order.
 
-The second kernel takes the queue as it is, without gaps. It leaves open pairs in their places and marks the others as
-settled; these are so many that the last kernel mostly finds a pair or none in each warp. Of a pair of points in contact
-within a separation the second kernel finds a point and not the closest one, so the last one completes it.
+The second kernel takes the open pairs of the queue, which are without gaps. It leaves those that stay open in their
+places and marks the others as settled; these are so many that the last kernel mostly finds a pair or none for each
+warp. Of a pair of points in contact within a separation the second kernel finds a point and not the closest one, so the
+last one completes it.
 
 In the last kernel a warp works on one pair (`whole_warp`), so that a pair far from settled holds up the launch less,
-and no other pair at all. The boxes of the bisection cannot be shared: it has a last kernel of its own, in which a
-thread solves a pair, so that nothing else reserves memory for its stack.
+and no other pair at all; its threads look for its next pair, each in another place. The boxes of the bisection cannot
+be shared: it has a last kernel of its own, in which a thread solves a pair, so that nothing else reserves memory for
+its stack.
 
 Where contacts are kept, these kernels take the pairs of two kinds, and put what they find of a contact into the queue.
 A fourth one, in which all threads of a warp have a contact, lowers the minima and lists it (`pair_contacts`).
@@ -22,6 +24,7 @@ from typing import Any
 
 import warp as wp
 
+from ..boxes.lanes import lowest_bit
 from ..pair.query import Options
 from ..pair.simd import fingerprint
 from ..pair.single_points import row_points
@@ -31,9 +34,9 @@ from ..step.minima import QUEUED, Minima
 from ..step.pair_list import LeastToi, PairList, Round, num_found
 from ..step.step import ContactList
 from ..template import specialised
-from .pair_queue import SETTLED, Queue, QueuedPair, enqueue
+from .pair_queue import SETTLED, Queue, QueuedPair, enqueue, enqueue_contact, num_open, num_taken, place_of
 from .sinks import BOUND, CONTACTS, TABLE, Table
-from .whole_warp import WARP, agreed, is_first, item_of_warp
+from .whole_warp import WARP, agreed, is_first, item_of_warp, number_in_warp, threads_where
 
 # The kernels of a narrow phase, in their order.
 STAGES = ("first", "later", "last", "bisection")
@@ -129,6 +132,19 @@ def make_solve_pairs(name: str, sink: int, stage: str):
         return done
 
     @wp.func
+    def next_of_warp(first: int, stride: int, count: int, queue: Queue, least: LeastToi) -> int:
+        """The first pair of a warp, from a place on, that is not settled; the number of places if there is none."""
+        for place in range(first, count, _LANES * stride):
+            of_thread = place + number_in_warp() * stride
+            is_found = bool(False)
+            if of_thread < count:
+                is_found = not is_done(queue.pairs[of_thread], least, False)
+            threads = threads_where(is_found)
+            if threads != _NONE:
+                return place + lowest_bit(threads) * stride
+        return count
+
+    @wp.func
     def is_open(answer: LaneAnswer, bound: wp.float64) -> bool:
         """Whether the rounds have not settled a pair, which may be free up to a bound."""
         open = answer.free | answer.contact == _NONE
@@ -172,12 +188,16 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 return
         skips_first = pair_outcome.skips_first_rounds(options)
         if wp.static(not is_initial):
-            count = wp.int32(pairs.counts[kind, column])
+            count = num_open(pairs.counts[kind, column])
         items = items_of(begin + wp.tid(), num_solvers, count, wp.static(is_shared))
         following = items.first
         while following < count:
             n = following
-            following += items.stride
+            if wp.static(is_shared):
+                n = next_of_warp(n, items.stride, count, queue, least)
+                if n == count:
+                    return
+            following = n + items.stride
             pair = QueuedPair()
             if wp.static(is_initial):
                 pair.row = n
@@ -273,7 +293,7 @@ def make_solve_pairs(name: str, sink: int, stage: str):
                 pair.t = outcome.toi
                 pair.used = outcome.status
                 if wp.static(is_initial):
-                    n = enqueue(queue, pairs.counts, kind, column, pair)
+                    n = enqueue_contact(queue, pairs.counts, kind, column, pair)
                 else:
                     queue.pairs[n] = pair
                 uv = outcome.parameters
@@ -301,8 +321,11 @@ def place_contacts(
 ):
     """Lower the minima by each contact that a round has put into the queue, and list it; after the stages above."""
     of_first = num_pairs(pairs, options, round)
-    n = begin + wp.tid()
-    while wp.int64(n) < pairs.counts[pairs.kind, QUEUED + round.is_second]:
+    column = QUEUED + round.is_second
+    following = begin + wp.tid()
+    while following < num_taken(pairs.counts[pairs.kind, column]):
+        n = place_of(following, pairs.counts[pairs.kind, column], queue)
+        following += num_threads
         pair = queue.pairs[n]
         if pair.row < SETTLED:
             of_contact = queue.contact[n]
@@ -321,7 +344,6 @@ def place_contacts(
                 of_kind.first_corners = others.first_corners
                 of_kind.second_corners = others.second_corners
             placed.record_contact(of_kind, k, outcome, options, round, minima, contacts)
-        n += num_threads
 
 
 def stages_of(name: str, sink: int) -> dict[str, Any]:

@@ -33,6 +33,7 @@ FINDERS = {
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
 _SEARCH, _WALK = "kernels/search/search_warp.py", "kernels/search/search_trees.py"
 _GRIDS, _QUEUE = "kernels/boxes/hash_grid.py", "kernels/narrow_phase/queued_pairs.py"
+_PLACES = "kernels/narrow_phase/pair_queue.py"
 _CULL, _TREE, _STEP = (
     "kernels/search/candidate_cull.py",
     "kernels/boxes/half_warp_tree.py",
@@ -136,7 +137,21 @@ PLANTED = [
     Fault("contacts of the second kind taken for those of the first", _QUEUE,
           "of_kind.kind = others.kind  # as above", "of_kind.kind = pairs.kind", ("launch",)),
     Fault("a contact of the first rounds in the place of another", _QUEUE,
-          "n = enqueue(queue, pairs.counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
+          "n = enqueue_contact(queue, pairs.counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
+    Fault("places of contacts counted from behind the queue", _PLACES,
+          "last_place(queue) - n +", "last_place(queue) + 1 - n +", _ONE_PLACE),
+    Fault("contacts from the end of the longer array of a queue", _PLACES,
+          "wp.min(queue.pairs.shape[0], queue.contact.shape[0])",
+          "wp.max(queue.pairs.shape[0], queue.contact.shape[0])", _ONE_PLACE),
+    Fault("contacts counted among the open pairs", _PLACES,
+          "_CONTACT = wp.constant(wp.int64(1 << 32))", "_CONTACT = wp.constant(wp.int64((1 << 32) + 1))", _ONE_PLACE),
+    Fault("a warp goes on behind its next open pair", _QUEUE,
+          "return place + lowest_bit(threads) * stride", "return place + (lowest_bit(threads) + 1) * stride",
+          _ONE_PLACE),
+    Fault("a warp looks at places of other warps", _QUEUE,
+          "of_thread = place + number_in_warp() * stride", "of_thread = place + number_in_warp()", _ONE_PLACE),
+    Fault("a warp looks at its places once", _QUEUE, "range(first, count, _LANES * stride)", "range(first, first + 1)",
+          _ONE_PLACE),
     Fault("contacts of pairs that the queue has settled", _QUEUE,
           "        if pair.row < SETTLED:", "        if pair.row <= SETTLED:", ("launch",)),
     Fault("too few solvers", "ccd_warp/_runtime/pair_queue.py",
