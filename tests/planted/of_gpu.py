@@ -21,7 +21,7 @@ FINDERS = {
     "solvers": ["emulated/test_emulated.py::test_searches_culls_and_solvers_do_not_race"],
     "overflow": ["emulated/test_emulated.py::test_contacts_beyond_the_capacity_are_missing_from_the_list_alone"],
     "beyond": ["emulated/test_emulated.py::test_more_candidates_than_32_bits_count"],
-    "queue": ["kernels/narrow_phase/test_queued_pairs.py::test_threads_get_few_pairs_spread_over_all_warps"],
+    "queue": ["kernels/narrow_phase/test_queued_launch.py::test_threads_get_few_pairs_spread_over_all_warps"],
     "order": [
         "emulated/test_emulated.py::test_triangles_that_change_places_are_sorted_in_the_call_after_that_in_which_they_have"
     ],
@@ -32,8 +32,13 @@ FINDERS = {
 }
 _ATOMICS, _HALF, _WHOLE = "kernels/atomics.py", "kernels/boxes/half_warp.py", "kernels/narrow_phase/whole_warp.py"
 _SEARCH, _WALK = "kernels/search/search_warp.py", "kernels/search/search_trees.py"
-_GRIDS, _QUEUE = "kernels/boxes/hash_grid.py", "kernels/narrow_phase/queued_pairs.py"
-_PLACES = "kernels/narrow_phase/pair_queue.py"
+_GRIDS = "kernels/boxes/hash_grid.py"
+_PLACES, _ITEMS, _SOLVE, _PLACED = (
+    "kernels/narrow_phase/pair_queue.py",
+    "kernels/narrow_phase/queued_launch.py",
+    "kernels/narrow_phase/queued_stage.py",
+    "kernels/narrow_phase/place_contacts.py",
+)
 _CULL, _TREE, _STEP = (
     "kernels/search/candidate_cull.py",
     "kernels/boxes/half_warp_tree.py",
@@ -105,11 +110,9 @@ PLANTED = [
           f"bits = 16{_LATEST}32)", f"bits = 1{_LATEST}32)", _ONE_PLACE),
     Fault("each lane decides for itself", _WHOLE,
           "return __shfl_sync(0xFFFFFFFFu, (int)is_true, 0) != 0;", "return is_true;", _ONE_PLACE),
-    Fault("a warp does not agree before it works together", _QUEUE,
-          "        if are_shared:\n            done = agreed(done)\n", "",
-          _ONE_PLACE),
-    Fault("every lane of a warp writes", _QUEUE,
-          "items.writes = is_first(solver)", "items.writes = True", ("needles",)),
+    Fault("a warp does not agree before it works together", _SOLVE, "done = agreed(done)", "done = done", _ONE_PLACE),
+    Fault("every lane of a warp writes", _SOLVE,
+          "if not is_first(solver):", "if not is_first(0):", ("needles",)),
     Fault("one entry for the stack of a warp", _PATCHES,
           "entries[place][k] = entry[k];", "entries[0][k] = entry[k];", ("needles",)),
     Fault("an entry of the stack read before it is written", _PATCHES,
@@ -134,10 +137,10 @@ PLANTED = [
           "step), thread - num_threads)", "step), thread)", ("launch",)),
     Fault("the candidates of the second kind by the threads of both", _CULL,
           "step, thread - a.num_threads)", "step, thread)", ("launch",)),
-    Fault("contacts of the second kind taken for those of the first", _QUEUE,
-          "of_kind.kind = others.kind  # as above", "of_kind.kind = pairs.kind", ("launch",)),
-    Fault("a contact of the first rounds in the place of another", _QUEUE,
-          "n = enqueue_contact(queue, pairs.counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
+    Fault("contacts of the second kind taken for those of the first", _PLACED,
+          "of_kind.kind = others.kind  # as in `queued_stage`", "of_kind.kind = pairs.kind", ("launch",)),
+    Fault("a contact of the first rounds in the place of another", _SOLVE,
+          "place = enqueue_contact(queue, counts, kind, column, pair)", "queue.pairs[n] = pair", ("launch",)),
     Fault("places of contacts counted from behind the queue", _PLACES,
           "last_place(queue) - n +", "last_place(queue) + 1 - n +", _ONE_PLACE),
     Fault("contacts from the end of the longer array of a queue", _PLACES,
@@ -145,19 +148,19 @@ PLANTED = [
           "wp.max(queue.pairs.shape[0], queue.contact.shape[0])", _ONE_PLACE),
     Fault("contacts counted among the open pairs", _PLACES,
           "_CONTACT = wp.constant(wp.int64(1 << 32))", "_CONTACT = wp.constant(wp.int64((1 << 32) + 1))", _ONE_PLACE),
-    Fault("a warp goes on behind its next open pair", _QUEUE,
+    Fault("a warp goes on behind its next open pair", _SOLVE,
           "return place + lowest_bit(threads) * stride", "return place + (lowest_bit(threads) + 1) * stride",
           _ONE_PLACE),
-    Fault("a warp looks at places of other warps", _QUEUE,
+    Fault("a warp looks at places of other warps", _SOLVE,
           "of_thread = place + number_in_warp() * stride", "of_thread = place + number_in_warp()", _ONE_PLACE),
-    Fault("a warp looks at its places once", _QUEUE, "range(first, count, _LANES * stride)", "range(first, first + 1)",
+    Fault("a warp looks at its places once", _SOLVE, "range(first, count, _LANES * stride)", "range(first, first + 1)",
           _ONE_PLACE),
-    Fault("contacts of pairs that the queue has settled", _QUEUE,
+    Fault("contacts of pairs that the queue has settled", _PLACED,
           "        if pair.row < SETTLED:", "        if pair.row <= SETTLED:", ("launch",)),
     Fault("too few solvers", "ccd_warp/_runtime/pair_queue.py",
           "most_pairs * WARP)", "most_pairs)", ("pairs",)),
-    Fault("lanes rounded down", _QUEUE, "(count + num_warps - 1) / num_warps)", "count / num_warps)", ("queue",)),
-    Fault("items of whole warps", _QUEUE,
+    Fault("lanes rounded down", _ITEMS, "(count + num_warps - 1) / num_warps)", "count / num_warps)", ("queue",)),
+    Fault("items of whole warps", _ITEMS,
           "items.stride = num_warps * lanes", "items.stride = num_warps * _LANES", ("queue",)),
     Fault("second search without the last queries", _SEARCH,
           "(part.end - part.first + part.stride - 1) / part.stride", "(part.end - part.first) / part.stride",
@@ -230,8 +233,8 @@ PLANTED = [
           "if search.step.counts[part.row, CANDIDATES] >= wp.int64(0):", ("short lists",)),
     Fault("pairs left open not marked", "kernels/narrow_phase/pair_contacts.py",
           "pairs.keys[k] = ~pairs.keys[k]\n", "pairs.keys[k] = pairs.keys[k]\n", ("needles",)),
-    Fault("the time reached not kept", _QUEUE,
-          "                    pair.t = answer.t\n", "", ("pairs", "launch")),
+    Fault("the time reached not kept", _SOLVE,
+          "                pair.t = answer.t\n", "", ("pairs", "launch")),
     Fault("full list taken for a short one", _CULL,
           "counts[kind, CANDIDATES] > most_listed:", "counts[kind, CANDIDATES] >= most_listed:", _ONE_PLACE),
     # --- bounds and indices ---
