@@ -163,11 +163,7 @@ def solve_pairs(
     following = items.first
     while following < count:
         n = following
-        if wp.static(is_shared):
-            n = next_of_warp(n, items.stride, count, queue, least)
-            if n == count:
-                return
-        following = n + items.stride
+        following += items.stride
         pair = QueuedPair()
         if wp.static(is_initial):
             pair.row = n
@@ -176,6 +172,8 @@ def solve_pairs(
             done = is_done(pair, least)
             if wp.static(is_shared):
                 done = agreed(done)
+                if done:
+                    following = next_of_warp(following, items.stride, count, queue, least)
             if done:
                 continue
         row = pair.row
