@@ -55,8 +55,7 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
     ...
 
 
-@wp.func_native(
-    """
+_CLAIM = """
     long long* p = (long long*)((char*)values.data + (long long)row * values.strides[0]) + column;
 #if defined(__CUDA_ARCH__)
     return (wp::int64)atomicAdd((unsigned long long*)p, (unsigned long long)count);
@@ -64,9 +63,16 @@ def set_bits(values: wp.array[wp.int32], index: int, bits: int):
     return (wp::int64)__atomic_fetch_add(p, (long long)count, __ATOMIC_RELAXED);
 #endif
 """
-)
+
+
+@wp.func_native(_CLAIM)
 def claim(values: wp.array2d[wp.int64], row: int, column: int, count: int) -> wp.int64:
     """Add ``count`` to values[row, column] and return the value before: the first of so many indices of its own."""
+    ...
+
+
+@wp.func_native(_CLAIM)
+def claim(values: wp.array2d[wp.int64], row: int, column: int, count: wp.int64) -> wp.int64:  # noqa: F811
     ...
 
 

@@ -12,6 +12,8 @@ from .pair.norm import Norm
 real: Any = wp.float64  # floating-point type of the iteration
 width = 1  # number of lanes
 norm = Norm.MAXIMUM  # that of the separation (`norm`)
+sink = 0  # where the outcomes of a kernel of the narrow phase on CUDA go (`sinks`)
+stage = "first"  # which of the kernels of a round it is (`queued_pairs`)
 only_method = ""  # of single pairs on CUDA: "clipping", by all threads of a warp, or "bisection", by one
 with_facets = True  # whether rounds are later ones, with facets or directions that turn
 dimension = 3  # of the positions that are read or written

@@ -395,7 +395,7 @@ def _launch(
     execution = Execution(device, options.threads, stop)
     outputs = table_outputs((points_t0, points_t1), vars(out))
     if execution.is_cuda:
-        counts: wp.array = wp.zeros((1, NUM_COUNTS), dtype=wp.int64, device=device)
+        counts: wp.array = wp.zeros((int(kind) + 1, NUM_COUNTS), dtype=wp.int64, device=device)
         queue = new_queue(count, device, keeps_contacts=False)
         inputs = [*table_inputs(kind, packed, count, counts), PairList(), queue]
         kernels = queued_kernels(options.real, options.norm, TABLE, is_clipping=options.is_clipping)

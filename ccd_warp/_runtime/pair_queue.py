@@ -38,7 +38,7 @@ def launch_queued(
         inputs: Inputs of the kernels after the number of threads.
         outputs: Their outputs.
     """
-    from ccd_warp.kernels.narrow_phase.queued_pairs import MOST_SOLVERS, WARP
+    from ccd_warp.kernels.narrow_phase.queued_launch import MOST_SOLVERS, WARP
 
     for stage, kernel in kernels.items():
         solvers = min(MOST_SOLVERS[stage], most_pairs * WARP)

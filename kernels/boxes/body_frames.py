@@ -110,6 +110,41 @@ def at_end(h_t0: wp.vec3d, h_t1: wp.vec3d, t_end: wp.float64) -> wp.vec3d:
     return h_t1
 
 
+@wp.struct
+class FrameAxes:
+    """Two axes of the frame of a body, whose edge is along the first of them."""
+
+    first: wp.vec3d  # at the start of the step
+    turned: wp.vec3d  # at its end
+    second: wp.vec3d  # across both
+    sine: wp.float64  # of the angle between the first axis at both ends
+
+
+@wp.func
+def axes_along(edge_t0: wp.vec3d, edge_end: wp.vec3d) -> FrameAxes:
+    """The axes of a body whose edge goes this way at both ends."""
+    r = FrameAxes()
+    r.first = unit_along(edge_t0)
+    r.turned = unit_along(edge_end)
+    r.sine = sine_between(r.first, r.turned)
+    r.second = across(r.first)
+    if r.sine > _LEAST_SINE:
+        r.second = unit_along(cross(r.first, r.turned))
+    else:
+        r.turned = r.first
+    return r
+
+
+@wp.func
+def axis(k: int, first: wp.vec3d, second: wp.vec3d) -> wp.vec3d:
+    """One of three axes, of which the last is across the others."""
+    if k == 0:
+        return first
+    if k == 1:
+        return second
+    return cross(first, second)
+
+
 @wp.kernel(cuda_max_registers=128)
 def fill_frame_aabbs(
     begin: int,
@@ -135,14 +170,7 @@ def fill_frame_aabbs(
     o_t0 = _QUARTER * vertices_t0[edge[0]]
     o_t1 = _QUARTER * vertices_t1[edge[0]]
     along = _QUARTER * vertices_t0[edge[1]] - o_t0
-    first = unit_along(along)
-    turned = unit_along(at_end(along, _QUARTER * vertices_t1[edge[1]] - o_t1, t_end))
-    sine = sine_between(first, turned)
-    second = across(first)
-    if sine > _LEAST_SINE:
-        second = unit_along(cross(first, turned))
-    else:
-        turned = first
+    axes = axes_along(along, at_end(along, _QUARTER * vertices_t1[edge[1]] - o_t1, t_end))
     h = _QUARTER * vertices_t0[v] - o_t0
     h_t1 = _QUARTER * vertices_t1[v] - o_t1
     end = at_end(h, h_t1, t_end)
@@ -156,18 +184,15 @@ def fill_frame_aabbs(
     upper_t1 = wp.vec3f()
     is_number = bool(True)
     for k in range(3):
-        a = second
-        b = second
-        if k != 1:
-            a = wp.where(k == 0, first, cross(first, second))
-            b = wp.where(k == 0, turned, cross(turned, second))
+        a = axis(k, axes.first, axes.second)
+        b = axis(k, axes.turned, axes.second)
         largest = wp.max(magnitude(a), magnitude(b))
         half = _ERROR * dot(largest, m) + (largest[0] + largest[1] + largest[2]) * reach + _UNDERFLOW
         p = dot(a, h)
         low = dot(b, end)
         high = low
         is_number = is_number and p == p and low == low
-        if k != 1 and sine > _LARGE_SINE:
+        if k != 1 and axes.sine > _LARGE_SINE:
             middle = _HALF * (dot(a, end) + dot(b, h))
             is_number = is_number and middle == middle
             low = wp.min(low, middle)

@@ -7,7 +7,7 @@ The boxes are exactly those of which `fill_vertex_aabbs` quantizes the parts for
 import warp as wp
 
 from ..parameters import is_thick
-from ..search.search_types import Search, SearchOptions
+from ..search.search_types import Search
 from .box_tree import WIDTH, box_corners
 from .boxes import Box, inflated, point_box, united
 from .lanes import lowest_bit
@@ -17,16 +17,20 @@ _NONE = wp.constant(wp.uint32(0))
 _ONE = wp.constant(wp.uint32(1))
 
 
-@wp.func
+@wp.func(inline=False)  # for few boxes: it would take registers of the search, and its struct memory of a thread
 def thick_box(
-    corners: wp.vec3i, vertices_t0: wp.array[wp.vec3d], vertices_t1: wp.array[wp.vec3d], options: SearchOptions
+    corners: wp.vec3i,
+    vertices_t0: wp.array[wp.vec3d],
+    vertices_t1: wp.array[wp.vec3d],
+    inflation: wp.float64,
+    radius: wp.array[wp.float64],
 ) -> Box:
     """The box of a primitive over the whole step."""
     box = Box()
     for k in range(3):
         v = corners[k]
-        part = inflated(united(point_box(vertices_t0[v]), point_box(vertices_t1[v])), options.inflation)
-        part = inflated(part, options.box_radius[v])
+        part = inflated(united(point_box(vertices_t0[v]), point_box(vertices_t1[v])), inflation)
+        part = inflated(part, radius[v])
         if k == 0:
             box = part
         else:
@@ -47,14 +51,18 @@ if is_thick:
     @wp.func
     def boxes_apart(search: Search, q: int, block: int, undecided: wp.uint32) -> wp.uint32:
         """Mask of the ``undecided`` boxes of a block that do not overlap the query's."""
-        box = thick_box(box_corners(search.query, q), search.step.vertices_t0, search.step.vertices_t1, search.options)
+        x0 = search.step.vertices_t0
+        x1 = search.step.vertices_t1
+        inflation = search.options.inflation
+        radius = search.options.box_radius
+        box = thick_box(box_corners(search.query, q), x0, x1, inflation, radius)
         mask = wp.uint32(0)
         left = wp.uint32(undecided)
         while left != _NONE:
             lane = lowest_bit(left)
             left = left & (left - _ONE)
             corners = box_corners(search.target, block * WIDTH + lane)
-            if are_apart(box, thick_box(corners, search.step.vertices_t0, search.step.vertices_t1, search.options)):
+            if are_apart(box, thick_box(corners, x0, x1, inflation, radius)):
                 mask = mask | (_ONE << wp.uint32(lane))
         return mask
 

@@ -36,7 +36,7 @@ _ROUNDINGS = wp.constant(wp.float64(2.0**-48))
 _ZERO = wp.constant(wp.float64(0.0))
 _ONE = wp.constant(wp.float64(1.0))
 _FOUR = wp.constant(wp.float64(4.0))
-_MOST_STEPS = 16
+_MOST_STEPS = wp.constant(16)
 
 
 @wp.struct
@@ -143,7 +143,7 @@ class ScaledPair:
     distance: wp.float64
 
 
-@wp.func(inline=False)
+@wp.func
 def closing_at(p: ScaledPair, t: wp.float64) -> Closing:
     """The gap of a pair at a time."""
     velocity = motion_of(p.c0, p.c1)
@@ -224,13 +224,15 @@ def scaled_pair(kind: int, query: Query, pairs: Table, i: int) -> ScaledPair:
 def root_from(p: ScaledPair, toi: wp.float64):
     """The time of the root to which Newton's method leads from a toi, and the gap there."""
     t = toi
-    g = closing_at(p, t)
-    steps = int(_MOST_STEPS)  # a variable, so that the loop stays one
-    for _ in range(steps):
+    g = Closing()
+    steps = int(0)
+    while steps <= _MOST_STEPS:
+        if steps > 0:
+            t = t + (p.distance - g.size) / g.rate
+        g = closing_at(p, t)
+        steps += 1
         if not g.is_known or wp.abs(g.size - p.distance) <= p.noise / wp.float64(32.0):
             break
-        t = t + (p.distance - g.size) / g.rate
-        g = closing_at(p, t)
     return t, g
 
 
@@ -247,11 +249,13 @@ def is_certain(p: ScaledPair, t: wp.float64, g: Closing, toi: wp.float64, t_max:
     if p.norm == TOUCH and p.kind != VERTEX_PLANE:
         if not wp.length(g.point) <= _FOUR * (p.noise + g.speed * uncertain):
             return False
-    before = closing_at(p, t - uncertain)
-    after = closing_at(p, t + uncertain)
-    if not (before.is_known and after.is_known):
-        return False
-    return not (wp.abs(before.rate - g.rate) > -_SAME * g.rate or wp.abs(after.rate - g.rate) > -_SAME * g.rate)
+    side = int(-1)
+    while side <= 1:
+        beside = closing_at(p, t + wp.float64(side) * uncertain)
+        if not beside.is_known or wp.abs(beside.rate - g.rate) > -_SAME * g.rate:
+            return False
+        side += 2
+    return True
 
 
 @wp.kernel

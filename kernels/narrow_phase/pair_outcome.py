@@ -10,7 +10,7 @@ from ..pair.start_gap import LEAST_TOLERANCE, is_near
 from ..pair.status import STATUS_COLLISION, STATUS_INITIAL_CONTACT, STATUS_NO_COLLISION, STATUS_ROUNDING_LIMIT
 from ..parameters import norm, only_method, real, width
 from ..step.minima import OPEN
-from ..step.pair_list import LeastToi, PairList, Round, vertices_of_pair
+from ..step.pair_list import LeastToi, PairList, Round, num_found, vertices_of_pair
 from ..template import specialised
 from .sinks import Table
 
@@ -69,6 +69,14 @@ def cap_of_round(options: Options, round: Round, pairs: PairList) -> int:
             return 0
         return share_of_work(options, num_open)
     return wp.min(options.first_iterations, options.max_iterations)
+
+
+@wp.func
+def num_pairs(pairs: PairList, options: Options, round: Round) -> int:
+    """Number of pairs that a round takes: none in the second round if the first has left none open."""
+    if cap_of_round(options, round, pairs) == 0:
+        return 0
+    return wp.int32(num_found(pairs))
 
 
 @wp.func

@@ -17,7 +17,7 @@ ROUNDING_LIMIT = wp.constant(32)
 FOUND = wp.constant(0)
 OPEN = wp.constant(1)
 CANDIDATES = wp.constant(2)
-# on CUDA: pairs that wait in the queue of the first round (`queued_pairs`), and in that of the second
+# on CUDA: pairs that wait in the queue of the first round (`pair_queue`), and in that of the second
 QUEUED = wp.constant(3)
 # in the first row alone: those in the column `OPEN` of all kinds
 ANY_OPEN = wp.constant(5)

@@ -154,7 +154,7 @@ def _is_asked_by_library() -> bool:
 
 def _patches(emulated: Emulation, num_multiprocessors: int) -> list[Any]:
     """What lets the kernels of the CPU run as on a CUDA device, from `start()` to `stop()`."""
-    from ccd_warp.kernels.narrow_phase import queued_pairs
+    from ccd_warp.kernels.narrow_phase import queued_launch
 
     from ccd_warp._engine import stages  # with what only CUDA launches
 
@@ -164,7 +164,7 @@ def _patches(emulated: Emulation, num_multiprocessors: int) -> list[Any]:
 
     def of_device(most: int) -> int:
         """Threads of a launch that a device of this size runs at once."""
-        return most * num_multiprocessors // MULTIPROCESSORS // queued_pairs.WARP * queued_pairs.WARP
+        return most * num_multiprocessors // MULTIPROCESSORS // queued_launch.WARP * queued_launch.WARP
 
     def stream_of(device: Any) -> Any:
         return _Stream(device) if _is_asked_by_library() and device.ordinal < 0 else stream.fget(device)
@@ -199,7 +199,7 @@ def _patches(emulated: Emulation, num_multiprocessors: int) -> list[Any]:
             ctypes.memset(place, _GARBAGE, min(size, _MOST_GARBAGE))
         return place
 
-    solvers = {stage: of_device(most) for stage, most in queued_pairs.MOST_SOLVERS.items()}
+    solvers = {stage: of_device(most) for stage, most in queued_launch.MOST_SOLVERS.items()}
     replaced = (
         (context.Device, "is_cuda", property(lambda device: _is_asked_by_library() or device.ordinal >= 0)),
         (context.Device, "is_cpu", property(lambda device: not _is_asked_by_library() and device.ordinal < 0)),
@@ -217,7 +217,7 @@ def _patches(emulated: Emulation, num_multiprocessors: int) -> list[Any]:
         (wp, "get_event_elapsed_time", lambda begin, end, *_: 1e3 * (end.time - begin.time)),
     )
     patches = [mock.patch.object(*each, create=True) for each in replaced]
-    return [mock.patch.dict(queued_pairs.MOST_SOLVERS, solvers), *patches]
+    return [mock.patch.dict(queued_launch.MOST_SOLVERS, solvers), *patches]
 
 
 @contextmanager

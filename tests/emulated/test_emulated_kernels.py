@@ -6,7 +6,16 @@ import warp as wp
 from ccd_warp.kernels.atomics import atomic_min_int32, atomic_min_int64, claim, claim_int, set_bits
 from ccd_warp.kernels.boxes.half_warp import least_together, united
 from ccd_warp.kernels.boxes.lanes import vec8f
-from ccd_warp.kernels.narrow_phase.pair_queue import Queue, QueuedPair
+from ccd_warp.kernels.narrow_phase.pair_queue import (
+    SETTLED,
+    Queue,
+    QueuedPair,
+    enqueue,
+    enqueue_contact,
+    num_open,
+    num_taken,
+    place_of,
+)
 from ccd_warp.kernels.narrow_phase.sinks import Table
 from ccd_warp.kernels.narrow_phase.whole_warp import agreed, claim_for, is_first, item_of_warp, latest, threads_where
 from ccd_warp.kernels.pair_kind import EDGE_EDGE, VERTEX_FACE
@@ -254,23 +263,70 @@ def test_warps_agree_while_others_lower_the_least_toi():
     x0, x1 = (np.where(first[:, None, None], x, 0.0) for x in (crossing, crossing - FALL))
     for x, needles in ((x0, start), (x1, end)):
         x[~first] = needles[hardest]
-    corners = [np.arange(64)[:, None] * 4 + [k, k + 1, k + 1] for k in (0, 2)]
-    pairs = PairList()
-    pairs.kind = int(EDGE_EDGE)
-    pairs.keys = array(np.arange(64) * ((1 << 32) + 1), wp.int64)
-    pairs.first_corners, pairs.second_corners = (array(c, wp.vec3i) for c in corners)
-    pairs.vertices_t0, pairs.vertices_t1 = (array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1))
     options = Options(tolerance=1e-15).for_kernel(1.0)
     for _ in range(3):
-        counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
-        counts[EDGE_EDGE, [FOUND, QUEUED]] = 64
-        open_pairs = [(k, 3, 0.25 if first[k] else 0.31) for k in range(64)]
-        queue = Queue()
-        queue.pairs = array(np.array(open_pairs, dtype=QueuedPair.numpy_dtype()), QueuedPair)
-        least = LeastToi()
-        least.bits, least.open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(64), wp.float64)
-        pairs.counts = array(counts, wp.int64)
-        inputs = [0, num_solvers, pairs, options, Round(), 0, PairList(), queue]
-        outputs = [Table(), Minima(), ContactList(), least]
-        launch(specialised("narrow_phase.queued_pairs").pairs_bound["last"], num_solvers, inputs, outputs, block_dim=32)
-        assert 0.3 - 1e-6 <= least.bits.numpy().view(np.float64)[0] <= 0.3
+        waiting = [(k, 3, 0.25 if first[k] else 0.31) for k in range(64)]
+        assert 0.3 - 1e-6 <= least_of_open(x0, x1, waiting, options, num_solvers) <= 0.3
+
+
+def least_of_open(x0, x1, waiting, options, num_solvers):
+    """The least toi of edges that wait for the last kernel, given by their row, iterations and toi so far."""
+    count = len(x0)
+    pairs, queue, least = PairList(), Queue(), LeastToi()
+    pairs.kind = int(EDGE_EDGE)
+    pairs.keys = array(np.arange(count) * ((1 << 32) + 1), wp.int64)
+    corners = [np.arange(count)[:, None] * 4 + [k, k + 1, k + 1] for k in (0, 2)]
+    pairs.first_corners, pairs.second_corners = (array(c, wp.vec3i) for c in corners)
+    pairs.vertices_t0, pairs.vertices_t1 = (array(x.reshape(-1, 3), wp.vec3d) for x in (x0, x1))
+    counts = np.zeros((5, NUM_COUNTS), dtype=np.int64)
+    counts[EDGE_EDGE, [FOUND, QUEUED]] = count, len(waiting)
+    pairs.counts = array(counts, wp.int64)
+    queue.pairs = array(np.array(waiting, dtype=QueuedPair.numpy_dtype()), QueuedPair)
+    least.bits, least.open_toi = array([INFINITY_BITS], wp.int64), array(np.zeros(count), wp.float64)
+    inputs = [0, num_solvers, pairs, options, Round(), 0, PairList(), queue]
+    outputs = [Table(), Minima(), ContactList(), least]
+    launch(specialised("narrow_phase.queued_pairs").pairs_bound["last"], num_solvers, inputs, outputs, block_dim=32)
+    return least.bits.numpy().view(np.float64)[0]
+
+
+def test_warps_find_the_only_pair_that_is_open():
+    """It is in each place of a queue with so many more than there are warps that a warp looks at places twice."""
+    x0 = np.array([[[-1.0, 0, 0.3], [1, 0, 0.3], [0, -1, 0], [0, 1, 0]]])
+    options = Options().for_kernel(1.0)
+    for place in (0, 1, 2, 3, 40, 62, 63, 64, 65, 150, 198, 199):
+        waiting = [(0 if k == place else int(SETTLED), 3, 0.25) for k in range(200)]
+        assert 0.3 - 1e-5 <= least_of_open(x0, x0 - FALL, waiting, options, 2 * 32) <= 0.3
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def fill_queue(is_contact: Ints, counts: Rows, queue: Queue):
+    pair = QueuedPair()
+    pair.row = wp.tid()
+    if is_contact[pair.row] != 0:
+        queue.contact[enqueue_contact(queue, counts, 2, 1, pair)] = wp.vec4d(wp.float64(pair.row))
+    else:
+        enqueue(queue, counts, 2, 1, pair)
+
+
+@wp.kernel(enable_backward=False, module="unique")
+def read_queue(counts: Rows, queue: Queue, rows: Ints):
+    n = wp.tid()
+    if n < num_taken(counts[2, 1]):
+        place = place_of(n, counts[2, 1], queue)
+        rows[n] = queue.pairs[place].row
+        if n >= num_open(counts[2, 1]):
+            rows[n] = wp.int32(queue.contact[place][0])
+
+
+def test_contacts_stand_behind_the_open_pairs_of_a_queue():
+    """Of a queue that is full, and of arrays of which one is longer."""
+    is_contact = np.random.default_rng(7).random(300) < 0.7
+    for num_pairs, num_contacts in ((300, 300), (450, 300), (300, 450)):
+        queue, counts, rows = Queue(), array(np.zeros((4, 8)), wp.int64), array(np.full(400, -1), wp.int32)
+        queue.pairs = array(np.zeros(num_pairs, dtype=QueuedPair.numpy_dtype()), QueuedPair)
+        queue.contact = array(np.zeros((num_contacts, 4)), wp.vec4d)
+        launch(fill_queue, 300, [array(is_contact, wp.int32), counts, queue])
+        launch(read_queue, 400, [counts, queue, rows])
+        end, found = (~is_contact).sum(), rows.numpy()
+        assert np.array_equal(np.sort(found[:end]), np.flatnonzero(~is_contact))
+        assert np.array_equal(np.sort(found[end:300]), np.flatnonzero(is_contact)) and (found[300:] == -1).all()

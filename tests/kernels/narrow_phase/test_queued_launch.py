@@ -2,7 +2,7 @@
 
 import numpy as np
 import warp as wp
-from ccd_warp.kernels.narrow_phase.queued_pairs import items_of
+from ccd_warp.kernels.narrow_phase.queued_launch import items_of
 
 
 def test_threads_get_few_pairs_spread_over_all_warps():
