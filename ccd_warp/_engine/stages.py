@@ -44,7 +44,7 @@ KINDS_AT_ONCE = 2
 # Pairs for which a recording on CUDA has threads, where their number is not known then: as many as there ever are.
 _MANY_PAIRS = 1 << 20
 # On the CPU: solvers for each thread; and pairs that a solver takes one after another, so that it finds their vertices
-# in the cache, and more than which are worth waking a thread.
+# in the cache.
 _SOLVERS_PER_THREAD = 8
 _CHUNK = 128
 # Pairs above which a solver may take long: some 0.4 s if all reach the limit of the first round.

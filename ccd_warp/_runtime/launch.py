@@ -26,6 +26,8 @@ from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
 _MOST_ITEMS = 1 << 19
+# Parts of few items each that take no longer one by one than waking a thread for some of them.
+_FEW_PARTS = 8
 
 _loaded: set[tuple[Any, str]] = set()
 
@@ -508,8 +510,8 @@ class Recording:
             if needed:
                 parts += needed
                 is_long = is_long or (takes_long is not None and takes_long())
-                is_worth_threads = is_worth_threads or is_large or len(needed) > 1
-        if not is_long and (len(parts) <= 1 or not is_worth_threads):
+                is_worth_threads = is_worth_threads or is_large
+        if not is_long and (len(parts) <= 1 or not (is_worth_threads or len(parts) > _FEW_PARTS)):
             for part in parts:
                 part()
             return
