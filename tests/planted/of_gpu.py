@@ -181,8 +181,6 @@ PLANTED = [
           "= pair;\n    __syncwarp();\n", "= pair;\n", ("launch", "counts")),
     Fault("boxes are read before all have written theirs", _SEARCH,
           "box[4 * k + 3]}};\n        __syncwarp();\n", "box[4 * k + 3]}};\n", ("launch", "counts")),
-    Fault("one queue for all warps of a block", _SEARCH,
-          "queue = queues[threadIdx.x >> 5];", "queue = queues[0];", ("launch", "counts")),
     Fault("the box around the queries without some", _SEARCH, "for (int bits = 8; k <", "for (int bits = 4; k <",
           ("launch", "counts")),
     Fault("a block too many", _WALK,

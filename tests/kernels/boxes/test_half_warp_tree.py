@@ -55,12 +55,13 @@ def test_half_warps_fill_the_same_boxes(count, num_aabbs):
             order = rest_order(topology, tree.primitives, WAYS[0])
             tree.set_order(num_aabbs, order, wp.full(tree.num_floats(num_aabbs), value=np.nan, dtype=wp.float32))
         with emulation() if is_emulated else nullcontext():
-            Tree.fill(trees, aabbs, WAYS[0], only_if=wp.zeros(1, dtype=wp.int32))
+            execution = Execution(DEVICE, 1)  # it keeps what its device is
+            Tree.fill(trees, aabbs, execution, only_if=wp.zeros(1, dtype=wp.int32))
             assert all(np.isnan(tree.arrays.nodes.numpy()).all() for tree in trees)  # as the flag is not set
             for _ in range(2):
                 for tree in trees:
                     tree.arrays.nodes.fill_(np.nan)
-                Tree.fill(trees, aabbs, WAYS[0])
+                Tree.fill(trees, aabbs, execution)
         nodes.append(np.concatenate([tree.arrays.nodes.numpy() for tree in trees]))
     assert not np.isnan(nodes[0]).any()
     np.testing.assert_array_equal(*nodes)
