@@ -8,7 +8,7 @@ import re
 import subprocess
 import sys
 import threading
-from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
@@ -223,14 +223,6 @@ class _Stored:
         return int(size) // (int(re.sub("[A-Za-z]", "", kind)) // 8)
 
 
-def _is_installed() -> bool:
-    """Whether there is a VTK whose readers notice where a text is cut, as they do from 9.7 on."""
-    try:
-        return tuple(map(int, version("vtk").split(".")[:2])) >= (9, 7)
-    except PackageNotFoundError:
-        return False
-
-
 class _Process:
     """The process that reads, which starts with the first file; one that a file has ended is followed by another."""
 
@@ -262,8 +254,8 @@ class _Process:
             process.communicate()
 
     def _started(self) -> subprocess.Popen[bytes]:
-        if not _is_installed():
-            raise not_installed("vtk from 9.7 on")
+        if find_spec("vtkmodules") is None:
+            raise not_installed("vtk")
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
         return subprocess.Popen(
             [sys.executable, "-P", str(Path(__file__).with_name("vtk_process.py"))],
@@ -281,6 +273,8 @@ atexit.register(_PROCESS.stop)
 
 def _of_process(*request: Any) -> Any:
     answer = _PROCESS.read(*request)
+    if answer is None:
+        raise not_installed("vtk from 9.7 on")
     if isinstance(answer, str):
         raise InputError(f"VTK cannot read it: {answer.rpartition('):')[2].strip()}; {CUT}")
     return answer

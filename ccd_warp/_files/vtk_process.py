@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 from vtkmodules.util.numpy_support import vtk_to_numpy
-from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow, vtkVersion
 from vtkmodules.vtkIOLegacy import vtkPolyDataReader, vtkUnstructuredGridReader
 from vtkmodules.vtkIOXML import vtkXMLPolyDataReader, vtkXMLUnstructuredGridReader
 
@@ -20,8 +20,10 @@ _LEGACY: dict[str, Any] = {"UNSTRUCTURED_GRID": vtkUnstructuredGridReader, "POLY
 _DUPLICATE = 1  # the bit of a cell that belongs to another piece
 
 
-def _read(kind: str, data: bytes, field: str | None) -> tuple[Any, ...] | str:
-    """The content of a file, or the first error of VTK."""
+def _read(kind: str, data: bytes, field: str | None) -> tuple[Any, ...] | str | None:
+    """The content of a file, or the first error of VTK; None where its readers do not notice that a text is cut."""
+    if (vtkVersion.GetVTKMajorVersion(), vtkVersion.GetVTKMinorVersion()) < (9, 7):
+        return None
     errors: list[str] = []
 
     def note(window: Any, event: str, message: str) -> None:

@@ -4,7 +4,7 @@ import json
 import os
 import re
 import sys
-from importlib.metadata import PackageNotFoundError
+from importlib import import_module
 from unittest import mock
 
 import numpy as np
@@ -157,21 +157,23 @@ def test_hdf5_of_another_shape_or_elsewhere_is_refused(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     "name, packages",
-    {"one.xdmf": "h5py meshio", "scene.dae": "collada", "scene.3mf": "lxml networkx"}.items(),
+    {"one.xdmf": "h5py meshio", "text.vtp": "vtk", "scene.dae": "collada", "scene.3mf": "lxml networkx"}.items(),
 )
 def test_the_extra_that_brings_a_package_is_named_where_it_is_not_installed(tmp_path, monkeypatch, name, packages):
     content = whole(name)  # before a package of those that write it is missing
     for package in packages.split():
         with monkeypatch.context() as patch:
-            patch.setitem(sys.modules, package, None)
+            patch.setitem(sys.modules, package.replace("vtk", "vtkmodules"), None)
+            patch.setattr("ccd_warp._files.vtk._PROCESS", _Process())
             message = rf"{package} reads it; install with: pip install 'ccd-warp\[formats\]'"
             refused(tmp_path / name, content, message)
 
 
-@pytest.mark.parametrize("found", [PackageNotFoundError("vtk"), ["9.6.2"]])
-def test_a_vtk_that_takes_part_of_a_text_for_all_is_as_good_as_none(tmp_path, monkeypatch, found):
+def test_a_vtk_that_takes_part_of_a_text_for_all_is_as_good_as_none(tmp_path, monkeypatch):
     content = whole("text.vtp")
-    monkeypatch.setattr("ccd_warp._files.vtk._PROCESS", _Process())
-    monkeypatch.setattr("ccd_warp._files.vtk.version", mock.Mock(side_effect=found))
+    process = import_module("ccd_warp._files.vtk_process")
+    numbers = {"GetVTKMajorVersion.return_value": 9, "GetVTKMinorVersion.return_value": 6}
+    monkeypatch.setattr(process, "vtkVersion", mock.Mock(**numbers))
+    monkeypatch.setattr("ccd_warp._files.vtk._PROCESS.read", process._read)
     message = r"vtk from 9.7 on reads it; install with: pip install 'ccd-warp\[formats\]'"
     refused(tmp_path / "text.vtp", content, message)
