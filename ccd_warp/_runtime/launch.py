@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields, make_dataclass
 from functools import partial
+from time import perf_counter
 from typing import Any, ClassVar
 
 import numpy as np
@@ -26,8 +27,9 @@ from ccd_warp.kernels.once import building, uncollected
 
 # Largest number of items in a part of a kernel that does little work for each: some 20 ms.
 _MOST_ITEMS = 1 << 19
-# Parts of few items each that take no longer one by one than waking a thread for some of them.
-_FEW_PARTS = 8
+# Parts of few items each that mostly take no longer one by one than waking a thread for some of them, and the seconds
+# after which it pays all the same.
+_FEW_PARTS, _WAKING = 8, 2e-4
 
 _loaded: set[tuple[Any, str]] = set()
 
@@ -511,10 +513,10 @@ class Recording:
                 parts += needed
                 is_long = is_long or (takes_long is not None and takes_long())
                 is_worth_threads = is_worth_threads or is_large
-        if not is_long and (len(parts) <= 1 or not (is_worth_threads or len(parts) > _FEW_PARTS)):
-            for part in parts:
-                part()
-            return
+        if not is_long and (len(parts) <= 1 or (len(parts) <= _FEW_PARTS and not is_worth_threads)):
+            parts = _left_after(parts, _WAKING)
+            if not parts:
+                return
         progress = self.progress
         progress.begin(section, len(parts))
 
@@ -523,6 +525,16 @@ class Recording:
             progress.done += 1
 
         self.execution.run([lambda p=p: run(p) for p in parts], is_long=is_long)  # type: ignore[misc]
+
+
+def _left_after(parts: list[Callable[[], None]], seconds: float) -> list[Callable[[], None]]:
+    """Call them one by one for so long; returns those that are left."""
+    end = perf_counter() + seconds
+    for k, part in enumerate(parts, 1):
+        part()
+        if perf_counter() > end:
+            return parts[k:]
+    return []
 
 
 def _call_if(condition: NDArray[np.int32], calls: list[Callable[[], None]]) -> None:

@@ -2,9 +2,11 @@
 
 import threading
 import time
+from functools import partial
 
 import pytest
 
+from ccd_warp._runtime.launch import _left_after
 from ccd_warp._runtime.threads import run, run_aside, run_side_by_side
 
 
@@ -21,6 +23,21 @@ def test_no_task_is_left_out(num_tasks, is_long, num_threads):
 
     run([outer, outer], 2, is_long=True)
     assert done.count("task") == 2 * num_tasks
+
+
+@pytest.mark.parametrize("is_long", [False, True])
+def test_the_error_of_a_task_is_that_of_its_job(is_long):
+    """Also of one that a thread of the pool has taken, as where the calling thread only waits."""
+    for tasks in ([lambda: 1 // 0, int], [int, lambda: 1 // 0]):
+        with pytest.raises(ZeroDivisionError):
+            run(tasks, 2, is_long=is_long)
+
+
+def test_parts_that_take_longer_than_waking_a_thread_are_left_to_others():
+    done: list[int] = []
+    parts = [partial(done.append, k) for k in range(3)]
+    assert _left_after(parts, 60.0) == [] and done == [0, 1, 2]
+    assert _left_after(parts, 0.0) == parts[1:] and done == [0, 1, 2, 0]
 
 
 @pytest.mark.parametrize("failing", range(3))
