@@ -377,6 +377,11 @@ class _Drawing:
                 pairs = self.rng.integers(0, (len(first), len(second)), (1 + int(most * self.rng.random()), 2))
                 pairs = np.stack([first[pairs[:, 0]], second[pairs[:, 1]]], axis=1)
                 found[key] = pairs if first is not second else pairs[pairs[:, 0] != pairs[:, 1]]
+        at_rest = np.flatnonzero(mesh.static[mesh.vertex_body])
+        if len(at_rest) and mesh.num_faces and self.flip(0.5):  # one corner alone of faces that are queries
+            rows = self.rng.integers(0, mesh.num_faces, 20), self.rng.integers(0, 3, 20)
+            pairs = np.stack([self.rng.choice(at_rest, 20), mesh.faces[rows]], axis=1)
+            found["vertices"] = np.concatenate([found.get("vertices", pairs[:0]), pairs[pairs[:, 0] != pairs[:, 1]]])
         return found
 
     # --- positions and options ---
