@@ -60,8 +60,13 @@ class Plan:
         goal: Goal,
         norm: Norm,
         kept: Mapping[Any, dict[str, BoxSet]] | None = None,
+        counters: wp.array | None = None,
     ) -> None:
-        """Choose what is searched; ``kept`` are sets of boxes that stay from plan to plan, by their broad phase."""
+        """Choose what is searched.
+
+        ``kept`` are sets of boxes that stay from plan to plan, by their broad phase, and ``counters`` begin with the
+        memory for the counts; by default the plan has its own.
+        """
         self.topology, self.execution = topology, execution
         self.norm, self._goal, self._real = norm, goal, options.real
         self.is_clipping = options.is_clipping
@@ -86,10 +91,9 @@ class Plan:
         self.moving_trees = [tree for tree in self.trees if tree.primitives.role not in ("static", "slender")]
         self._searched_kinds = list(dict.fromkeys(tree_pair.kind for tree_pair in self.tree_pairs))
         self.sink = int(BOUND if goal == "bound" else CONTACTS)
-        # the counts of each kind, the bits of the least toi, and large blocks of trees: one array, read by CUDA at once
-        num_counters = NUM_ALL_COUNTS + 1 + len(self.moving_trees)
-        self._counters: wp.array = wp.zeros(num_counters, dtype=wp.int64, device=topology.device)
-        self._counts = self._counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
+        if counters is None:
+            counters = wp.zeros(NUM_ALL_COUNTS, dtype=wp.int64, device=topology.device)
+        self._counts: wp.array = counters[:NUM_ALL_COUNTS].reshape(COUNTS_SHAPE)
         self._is_open = low_half(self._counts, int(ANY_OPEN))
 
     def record_boxes(

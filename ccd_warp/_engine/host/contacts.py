@@ -10,11 +10,11 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.buffers import Buffers
+from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.mesh.planes import planes_of
 from ccd_warp._engine.mesh.topology import Topology
 from ccd_warp._results.contacts import Contacts
 from ccd_warp._runtime.launch import Execution, Recording, Slot
-from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.quick import of_values
 from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp.kernels.step import contacts as kernels
@@ -136,23 +136,17 @@ class ContactStore:
 
     Attributes:
         minima: The minima that the narrow phase updates; a step begins by setting them to infinity.
-        count: Number of contacts in the list, int32, shape [1].
         total: Number of contacts found.
         num_with_planes: Number of contacts of vertices and planes for which steps begin with capacity.
     """
 
-    def __init__(self, topology: Topology, buffers: Buffers) -> None:
-        mesh = topology.mesh
+    def __init__(self, topology: Topology, buffers: Buffers, counters: Counters) -> None:
+        mesh, self._counters = topology.mesh, counters
         self.total, self.num_with_planes = 0, _FEW[0]
         self._topology, self._buffers, self._is_cuda = topology, buffers, topology.device.is_cuda
         sizes = {"vertex": mesh.num_vertices, "body": mesh.num_bodies, "world": mesh.num_worlds, "scene": 1}
         self._ranges = list(itertools.pairwise([0, *itertools.accumulate(sizes.values())]))
-        # the number of contacts is behind them, so that CUDA reads both at once
-        self._toi: wp.array = wp.zeros(self._ranges[-1][1] + 1, dtype=wp.float64, device=topology.device)
-        place = self._toi.ptr + 8 * self._ranges[-1][1]
-        self.count: wp.array = wp.array(ptr=place, dtype=wp.int32, shape=1, device=topology.device)
-        self._read: NDArray[np.float64] | None = None  # on CUDA, at the end of a batch
-        toi = {name: self._toi[begin:end] for name, (begin, end) in zip(sizes, self._ranges, strict=True)}
+        toi = {name: counters.toi[begin:end] for name, (begin, end) in zip(sizes, self._ranges, strict=True)}
         # flags tell of too little capacity alone, and here the counts do
         flags, world_flags = (wp.zeros(sizes[of], dtype=wp.int32, device=topology.device) for of in ("scene", "world"))
         self.minima = new_minima(topology, **toi, flags=flags, world_flags=world_flags)
@@ -162,7 +156,7 @@ class ContactStore:
 
     def begin(self, execution: Execution, largest: int) -> None:
         """Begin a step; ``largest`` is the number of contacts that may be kept, beyond it they are only counted."""
-        self.total, self._read = 0, None
+        self.total = 0
         self._execution, self._largest = execution, largest
 
     @property
@@ -178,34 +172,18 @@ class ContactStore:
                 name: self._buffers.grown(f"contact {name}", kept, wanted, dtype)
                 for name, dtype in CONTACT_DTYPES.items()
             }
-            self._list = new_contact_list({"count": self.count, **arrays})
+            self._list = new_contact_list({"count": self._counters.num_contacts, **arrays})
             self._capacity = min(map(len, arrays.values()))
             self._views = None if self._is_cuda else {name: array.numpy() for name, array in arrays.items()}
-        self._read = None
-        if self._is_cuda:
-            self.count.fill_(kept)
-        else:
-            self._count_view[0] = kept
+        self._counters.set_contacts(kept)
         return self._list
-
-    @lazy_property
-    def _count_view(self) -> NDArray[np.int32]:
-        return self.count.numpy()
-
-    @lazy_property
-    def _toi_view(self) -> NDArray[np.float64]:
-        return self._toi.numpy()
 
     def end_batch(self, appended: int | None = None) -> None:
         """Count what the batch has appended, unless that is given."""
         if appended is not None:
             self.total += appended
             return
-        count = self._count_view
-        if self._is_cuda:
-            self._read = self._toi.numpy()
-            count = self._read[-1:].view(np.int32)
-        self.total += int(count[0]) - min(self.total, self._capacity)
+        self.total += self._counters.count_contacts() - min(self.total, self._capacity)
 
     def ends_complete(self) -> bool:
         """Count what the only batch has appended; whether there was a place for each, as the next one has if not."""
@@ -243,8 +221,7 @@ class ContactStore:
         self.total = len(kept)
         for name, values in columns.items():
             getattr(self._list, name)[: self.total].assign(values[kept])
-        self._read = None
-        self.count.fill_(self.total)
+        self._counters.set_contacts(self.total)
 
     def _columns(self) -> dict[str, NDArray[Any]]:
         """The columns of the contacts in the list, of which there are some; on the CPU the list's own memory."""
@@ -264,14 +241,14 @@ class ContactStore:
         if count <= _FEW[-1]:
             capacity = next(most for most in _FEW if count <= most)
             if capacity not in self._few:
-                ordered = _Ordered(self._topology, self.count, self.minima, capacity, is_cuda)
+                ordered = _Ordered(self._topology, self._counters.num_contacts, self.minima, capacity, is_cuda)
                 self._few[capacity] = _FewOrdered(ordered)
             if count > 0:
                 self._few[capacity].order(self._list, count, self._execution)
             contacts, first = self._few[capacity].ordered.read(count)
             # the arrays stay
             return self._gathered({name: values[:count].copy() for name, values in contacts.items()}, first)
-        ordered = _Ordered(self._topology, self.count, self.minima, count, is_cuda)
+        ordered = _Ordered(self._topology, self._counters.num_contacts, self.minima, count, is_cuda)
         if count > 0:
             ordered.fill_keys(self._execution, self._list)
             ordered.sort(count, self._execution)
@@ -279,10 +256,9 @@ class ContactStore:
         return self._gathered(*ordered.read(count))
 
     def _gathered(self, contacts: dict[str, NDArray[Any]], first: list[NDArray[np.int32]]) -> dict[str, Any]:
-        if self._is_cuda:
-            toi = self._toi.numpy() if self._read is None else self._read
-        else:
-            toi = self._toi_view.copy()
+        toi = self._counters.read_all()
+        if not self._is_cuda:
+            toi = toi.copy()
         results: dict[str, Any] = {"contacts": of_values(Contacts, contacts), "toi": float(toi[self._ranges[-1][0]])}
         for (of_toi, of_contact), (begin, end), of_owners in zip(_OWNERS, self._ranges, first, strict=False):
             results[of_toi], results[of_contact] = toi[begin:end], of_owners

@@ -172,8 +172,7 @@ class LeastToiStep(ImpactStep):
     def begin_found(self) -> None:
         """Begin without a toi."""
         plan = self.plan
-        plan.counters.clear()
-        plan.counters.set_least(np.inf)
+        plan.counters.begin(np.inf)
         self._begin_list(plan)
 
     def _begin_list(self, plan: HostPlan) -> None:

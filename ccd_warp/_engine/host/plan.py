@@ -18,7 +18,6 @@ from ccd_warp._engine.boxes.box_sets import BoxSet
 from ccd_warp._engine.boxes.near_bodies import NearBodies
 from ccd_warp._engine.boxes.some_queries import has_many_blocks, with_some_queries
 from ccd_warp._engine.boxes.trees import SearchPart, TreePair, search_options
-from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.host.pair_memory import CANDIDATES_EACH, PairMemory
 from ccd_warp._engine.mesh.topology import MOST_COPIED, Positions
 from ccd_warp._engine.motion import Motion
@@ -71,7 +70,7 @@ class HostPlan(Plan):
     Attributes:
         most_partners: Number of primitives in the largest set in which partners are searched.
         memory: Memory for the pairs that a search finds.
-        counters: What the kernels count, and the least toi so far.
+        counters: What the kernels count, and the least toi so far; of all plans of a workspace.
         num_searches: Searches of a tree pair, or of a part of one, in this step, by kind.
         num_candidates: Pairs of each kind whose boxes overlap, in the last search.
         num_batches: Number of batches of this step.
@@ -102,7 +101,8 @@ class HostPlan(Plan):
         device, threads = topology.device, options.threads
         execution = Execution(device, threads, workspace.flag, workspace.progress, may_be_captured=False)
         self._radii = motion.radius, motion.box_radius
-        super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets)
+        self.counters = workspace.counters
+        super().__init__(topology, options, execution, goal, norm, workspace.boxes.sets, self.counters.array)
         self.most_partners = max((tree_pair.target.primitives.count for tree_pair in self.tree_pairs), default=0)
         has_queue = execution.is_cuda and self._has_narrow_phase
         are_few = all(tree.levels[0] <= MOST_IN_ORDER for tree in self.trees)
@@ -131,9 +131,7 @@ class HostPlan(Plan):
         self._active = workspace.active(None)
         self._bound: list[tuple[Any, ...]] = []  # structs of trees that the recording has
         self._are_copied = topology.device.is_cuda or topology.mesh.num_vertices <= MOST_COPIED
-        self.counters = Counters(self._counters, is_cuda=execution.is_cuda)
-        self._large_blocks = [0] * len(self.moving_trees)  # of each tree so far
-        self._has_counted_blocks = False  # since then
+        self._has_counted_blocks = False  # since they were noted
         self.begin_counts()
 
         boxes = {tree.name: tuple(map(Slot, tree.slots)) for tree in self.trees}
@@ -259,7 +257,7 @@ class HostPlan(Plan):
         self.record_boxes(recording, stages, active, sort=self._keep_in_order if self._kept_in_order else None)
         if recording.is_cuda:
             for cell, tree in enumerate(self._kept_in_order):
-                stages.count_large_blocks(recording, tree, self._counters, NUM_ALL_COUNTS + 1 + cell)
+                stages.count_large_blocks(recording, tree, self.counters.array, NUM_ALL_COUNTS + 1 + cell)
 
     def _keep_in_order(self) -> None:
         if any([self._boxes.keep_in_order(tree, self.execution) for tree in self._kept_in_order]):
@@ -268,10 +266,8 @@ class HostPlan(Plan):
 
     def _note_order(self) -> bool:
         """On CUDA, note which trees are in order by the large blocks since the last time; returns whether all are."""
-        counts, self._has_counted_blocks = self.counters.large_blocks(), False
-        of_boxes = [count - before for count, before in zip(counts, self._large_blocks, strict=True)]
-        self._large_blocks = counts
-        trees = zip(self._kept_in_order, of_boxes, strict=False)
+        self._has_counted_blocks = False
+        trees = zip(self._kept_in_order, self.counters.large_blocks(), strict=False)
         return all([self._boxes.note_large_blocks(tree, count) for tree, count in trees])
 
     @lazy_property
@@ -443,7 +439,10 @@ class HostPlan(Plan):
             self.marks, self._meets = [], [False] * len(tree_pairs)
             section = "step without pairs" if self.is_idle else "step"
             self.play(section, partial(self._record_step, tree_pairs, record_found))
-            self._has_counted_blocks = self.execution.is_cuda and bool(tree_pairs)
+            if self.execution.is_cuda:
+                self._has_counted_blocks = bool(tree_pairs)
+                if self._goal == "contacts":
+                    self.counters.read_all()
 
         return self._fitting(tree_pairs, largest, search, fits)
 
@@ -620,7 +619,7 @@ class HostPlan(Plan):
         self.play("reset", self._record_reset)
 
     def _record_reset(self, stages: Stages, recording: Recording) -> None:
-        stages.reset(recording, self._workspace.contacts.count, self._workspace.flag.array)
+        stages.reset(recording, self.counters.num_contacts, self._workspace.flag.array)
         stages.reset_vertices(recording)
 
 

@@ -15,20 +15,29 @@ _T = TypeVar("_T")
 class StageTimer:
     """The time of each stage of a step.
 
+    On CUDA events are those of earlier steps, where these have ended.
+
     Attributes:
         seconds: Seconds by the name of the stage; once it is finished also their ``total``.
         timed: Adds the time of a block to that of a stage.
         now: This moment: on CUDA that in which the device comes to it.
     """
 
-    def __init__(self, device: wp.Device) -> None:
+    def __init__(self, device: wp.Device, unused: list[wp.Event]) -> None:
+        """Begin a step on a device, with events that no other step uses."""
         self.seconds = {"input": 0.0}
         self._events: list[tuple[str, wp.Event, wp.Event]] = []
         self.now: Callable[[], Any] = time.perf_counter
         self.timed: Callable[[str], AbstractContextManager[None]] = partial(_Block, self.seconds)
         self._is_cuda = device.is_cuda
         if self._is_cuda:
-            self.now, self.timed = partial(_event_on, device), partial(_BlockOnDevice, self._events, device)
+            self._device, self._unused, self._used = device, unused, list[wp.Event]()
+            self.now, self.timed = self._event, partial(_BlockOnDevice, self._events, self._event)
+
+    def _event(self) -> wp.Event:
+        event = self._unused.pop() if self._unused else wp.Event(self._device, enable_timing=True)
+        self._used.append(event)
+        return wp.get_stream(self._device).record_event(event)
 
     def add(self, stages: Sequence[str], moments: Sequence[Any]) -> None:
         """Add the times of stages, each from one moment to the next; the first has taken some already.
@@ -56,10 +65,13 @@ class StageTimer:
 
     def finish(self) -> None:
         """Read the events, and sum the stages."""
-        for stage, begin, end in self._events:
-            seconds = 1e-3 * wp.get_event_elapsed_time(begin, end)
-            self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
-        self._events.clear()
+        if self._is_cuda:
+            for stage, begin, end in self._events:
+                seconds = 1e-3 * wp.get_event_elapsed_time(begin, end)
+                self.seconds[stage] = self.seconds.get(stage, 0.0) + seconds
+            self._unused += self._used
+            self._events.clear()
+            self._used.clear()
         self.seconds["total"] = sum(self.seconds.values())
 
 
@@ -75,15 +87,11 @@ class _Block:
 
 
 class _BlockOnDevice:
-    def __init__(self, events: list[tuple[str, wp.Event, wp.Event]], device: wp.Device, stage: str) -> None:
-        self._events, self._device, self._stage = events, device, stage
+    def __init__(self, events: list[tuple[str, wp.Event, wp.Event]], now: Callable[[], wp.Event], stage: str) -> None:
+        self._events, self._now, self._stage = events, now, stage
 
     def __enter__(self) -> None:
-        self._begin = _event_on(self._device)
+        self._begin = self._now()
 
     def __exit__(self, *_: object) -> None:
-        self._events.append((self._stage, self._begin, _event_on(self._device)))
-
-
-def _event_on(device: wp.Device) -> wp.Event:
-    return wp.get_stream(device).record_event(wp.Event(device, enable_timing=True))
+        self._events.append((self._stage, self._begin, self._now()))

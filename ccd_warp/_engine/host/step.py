@@ -89,7 +89,7 @@ class HostStep:
             self.motion = workspace.packed_once(("straight", t_max), lambda: Motion(self.topology, t_max))
         else:
             self.motion = paths.begin(workspace, positions, options, for_impacts=self.is_for_impacts)
-        self.timer = StageTimer(self.topology.device)
+        self.timer = StageTimer(self.topology.device, workspace.unused_events)
         self.timed, self.timings = self.timer.timed, self.timer.seconds
         self.survivors = dict(NO_PAIRS)
         self.oddities = Oddities()

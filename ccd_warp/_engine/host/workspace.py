@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ccd_warp._engine.boxes.step_boxes import StepBoxes
 from ccd_warp._engine.host.buffers import Buffers
 from ccd_warp._engine.host.contacts import ContactStore
+from ccd_warp._engine.host.counters import Counters
 from ccd_warp._engine.mesh.topology import Positions, Topology
 from ccd_warp._results.results import Counts
 from ccd_warp._runtime.lazy import lazy_property
@@ -50,6 +51,7 @@ class Workspace:
         self.flag = StopFlag(device)
         self.boxes = StepBoxes(self.topology, self.buffers)
         self.progress = Progress()
+        self.unused_events: list[wp.Event] = []  # of CUDA, by which a step is timed
         self.plans: dict[Any, Any] = {}  # of `host_plan`, by what they depend on
         self.last_plans: dict[str, Any] = {}  # that of the last step with a goal, after what it depends on
         self._kept: dict[type, Any] = {}
@@ -105,7 +107,13 @@ class Workspace:
     @lazy_property
     def contacts(self) -> ContactStore:
         """The contacts and the minima of a step."""
-        return ContactStore(self.topology, self.buffers)
+        return ContactStore(self.topology, self.buffers, self.counters)
+
+    @lazy_property
+    def counters(self) -> Counters:
+        """What the kernels of a step count, and every toi."""
+        mesh = self.topology.mesh
+        return Counters(self.topology.device, mesh.num_vertices + mesh.num_bodies + mesh.num_worlds + 1)
 
     def copied(self, positions: Positions) -> tuple[wp.array, wp.array]:
         """Arrays that stay, with copies of the positions at both ends of a step."""
