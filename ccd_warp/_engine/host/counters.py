@@ -24,8 +24,8 @@ class _OnHost(NamedTuple):
 
     @classmethod
     def of(cls, values: NDArray[np.int64]) -> "_OnHost":
-        counts, least, blocks = np.split(values[1:], [NUM_ALL_COUNTS, NUM_ALL_COUNTS + 1])
-        return cls(values[:1].view(np.int32), counts.reshape(COUNTS_SHAPE), least.view(np.float64), blocks)
+        counts, others = values[1 : 1 + NUM_ALL_COUNTS], values[1 + NUM_ALL_COUNTS :]
+        return cls(values[:1].view(np.int32), counts.reshape(COUNTS_SHAPE), others[:1].view(np.float64), others[1:])
 
 
 class Counters:
