@@ -19,7 +19,8 @@ least of those that are the same to rounding, so that no touch is later than the
 
 **What is at a distance** has the direction of the gap as its normal in all pairs of a group. If it separates nothing,
 something beside the features is nearer, which touches in a pair of its own: the contact is that of a ball that has
-already met the face beside an edge, and is left out.
+already met the face beside an edge, and is left out. If it is the earliest of all, by a rounding, the first that is kept
+has its toi.
 """
 
 from collections.abc import Callable
@@ -71,6 +72,10 @@ def distinct(contacts: Contacts, position_at: At | None) -> tuple[Indices, Array
     of_same = kept[same]
     is_near = contacts.toi[same] + slack[same] >= contacts.toi[of_same] - slack[of_same]
     np.minimum.at(least, of_same[is_near], contacts.toi[same[is_near]])
+    if len(rows):  # the earliest may be left out, where what is beside it touches at the same time to rounding
+        earliest, first = np.argmin(contacts.toi), rows[np.argmin(least[rows])]
+        if kept[earliest] < 0 and least[first] - slack[first] <= contacts.toi[earliest] + slack[earliest]:
+            least[first] = contacts.toi[earliest]
     return rows, least[rows]
 
 
