@@ -19,8 +19,8 @@ least of those that are the same to rounding, so that no touch is later than the
 
 **What is at a distance** has the direction of the gap as its normal in all pairs of a group. If it separates nothing,
 something beside the features is nearer, which touches in a pair of its own: the contact is that of a ball that has
-already met the face beside an edge, and is left out. If it is the earliest of all, by a rounding, the first that is kept
-has its toi.
+already met the face beside an edge, and is left out. Where it is the earliest of all, by a rounding, the first contact
+that is kept has its toi.
 """
 
 from collections.abc import Callable
