@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.kernels.template import specialised
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -206,3 +207,9 @@ def test_a_block_whose_pairs_no_batch_can_hold_is_an_error_and_no_loop(monkeypat
     monkeypatch.setattr(CandidateStep, "capacity", lambda *_: 8)
     with pytest.raises(MemoryError, match="a block of boxes overlaps more than 8 others"):
         ccd.find_candidates(mesh, mesh.vertices, mesh.vertices)
+
+
+@pytest.mark.parametrize("width", [4, 8])
+def test_what_an_item_collects_is_as_long_as_its_array(width):
+    collected = specialised("search.collected", width=width)
+    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
