@@ -7,8 +7,7 @@ import pytest
 from expected_warnings import OF_ROUNDING
 from laws.calls import EVERY_PER
 from laws.outputs import tois_of
-from laws.truth import Pairs, plane_value
-from rounding_samples import exactly, rational
+from laws.truth import Pairs, PlaneTruth, plane_value
 from scenes import FACE, NO_FACES, TRIANGLE, sheet
 
 import ccd_warp as ccd
@@ -48,31 +47,15 @@ NORMALS = [[0, 0, 1], [0, -1e-320, 0], [1e308, 1e308, -1e308], [5e-324, 0, 5e-32
 NORMALS += [[1, 1, 1], [-3, 4, 0], [0.3, -1.1, 0.7], [-2.3, 0.1, 0.01], [1.9, -0.4, -1.2]]
 
 
-def values(mesh, positions):
-    """(x - point)·normal of every vertex and plane, exactly."""
-    own = mesh.planes.vertices[:, None]
-    points = exactly(np.where(own < 0, mesh.planes.points, positions[own[:, 0]]))
-    return ((exactly(positions)[:, None] - points) * exactly(mesh.planes.normals)).sum(axis=2)
-
-
 def check(mesh, start, end, distance=0.0, is_euclidean=False):
     """Each vertex meets each plane in time, and where its gap says; returns how many do."""
     options = {"minimum_distance": distance} if is_euclidean else {"minimum_separation": distance, "length_scale": 1.0}
     contacts = ccd.mesh_ccd(mesh, start, end, **options).contacts
     found = dict(zip(tois_of(contacts), zip(contacts.toi.tolist(), contacts.gap.tolist(), strict=True), strict=True))
-    normals, f, g = exactly(mesh.planes.normals), values(mesh, start), values(mesh, end)
-
-    def excess(value, reach, normal):
-        if value <= 0 or not is_euclidean:
-            return value - rational(reach) * sum(abs(normal))
-        return value**2 - rational(reach) ** 2 * sum(normal**2)
-
     for v, k in Pairs(mesh).with_planes.tolist():
-        toi, gap = found.get((VERTEX_PLANE, v, k), (np.inf, 0.0))
-        at_toi = f[v, k] + rational(min(toi, 1.0)) * (g[v, k] - f[v, k])
-        before, last = (excess(value, distance, normals[k]) for value in (f[v, k], at_toi))
-        assert toi == 0 or (before > 0 and last >= 0 and (last > 0 or toi < np.inf))
-        assert toi == np.inf or distance > 0 or excess(at_toi, gap, normals[k]) <= 0
+        truth, (toi, gap) = PlaneTruth(mesh, start, end, v, k), found.get((VERTEX_PLANE, v, k), (np.inf, 0.0))
+        assert not truth.is_late(toi, distance, is_euclidean, 1.0)
+        assert toi == np.inf or distance > 0 or truth.excess(truth.at(toi), gap, is_euclidean) <= 0
     return len(contacts)
 
 
@@ -95,7 +78,7 @@ def test_hostile_vertices_and_planes_are_never_late(seed):
     for distance in (1e-323, 1e-5, 1e200, 1.7e308):
         check(mesh, start, end, distance, bool(seed % 2))
     inside = ccd.find_intersections(mesh, start)
-    expected = np.argwhere(values(mesh, start) <= 0)
+    expected = [[v, k] for v, k in np.ndindex(len(start), len(planes)) if plane_value(mesh, k, start[v], start) <= 0]
     assert np.array_equal(inside.primitives, expected) and len(expected) > 100
     # to the point of another plane, often of another size, or by the least that float64 knows
     at, to = mesh.planes.points, mesh.planes.points[rng.permutation(len(planes))]

@@ -37,18 +37,6 @@ def test_parts_stay_as_long_as_bodies_stand_where_they_did(count, monkeypatch):
         assert (toi == toi[0]).all() and (toi[0] == np.inf if place == 9.0 else abs(4.0 * toi[0] - place + 1) < 0.1)
 
 
-@pytest.mark.parametrize("limit", [1 << 21, 1 << 24])
-def test_worlds_keep_to_a_memory_limit(limit):
-    mesh = ccd.CollisionMesh.from_trimesh([trimesh.creation.icosphere(3)] * 2, rigid=[0, 1])
-    poses = poses_of([[0, 0, 0], [2.3, 0, 0]], 60)
-    poses[..., 3:] = np.random.default_rng(3).normal(size=(60, 2, 4))
-    motion = ccd.RigidMotion(poses, twist=np.tile([[0.2, 0, 0, 0, 0, 0.3], [-0.2, 0, 0, 0, 0, -0.3]], (60, 1, 1)))
-    x = mesh.vertices
-    free, kept = (ccd.mesh_ccd(mesh, x, x, motion=motion, memory_limit=most) for most in (None, limit))
-    free, kept = ({k: v for k, v in outputs_of(r).items() if not k.startswith(".counts")} for r in (free, kept))
-    assert different(free, kept) == [] and np.isfinite(free[".toi"])
-
-
 def test_worlds_are_searched_some_at_a_time_and_all_of_them_count(monkeypatch):
     monkeypatch.setattr(motion_worlds, "_PRIMITIVES", 300)  # of two worlds
     mesh, twist = ccd.CollisionMesh.from_trimesh([BOX] * 3, rigid=[0, 1, 2]), np.zeros((WORLDS, 3, 6))
@@ -104,34 +92,29 @@ def parts_alone(monkeypatch):
     return look
 
 
-@pytest.mark.parametrize(("num_grounds", "options"), [(0, {}), (1, {"minimum_distance": 0.01}), (2, {"t_max": 0.6})])
-def test_dice_touch_as_they_do_when_all_of_them_are_searched(options, num_grounds, parts_alone):
+@pytest.mark.parametrize(
+    ("num_grounds", "form", "options"),
+    [(0, {}, {}), (1, {}, {"minimum_distance": 0.01}), (2, {"radius": 0.01}, {"t_max": 0.6})],
+)
+def test_dice_touch_as_they_do_when_all_of_them_are_searched(options, form, num_grounds, parts_alone):
     ground = [ccd.HalfSpace((0, 0, -0.4), (0.3, 0.1, 2)), ccd.HalfSpace((0, 3.4, 0), (0, -1, 0))][:num_grounds]
     table = trimesh.creation.box([3, 3, 0.1]).apply_translation([0.9, 0.9, -0.45])
     motion, found, counts = throw(0.95), [], []
     for wanted in (False, True):
         parts_alone(wanted)
-        mesh = ccd.CollisionMesh.from_instances(die(), COUNT, [*ground, table], static=[COUNT + len(ground)])
-        result = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, motion=motion, **options)
+        mesh = ccd.CollisionMesh.from_instances(die(), COUNT, [*ground, table], static=[COUNT + len(ground)], **form)
+        frames = mesh, mesh.vertices, mesh.vertices
+        result = ccd.mesh_ccd(*frames, motion=motion, **options)
         counts.append(result.counts)
         of_twists = motion.gradient_by_twist(result.contacts.toi_gradient())[1]
-        found.append(outputs_of(result) | outputs_of(of_twists, "by twists"))
+        steps = [
+            call(*frames, motion=motion, **options) for call in (ccd.collision_free_step, ccd.is_step_collision_free)
+        ]
+        found.append(outputs_of(result) | outputs_of(of_twists, "by twists") | outputs_of(steps, "steps"))
     assert len(result.contacts) > 20 and counts[0].num_boxes > 2 * counts[1].num_boxes > 0 and of_twists.any()
     assert (counts[0].num_contacts.get(ccd.PairKind.VERTEX_PLANE, 0) > 0) == (len(ground) > 0)
     assert [line for line in different(*found) if not line.startswith(".counts")] == []
     assert counts[0].num_contacts == counts[1].num_contacts
-
-
-@pytest.mark.parametrize(("spacing", "is_free"), [(0.9, False), (1.5, True)])
-def test_steps_of_dice_are_those_of_all_of_them(spacing, is_free, parts_alone):
-    found = set()
-    for wanted in (False, True):
-        parts_alone(wanted)
-        mesh = ccd.CollisionMesh.from_instances(die(), COUNT)
-        frames, motion = (mesh, mesh.vertices, mesh.vertices), throw(spacing)
-        step = ccd.collision_free_step(*frames, motion=motion)
-        found.add((step, step == 1.0, ccd.is_step_collision_free(*frames, motion=motion)))
-    assert len(found) == 1 and found.pop()[1:] == (is_free, is_free)
 
 
 def test_dice_that_rise_out_of_the_ground_may_take_the_whole_step(parts_alone):

@@ -57,45 +57,6 @@ def test_rigid_bodies_without_a_motion_are_said_to_move_straight_once(call):
         ccd.rigid_ccd(mesh, [AT_REST] * 2, [AT_REST] * 2)
 
 
-def test_blade_that_sweeps_a_point_meets_it_where_the_arc_does():
-    for turn in (0.01, 0.5, 2.0, 3.0):
-        mesh, poses = fan([0.0], [at_angle(0.7 * turn)])
-        result = ccd.rigid_ccd(mesh, poses, [about_z(turn), poses[1]])
-        assert result.toi == pytest.approx(0.7, abs=1e-11 / turn) and result.toi <= 0.7
-        early = ccd.rigid_ccd(mesh, poses, [about_z(turn), poses[1]], within=[1e-3 * turn, 0]).toi
-        assert 0.69 < early <= 0.7 - 1e-3 / 1.5  # the point is 1.5 from the axis
-        assert result.contacts.points == pytest.approx(np.array([at_angle(0.7 * turn)]), abs=1e-10)
-        normal = [-np.sin(0.7 * turn), np.cos(0.7 * turn), 0.0]  # the blade has no thickness, and comes from behind
-        assert result.contacts.normal[0] @ normal == pytest.approx(1.0, abs=1e-9)
-
-
-def test_several_turns_in_a_step_list_each_pair_once_and_first_with_its_gap():
-    """The distance of a point is its radius times the sine of the angle that is left of many turns."""
-    angles = np.linspace(0.3, 6.0, 24)
-    mesh, poses = fan([0.0], [at_angle(angle) for angle in angles])
-    result = ccd.rigid_ccd(mesh, poses, twist=np.eye(25, 1) * [0, 0, 0, 0, 0, 40.0])
-    contacts = result.contacts[result.contacts.kind == int(ccd.PairKind.VERTEX_FACE)]
-    assert contacts.toi == pytest.approx(angles / 40, abs=1e-12)
-    assert result.vertex_contact[0] == result.body_contact[0] == 0  # that of the least toi
-    x, y, _, *_ = poses[contacts.bodies[:, 0]].T.astype(np.longdouble)
-    turned = np.longdouble(40.0) * contacts.toi.astype(np.longdouble)
-    assert (np.abs(np.cos(turned) * y - np.sin(turned) * x) <= contacts.gap).all() and contacts.gap.max() < 1e-10
-
-
-@pytest.mark.parametrize("broad_phase", ["tree", "hash"])
-def test_arc_meets_what_no_box_of_its_chord_does(broad_phase):
-    """A point at the end of a long arm, and a small face at the middle of its arc, a twentieth beyond the chord."""
-    face = np.array([[9.99, 0, -0.01], [10.01, 0, -0.01], [10.0, 0, 0.02]])
-    bodies = [(np.array([[10.0, 0, 0]]), NO_FACES), (face, FACE)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, static=[1], rigid=[0, 1])
-    for turn in (0.01, 0.2, 0.39):
-        poses = [about_z(-0.5 * turn), AT_REST], [about_z(0.5 * turn), AT_REST]
-        result = ccd.rigid_ccd(mesh, *poses, broad_phase=broad_phase)
-        assert result.toi == pytest.approx(0.5, abs=1e-11 / turn)
-    x, options = mesh.vertices, {"motion": ccd.RigidMotion(*poses), "broad_phase": broad_phase}
-    assert ccd.find_candidates(mesh, x, x, **options).vertex_face.tolist() == [[0, 0]]
-
-
 def test_bodies_that_turn_beside_one_that_deforms_have_a_result_without_any_pair_of_the_kinds_asked_for():
     mesh = ccd.CollisionMesh.from_arrays([(BLADE, FACE), (BLADE + 9.0, FACE)], rigid=[0]).replicate(2)
     end = mesh.vertices + (mesh.vertex_body % 2)[:, None]
@@ -114,30 +75,6 @@ def test_particles_as_near_as_subnormal_numbers_meet_while_a_body_turns(distance
     end[1, 0] = motion * least
     turn = ccd.RigidMotion([[0, 0, 9, 0, 0, 0, 1]], twist=[[0, 0, 0, 0, 0, 0.5]])
     assert ccd.mesh_ccd(mesh, start, end, motion=turn, length_scale=motion * least).toi <= distance / motion
-
-
-@pytest.mark.parametrize("turn", [0.0, 0.3, 1.5, 7.0])
-def test_square_in_the_plane_and_cube_in_space_land_on_a_corner(turn):
-    """On half of the plane or space, by every call, within a distance."""
-    square = (np.array([[-1.0, -1], [1, -1], [1, 1], [-1, 1]]) / 2, [[0, 1], [1, 2], [2, 3], [3, 0]])
-    t = np.linspace(0, 1, 1_000_001)
-    lands = t[np.argmax(1.2 - t <= 0.5 * (abs(np.cos(turn * t)) + abs(np.sin(turn * t))))]
-    for body, ground, place, twist in (
-        (square, ccd.HalfSpace([0, 0], [0, 1]), [0, 1.2, 0], [0, -1.0, 0, 0, 0, turn]),
-        ((BOX.vertices, BOX.faces), GROUND, [0, 0, 1.2], [0, 0, -1.0, turn, 0, 0]),
-    ):
-        mesh, up = ccd.CollisionMesh.from_arrays([body, ground], rigid=[0]), np.sign(place)
-        for distance in (0.0, 0.01):
-            drop, x = [[*(place + distance * up), 0, 0, 0, 1]], mesh.vertices
-            motion = ccd.RigidMotion(drop, twist=[twist])
-            pipeline = ccd.CollisionPipeline(mesh, minimum_distance=distance)
-            result, found = pipeline.mesh_ccd(x, x, motion=motion), pipeline.line_search(x, x, motion=motion)
-            assert result.toi == pytest.approx(lands, abs=2e-6)
-            assert result.contacts.normal[0] == pytest.approx(up[: mesh.dimension], abs=1e-6)
-            assert pipeline.launch(x, x.copy(), motion=motion).to_host().toi == result.toi
-            assert 0.89 * lands < found.fraction < lands and pipeline.mesh_ccd(x, x, motion=found.motion).toi == np.inf
-            worlds = ccd.RigidMotion([drop, drop], twist=[[twist], np.zeros((1, 6))])
-            assert pipeline.mesh_ccd(x, x, motion=worlds).world_toi.tolist() == [result.toi, np.inf]
 
 
 def test_vertices_that_take_no_part_make_no_body_larger(monkeypatch):
@@ -176,6 +113,8 @@ def test_bodies_that_may_be_off_their_paths_touch_as_much_earlier(precision):
         pipeline, x = ccd.CollisionPipeline(mesh, precision=precision), mesh.vertices
         result, found = pipeline.mesh_ccd(x, x, motion=motion), pipeline.line_search(x, x, motion=motion)
         assert result.toi == pytest.approx(lands, abs=1e-5) and result.toi <= lands
+        of_poses = {"poses_t1": motion.poses_t1, "within": within, "precision": precision}
+        assert ccd.rigid_ccd(mesh, motion.poses_t0, **of_poses).toi == result.toi
         assert pipeline.launch(x, x.copy(), motion=motion).to_host().toi == result.toi
         assert found.fraction == pytest.approx(0.9 * lands, abs=1e-5) and np.array_equal(
             found.motion.within, motion.within

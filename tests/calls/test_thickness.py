@@ -55,21 +55,6 @@ def test_a_radius_is_one_for_all_or_one_for_each_body_or_vertex_and_stays_with_t
         assert ccd.CollisionMesh.from_arrays(bodies, radius=radius).radius.tolist() == radius
 
 
-@pytest.mark.parametrize("ends", [[1.0, 0.0], [0.0, 1.0]])
-def test_an_edge_is_as_thick_as_its_thicker_end_at_both(ends):
-    cable, beside = [[0.0, 0, 0], [4.0, 0, 0]], [[-0.9, 0, 0], [4.9, 0, 0]]
-    bodies = [(cable, NO_FACES, [[0, 1]]), (beside, NO_FACES)]
-    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True, radius=[*ends, 0, 0])
-    for broad_phase in ("tree", "hash"):
-        contacts = ccd.mesh_ccd(mesh, mesh.vertices, mesh.vertices, broad_phase=broad_phase).contacts
-        assert contacts[contacts.kind == ccd.PairKind.POINT_SEGMENT].primitives.tolist() == [[2, 0], [3, 0]]
-        pipeline = ccd.CollisionPipeline(mesh, broad_phase=broad_phase)
-        for radius in (0.0 * mesh.radius, mesh.radius):  # boxes grow on the device as well
-            pipeline.radius.assign(radius)
-            vertex_toi = pipeline.launch(mesh.vertices, mesh.vertices).vertex_toi.numpy()
-            assert np.isfinite(vertex_toi).tolist() == [radius.any()] * 4
-
-
 def test_sum_of_a_distance_and_two_radii_is_rounded_up_and_exact_where_it_can_be():
     def summed_up(a, b):
         exact = Fraction(a) + Fraction(b)
@@ -119,32 +104,6 @@ def test_radius_counts_where_a_difference_of_coordinates_is_beyond_the_largest_n
     exact = (start - 2.0 * radius) / (start - end)
     toi = ccd.mesh_ccd(mesh, vertices_t0, mesh.vertices).toi
     assert 0.99 * exact < toi <= exact  # the tolerance is a share of the length of the edges
-
-
-@pytest.mark.parametrize("pieces", [1, 5, 40])
-def test_points_on_parabolas_in_pieces_meet_a_plate_in_time_with_radii_that_hold_the_bend(pieces):
-    rng, count = np.random.default_rng(3), 300
-    plate = 100.0 * np.array([[-1.0, -1, 0], [1, -1, 0], [0, 1, 0]])
-    start = np.column_stack([rng.standard_normal((count, 2)), rng.uniform(0.5, 2, count)])
-    velocity, bend = rng.uniform(-3, 1, (2, count, 3)) * [1, 1, 2]
-    radius = np.append(np.linalg.norm(bend, axis=1) / (8 * pieces**2) * (1 + 1e-9), [0.0, 0, 0])
-    mesh = ccd.CollisionMesh.from_arrays([(start, NO_FACES), (plate, FACE)], static=[1], radius=radius)
-    pipeline, found = ccd.CollisionPipeline(mesh), np.full(count, np.inf)
-    for k in range(pieces):
-        times = k / pieces, (k + 1) / pieces
-        ends = (np.concatenate([start + t * velocity + t * t / 2 * bend, plate]) for t in times)
-        found = np.minimum(found, (k + pipeline.mesh_ccd(*ends).vertex_toi[:count]) / pieces)
-    exact = np.array([_first_root(*row) for row in zip(start[:, 2], velocity[:, 2], bend[:, 2] / 2, strict=True)])
-    hits = exact < 1.0
-    assert 50 < hits.sum() < count - 50 and (found[hits] <= exact[hits] + 1e-12).all()
-    assert np.median(exact[hits] - found[hits]) < 1.0 / pieces**2 and (found[~hits] < np.inf).sum() <= count / pieces
-
-
-def _first_root(z, speed, half):
-    """When z + speed t + half t² is 0 for the first time after 0."""
-    roots = np.roots([half, speed, z])
-    roots = roots[np.isreal(roots)].real
-    return min(roots[roots > 0], default=np.inf)
 
 
 def test_radii_of_a_pipeline_are_its_own_and_are_kept_as_more_is_reserved():

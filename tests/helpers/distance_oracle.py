@@ -200,12 +200,6 @@ def exact_distance(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: f
     return float(Fraction(math.isqrt((square.numerator << bits) // square.denominator), 1 << (bits // 2)))
 
 
-def exact_gap(kind: str, points_t0: np.ndarray, points_t1: np.ndarray, t: float) -> list[Fraction]:
-    """The vector from the closest point of the second primitive to that of the first at the time t, rational."""
-    gap, length = _closest(kind, points_t0, points_t1, t)
-    return [Fraction(x, length) for x in gap]
-
-
 def _inner(a: list[int], b: list[int]) -> int:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 

@@ -111,26 +111,37 @@ def _slider(slider):
     return {"particle": (none,), "segment": (none, [[0, 1]]), "triangle": ([[0, 1, 2]],)}[slider]
 
 
-def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=False, offset=0.0, **options):
-    """Pipeline, start and end of slides; ``norm`` is the option that says the distance, ``drifts`` moves the ground."""
-    rng = np.random.default_rng(seed)
+def slides_of(seed, count, slider, norm, scale=1.0, *, distance=0.02, drifts=False, offset=0.0, is_plane=False):
+    """Pipeline, start and end of slides; ``norm`` is the option that says the distance, ``drifts`` moves the ground.
+
+    With ``is_plane`` the ground is a half-space, one for all worlds, out of which half of what parts rises.
+    """
+    rng, options = np.random.default_rng(seed), {}
     # a particle stands on no ridge; and the nearest points of a box are not above each other, but within a face
     kinds = [FLAT, FALLING, VALLEY] if slider == "particle" or norm == "minimum_separation" else range(5)
-    start, end = drawn_slides(rng, count, slider, distance, kinds)
+    start, end = drawn_slides(rng, count, slider, distance, [FLAT] if is_plane else kinds)
     if drifts:
         end += rng.normal(size=(count, 1, 3)) * rng.choice([0, 1e-3, 1], (count, 1, 1))
-    turn = np.linalg.qr(rng.normal(size=(count, 3, 3)))[0]
+    if is_plane:
+        rises = (rng.random(count) < 0.5) & ((end - start)[:, GROUND:, 2].min(axis=1) > 1e-6)
+        start[rises, GROUND:, 2] -= 2 * distance
+        end[rises, GROUND:, 2] -= 2 * distance
+    turn = np.linalg.qr(rng.normal(size=(1 if is_plane else count, 3, 3)))[0]
     start, end = (scale * (x @ turn) + offset for x in (start, end))
-    bodies = [(start[0, :GROUND], FACES), (start[0, GROUND:], *_slider(slider))]
+    bodies, radius = [(start[0, :GROUND], FACES), (start[0, GROUND:], *_slider(slider))], scale * distance / 2
+    if is_plane:  # which has no radius
+        bodies[0], radius = ccd.HalfSpace(np.full(3, offset), turn[0, 2]), 2 * radius
+        start, end = start[:, GROUND:], end[:, GROUND:]
     if norm != "radius":
         options[norm] = distance * (scale if norm == "minimum_distance" else 1.0)
     mesh = ccd.CollisionMesh.from_arrays(
         bodies,
-        static=[] if drifts else [0],
+        static=[] if drifts or is_plane else [0],
         self_collision=False,
         codimensional_points=slider == "particle",
-        radius=scale * distance / 2 if norm == "radius" else None,
+        radius=radius if norm == "radius" else None,
     ).replicate(count)
     if norm == "minimum_separation":
         options["length_scale"] = scale
+    options |= {"max_pairs": 100 * count, "max_contacts": 50 * count}
     return ccd.CollisionPipeline(mesh, device="cpu", **options), start, end

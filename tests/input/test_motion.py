@@ -67,23 +67,6 @@ def test_a_matrix_is_read_by_columns_wherever_its_diagonal_is_largest():
     np.testing.assert_allclose(np.linalg.norm(RIGID(rough, rough).poses_t0[:, 3:], axis=1), 1.0, **CLOSE)
 
 
-def test_a_body_turns_about_its_pivot_which_moves_straight():
-    start, end = np.array([1.0, 0, 0, 0, 0, 0, 1]), np.array([4.0, 1, 2, 0, 0, HALF, HALF])
-    for pivot in ([0, 0, 0], [1, 0, 0], [-2, 3, 7]):
-        ends = start[:3] + pivot, end[:3] + TURNED_Z[:3, :3] @ pivot
-        places = [(pivot, t, (1 - t) * ends[0] + t * ends[1]) for t in (0.0, 0.25, 0.5, 1.0)]
-        check_places(RIGID([start], [end], pivot=pivot), *places)
-
-
-def test_a_nut_on_a_bolt_moves_on_a_screw():
-    start, end = [1.0, 0, 0, 0, 0, 0, 1], [0.0, 1, 4, 0, 0, HALF, HALF]
-    screw, linear = (RIGID([start], [end], path=path) for path in ("screw", "linear"))
-    check_places(linear, (ORIGIN, 0.5, [0.5, 0.5, 2]))
-    on_the_axis = [(-X, t, [0, 0, 4 * t]) for t in (0.0, 0.3, 1.0)]
-    check_places(screw, (ORIGIN, 0.5, [HALF, HALF, 2]), *on_the_axis)
-    np.testing.assert_allclose(screw._body_paths.velocity, [[0, 0, 4]], **CLOSE)
-
-
 @pytest.mark.parametrize("path", ["linear", "screw"])
 def test_a_twist_of_many_turns_ends_in_the_pose_that_is_given_with_it_to_3e_6(path):
     """And turns by as much as sine and cosine are proved for; where bodies are on the way, test_body_paths says."""

@@ -15,8 +15,6 @@ from every_call import EVERY_CALL, run
 from scenes import random_pairs
 
 import ccd_warp as ccd
-from ccd_warp._calls import small_batch
-from ccd_warp._runtime.packed import PackedLaunch
 from ccd_warp._scene.input.option_types import BroadPhase, Method, PairKindName, Precision
 from ccd_warp._scene.input.options import Options
 
@@ -93,26 +91,6 @@ def test_the_words_that_a_type_checker_knows_are_those_that_are_taken():
 
 def is_same(result, expected, rows=slice(None)):
     return all(np.array_equal(getattr(result, name), value[rows]) for name, value in vars(expected).items())
-
-
-@pytest.mark.parametrize("num_threads, has_parts", [(1, True), (2, True), (2, False)])
-def test_few_pairs_have_the_results_that_they_have_among_many(num_threads, has_parts, monkeypatch):
-    """Up to as many as are kept; where Warp takes no parts; in the plane behind pairs of space, which have a z."""
-
-    def refused(launch):
-        raise AttributeError
-
-    monkeypatch.setattr(small_batch, "_idle", {})
-    if not has_parts:
-        monkeypatch.setattr(PackedLaunch, "_pack", refused)
-    points = random_pairs("vertex_face", small_batch.CAPACITY + 1)
-    whole = ccd.vertex_face_ccd(*points, num_threads=num_threads)
-    for count in (0, 1, 512, 513, 600, 3001, 5000, 2001, small_batch.CAPACITY):
-        assert is_same(ccd.vertex_face_ccd(*(x[:count] for x in points), num_threads=num_threads), whole, slice(count))
-    flat = [np.ascontiguousarray(x[:, :3, :2]) for x in points]
-    whole = ccd.point_segment_ccd(*flat)
-    ccd.point_segment_ccd(*(x[:8, :3] for x in points))
-    assert is_same(ccd.point_segment_ccd(*(x[:8] for x in flat)), whole, slice(8))
 
 
 def test_few_arrays_of_warp_have_results_of_their_own():

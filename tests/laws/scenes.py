@@ -80,6 +80,10 @@ def pressed(seed: int) -> Scene:
     elif drawing.flip(0.5):  # a rounding within their distances
         apart = options["minimum_distance"] + thickness[:-1] + thickness[1:]
         heights = (1 - 1e-12) * np.append(0.0, np.cumsum(apart))
+    else:  # deep within a thick one, which is below the others
+        thickness = np.append(0.1 * size, 0.03 * thickness[1:])
+        apart = options["minimum_distance"] + thickness[:-1] + thickness[1:]
+        heights = np.append(0.0, np.cumsum(apart * np.append(0.05, np.full(count - 2, 3.0))))
     bodies: list[Any] = []
     for height in heights:
         x, *parts = _sheet(rng) if dimension == 3 else (np.linspace([-1, 0], [1, 0], 4), [[0, 1], [1, 2], [2, 3]])

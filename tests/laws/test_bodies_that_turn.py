@@ -111,6 +111,7 @@ def test_contacts_of_a_step(seed, is_beside, precision):
     t_max = scene.drawn.options["t_max"]
     contacts = scene.result(precision).contacts
     found = tois_of(contacts)
+    assert len(found) == len(contacts)
     for key, (_, hi) in scene.times(scene.drawn.distance).items():  # what touches in space touches in any norm
         assert hi > t_max or found.get(key, np.inf) <= hi, key
     near = scene.drawn.delta + 256 * UNITS[precision] * scene.moves.size
@@ -241,7 +242,10 @@ def in_order(contacts, mesh):
 def checked(pairs, truth=None, in_plane=False, **options):
     """How much too early tois are of pairs of which none is missed or late, how many are false; and the result."""
     mesh, start, end, motion, of_pairs = step_of(pairs, in_plane)
-    result = ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **of_pairs, **options)
+    if mesh.rigid.all():
+        result = ccd.rigid_ccd(mesh, **motion, **of_pairs, **options)
+    else:
+        result = ccd.mesh_ccd(mesh, start, end, motion=ccd.RigidMotion(**motion), **of_pairs, **options)
     lo, hi = answers(pairs if truth is None else truth)
     toi = result.world_toi
     assert (toi <= hi).all()

@@ -125,14 +125,16 @@ def test_bodies_of_many_thicknesses_that_press_in_turn_come_no_closer_than_their
             x = moved.numpy().copy()
         else:
             x = pipeline.line_search(x, y, per=per).vertices
-    share = holds_of(scene, mesh, start, pairs)[:, 0].min(initial=1.0)
+    share, length = holds_of(scene, mesh, start, pairs).min(axis=0, initial=1.0)
+    length = min(length, scene.distance + 2.0 * (0.0 if mesh.radius is None else mesh.radius.min()))
     for kind, _, corners, distances in near_pairs(scene, start, x, pairs):
         if len(corners):
             apart = [
                 distances_at(NAMES[kind], p[corners], p[corners], 0 * distances, scene.is_euclidean) for p in (start, x)
             ]
             lost = 1e-11 * (sizes(start[corners], x[corners]) + np.abs(x).max() / 8) + 1e-7 * distances
-            assert (apart[1] >= np.minimum(share * distances, apart[0]) - lost).all()
+            kept = np.maximum(share * distances, np.minimum(length, distances))
+            assert (apart[1] >= np.minimum(kept, apart[0]) - lost).all()
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -196,11 +198,14 @@ def test_a_search_for_pairs_of_some_vertices_of_sheets_finds_all_of_them(seed, m
 @pytest.mark.parametrize("norm", ["radius", "minimum_distance", "minimum_separation"])
 @pytest.mark.parametrize("slider", SLIDERS)
 def test_random_slides_and_partings_go_all_the_way_in_any_frame(slider, norm, count):
-    cases = {}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0}
+    """By searches on the host and by launches."""
+    cases = {}, {"scale": 1e-3, "offset": 10.0}, {"scale": 1e3, "drifts": True}, {"offset": 10.0}, {"is_plane": True}
     for seed, case in enumerate(cases):
         pipeline, start, end = slides_of(seed, count, slider, norm, **case)
-        reached = pipeline.line_search(start, end, per="world").vertices.reshape(end.shape)
-        assert (reached != end).any(axis=(1, 2)).sum() <= count // 10_000, case
+        launched = [wp.array(x.reshape(-1, 3), dtype=wp.vec3d, device="cpu") for x in (start, end)]
+        assert not pipeline.launch_line_search(*launched, per="world").flags.numpy().any(), case
+        for reached in (pipeline.line_search(start, end, per="world").vertices, launched[1].numpy()):
+            assert (reached.reshape(end.shape) != end).any(axis=(1, 2)).sum() <= count // 10_000, case
 
 
 @pytest.mark.parametrize("share", [2e-14, 1e-12])

@@ -181,18 +181,19 @@ def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
     ends = [(start, end), (start, end), (end, start), (start + away, end + away), (start, start + 0.5 * (end - start))]
     ends = [(x, with_static_at_rest(mesh, x, y)) for x, y in ends]
     used, found, truth = ccd.CollisionPipeline(mesh, **given), {}, {}
+    searches, distance = ("find_candidates", "find_proximity"), 0.05 * case.size
 
     @cache
     def alone(name, k, **more):
         """The result of a step by a pipeline of its own, and what that counts."""
         pipeline = ccd.CollisionPipeline(mesh, **given | more, memory_limit=1 << 40)
-        return getattr(pipeline, name)(*ends[k]), pipeline.counts
+        return calls.on_host(name, pipeline, *ends[k], distance), pipeline.counts
 
-    in_turn = ("mesh_ccd",) * 5 + ("collision_free_step",) * 5 + ("mesh_ccd", "find_candidates") * 2
+    in_turn = ("mesh_ccd",) * 5 + ("collision_free_step",) * 5 + ("mesh_ccd", *searches) * 2
     for k, name in enumerate((*in_turn, "collision_free_step", "is_step_collision_free", "mesh_ccd", "mesh_ccd")):
         n, shorter = k % len(ends), given | {"t_max": 0.7}
-        found[k], truth[k] = (getattr(used, name)(*ends[n]), used.counts), alone(name, n)
-        if name != "find_candidates":  # of one mesh, which keeps the same for all of its calls
+        found[k], truth[k] = (calls.on_host(name, used, *ends[n], distance), used.counts), alone(name, n)
+        if name not in searches:  # of one mesh, which keeps the same for all of its calls
             once = [getattr(ccd, name)(mesh, *ends[n], **each) for each in (given, given, shorter, shorter, given)]
             whole, part = truth[k][0], alone(name, n, t_max=0.7)[0]
             found[k], truth[k] = (*found[k], *once), (*truth[k], whole, whole, part, part, whole)

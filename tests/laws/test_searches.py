@@ -4,11 +4,12 @@ import itertools
 
 import numpy as np
 import pytest
+from scenes import with_static_at_rest
 
 import ccd_warp as ccd
 from laws.asked import SEEDS, kinds_of, scene_of
 from laws.calls import OF_SEARCH
-from laws.outputs import rows_of
+from laws.outputs import different, outputs_of, rows_of
 from laws.scenes import drawn
 from laws.truth import candidates, check_sides, displacement_bounds, intersections, plane_value, proximities
 
@@ -55,6 +56,37 @@ def test_candidates_are_the_pairs_whose_boxes_overlap(seed):
             for kind, pairs_found, expected_pairs in zip(ccd.PairKind, found, expected, strict=True):
                 is_asked = kind in kinds_of(scene)
                 assert [*map(tuple, pairs_found.tolist())] == (expected_pairs if is_asked else []), kind
+
+
+def of_any_size(mesh, start, end, seed):
+    """A step on a lattice, of any size or many sizes, far away, or with a vertex that flies away."""
+    rng, size = np.random.default_rng(seed), max(np.abs([start, end]).max(initial=0.0), 1e-300)
+    x, y = (np.clip(np.nan_to_num(values / size), -1, 1) for values in (start, end))
+    if seed % 5 == 0:
+        x, y = (np.round(8 * values) / 16 for values in (x, y))
+    elif seed % 5 == 1:
+        x, y = rng.choice([0.0, 5e-324, 1e-310, 1e-150, 1e150, 1.7e308]) * np.stack([x, y])
+    elif seed % 5 == 2:
+        x, y = 10.0 ** -rng.uniform(0, rng.choice([3, 20, 250]), (len(x), 1)) * np.stack([x, y])
+    elif seed % 5 == 3:
+        x, y = np.stack([x, y]) + rng.choice([1e7, 1e10, 1e100]) * rng.choice([-1, 1], x.shape[1])
+    else:
+        y = np.where(np.arange(len(y))[:, None] == rng.integers(len(y)), rng.choice([1e6, 1e15, 1e300]), y)
+    return x, with_static_at_rest(mesh, x, y)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_both_broad_phases_find_the_same_of_any_size(seed):
+    scene, mesh, start, end, pairs = scene_of(seed)
+    start, end = of_any_size(mesh, start, end, seed)
+    expected, answers = candidates(pairs, start, end, 0.0), []
+    for broad_phase in ("tree", "hash"):
+        found = ccd.find_candidates(mesh, start, end, broad_phase=broad_phase).sorted()
+        assert [[*map(tuple, of_kind.tolist())] for of_kind in vars(found).values()] == expected
+        given = scene.options | {"broad_phase": broad_phase}
+        of_step = [call(mesh, start, end, **given) for call in (ccd.mesh_ccd, ccd.collision_free_step)]
+        answers.append(outputs_of(tuple(of_step)))
+    assert different(*answers) == []
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -104,8 +136,17 @@ def test_what_is_unique_in_many_more_scenes(begin):
     assert num_shared > 1000
 
 
+def in_few_places(x, seed):
+    """Vertices in few planes and lines, where the last bit decides, of any size; of a large scene none."""
+    rng, steps = np.random.default_rng(seed), np.round(3.0 * (x - x.min(initial=0.0)) / max(np.ptp(x), 1e-300))
+    ways = steps, 0.1 * steps + 0.3, steps + 2.0**-52 * rng.integers(-1, 2, x.shape)
+    return [ways[seed % 3] * rng.choice([1.0, 1e-300, 1e-160, 1e300])] * (len(x) < 100)
+
+
 @pytest.mark.parametrize("seed", SEEDS)
 def test_what_intersects(seed):
     _, mesh, start, end, pairs = scene_of(seed)
-    for x in (start, end):
-        assert rows_of(ccd.find_intersections(mesh, x)) == intersections(pairs, x)
+    for x in (start, end, *in_few_places(start, seed)):
+        found = ccd.find_intersections(mesh, x)
+        assert rows_of(found) == intersections(pairs, x)
+        assert (found.num_crossing, found.num_touching) == (found.is_crossing.sum(), (~found.is_crossing).sum())

@@ -221,8 +221,12 @@ class PlaneTruth:
         self.normal = [Fraction(n) for n in mesh.planes.normals[plane].tolist()]
         own = mesh.planes.vertices[plane]
         points = [mesh.planes.points[plane] if own < 0 else x[own] for x in (start, end)]
-        ends = zip((start, end), points, strict=True)
-        self.terms = Fraction(max(np.abs((x[vertex] - p) * mesh.planes.normals[plane]).sum() for x, p in ends))
+        self._ends = [(x[vertex], p) for x, p in zip((start, end), points, strict=True)]
+
+    @property
+    def terms(self) -> Fraction:
+        """The largest sum of the magnitudes of what the value is made of, at either end, about."""
+        return Fraction(max(np.abs((x - p) * [*map(float, self.normal)]).sum() for x, p in self._ends))
 
     def length(self, is_euclidean: bool) -> float:
         """Of the normal, about: a gap times it is the value."""

@@ -8,6 +8,11 @@ PLANTED = [
     Fault("velocities that add up", "ccd_warp/_results/contact_place.py",
           "weights = contacts.weights[chunk, :, None]", "weights = np.abs(contacts.weights[chunk, :, None])",
           ("laws/test_truth.py::test_contacts_of_a_step",)),
+    Fault("contacts where the caller's arrays have come to", "ccd_warp/_results/contact_place.py",
+          "return MovingVertices(self.mesh, self.start.copy(), self.end.copy(), self.paths)",
+          "return MovingVertices(self.mesh, self.start, self.end, self.paths)",
+          ("calls/test_contacts.py::"
+           "test_points_are_those_of_the_step_whatever_becomes_of_the_callers_arrays",)),
     Fault("a library without the extra that has it", "ccd_warp/jax.py",
           "needs JAX; install with: pip install 'ccd-warp[interop]'", "needs JAX", ("calls/test_frameworks.py",)),
     Fault("launches that are recorded anew and kept each time", "ccd_warp/_engine/device/step.py",
@@ -55,8 +60,8 @@ PLANTED = [
     Fault("no hint at a misspelled option", "ccd_warp/_scene/input/options.py",
           "if closest else", "if not names else", ("input/test_options.py",)),
     # --- kernels ---
-    Fault("an exponent of the least coordinate, which may be 0", "ccd_warp/_at_one_time/exact_intersections.py",
-          "int(exponent[integer != 0].min(initial=exponent.max(initial=0)))", "int(exponent.max(initial=0))",
+    Fault("where two edges begin to overlap for the middle", "ccd_warp/_at_one_time/exact_intersections.py",
+          "return 0.5 * (u0 + u1), 0.5 * (v0 + v1), 0.0", "return u0, v0, 0.0",
           ("kernels/at_one_time/test_intersections.py",)),
     Fault("an AABB in the frame of its body without rounding", "kernels/boxes/body_frames.py",
           "_ERROR = wp.constant(wp.float64(32.0 * _UNIT_ROUNDOFF))", "_ERROR = wp.constant(wp.float64(0.0))",

@@ -141,19 +141,6 @@ def test_a_choice_of_pairs_a_copy_and_the_text():
     assert repr(found[:0]) == "Proximities(no pair)" and "vertex-face" in found._repr_html_()
     x += 1.0  # the caller's positions may change afterwards
     np.testing.assert_array_equal(found.points, points)
-
-
-@pytest.mark.parametrize("unique", [False, True])
-def test_columns_that_are_read_late_are_those_of_their_call(unique):
-    mesh, x = crowd()
-    pipeline, expected = ccd.CollisionPipeline(mesh), ccd.find_proximity(mesh, x, 0.1, unique=unique)
-    check_same(pipeline.find_proximity(x, 0.1, unique=unique), expected)  # later lists have more places
-    found, copied = pipeline.find_proximity(x, 0.1, unique=unique), pipeline.find_proximity(x, 0.1, unique=unique)
-    assert len(found) == len(expected) > 20 and "kind" not in vars(found)
-    copied = pickle.loads(pickle.dumps(copied))
-    assert 20 < len(pipeline.find_proximity(1.01 * x, 0.1, unique=unique)) < len(found)  # which fit where those were
-    check_same(copied, expected)
-    check_same(found, expected)
     with pytest.raises(AttributeError, match="no attribute 'kinds'"):
         _ = found.kinds
 

@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 import warp as wp
+from ccd_warp.kernels.template import specialised
 from expected_warnings import OF_DISTANCES, OF_ROUNDING
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -39,62 +40,6 @@ def check(mesh, start, end, inflation=0.0):
 
 
 # --- numbers ---
-
-
-def at_random(rng, size=0.05, count=60):
-    return soup(rng, count, size)[0]
-
-
-def of_many_sizes(rng, spread):
-    sizes, places = (10.0 ** -rng.uniform(0, spread, (60, 1, 1)) for _ in range(2))
-    size, place = sizes * rng.normal(size=(60, 3, 3)), places * rng.random((60, 1, 3))
-    return (place + size).reshape(-1, 3), (place + 1.5 * size).reshape(-1, 3)
-
-
-def with_giants(rng, sizes):
-    """Small faces, and one of each size."""
-    giants = np.array(sizes)[:, None, None] * [[-1.0, -1, 0.5], [1, -1, 0.5], [0, 1, 0.55]]
-    start = np.concatenate([giants.reshape(-1, 3), at_random(rng, 0.01)])
-    return start, start + 0.1 * rng.standard_normal(start.shape)
-
-
-def on_cells(rng, sides):
-    """Every corner of every box is a multiple of a power of two, as are the cells, and most boxes touch."""
-    start = np.repeat(rng.integers(0, 12, (60, 1, 3)), 3, axis=1) + rng.integers(0, sides + 1, (60, 3, 3))
-    return start.reshape(-1, 3) / 16.0, (start + rng.integers(-2, 3, start.shape)).reshape(-1, 3) / 16.0
-
-
-def scaled(rng, scale):
-    start = at_random(rng)
-    return [np.clip(2 * x - 1, -1, 1) * scale for x in (start, start + 0.05 * rng.standard_normal(start.shape))]
-
-
-def around(rng, offset):
-    start = at_random(rng) + np.array([1, -1, 1]) * offset
-    start[90:] += offset * 1e90 * (offset > 1e9)
-    return start, start + 0.01
-
-
-LARGE = [[-1.7e308] * 3, [1.7e308] * 3, [0, 1.7e308, 0]]
-OF_ONE = np.arange(180)[:, None] == 7
-NUMBERS = {
-    "of many sizes": (of_many_sizes, 3, 20, 250),
-    "with giants": (with_giants, [1e3], [*4.0 ** np.arange(-9, 14)]),
-    "on cells": (on_cells, 0, 2),
-    "one that flies away": (lambda rng, far: (x := at_random(rng), np.where(OF_ONE, far, x + 0.01)), 1e6, 1e15, 1e300),
-    "scaled": (scaled, 0.0, 5e-324, 1e-310, 1e-150, 1e150, 1.7e308),
-    "one that overflows": (lambda rng, x: [np.vstack([LARGE, x * at_random(rng)])] * 2, 5e-324, 1e-100, 1.0, 1e200),
-    "around a point": (around, 1e7, 1e10),
-    "in a plane": (lambda rng, axis: [np.where(np.arange(3) == axis, 0.25, at_random(rng))] * 2, 0, 1, 2),
-}
-
-
-@pytest.mark.parametrize("name", NUMBERS)
-def test_numbers_of_any_size(name):
-    make, *values = NUMBERS[name]
-    for value in values:
-        start, end = make(np.random.default_rng(4), value)
-        assert check(single(start, np.arange(len(start)).reshape(-1, 3)), start, end) > 0, value
 
 
 def test_points_far_beyond_the_ends_of_the_grid_and_in_one_place():
@@ -262,3 +207,9 @@ def test_a_block_whose_pairs_no_batch_can_hold_is_an_error_and_no_loop(monkeypat
     monkeypatch.setattr(CandidateStep, "capacity", lambda *_: 8)
     with pytest.raises(MemoryError, match="a block of boxes overlaps more than 8 others"):
         ccd.find_candidates(mesh, mesh.vertices, mesh.vertices)
+
+
+@pytest.mark.parametrize("width", [4, 8])
+def test_what_an_item_collects_is_as_long_as_its_array(width):
+    collected = specialised("search.collected", width=width)
+    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
