@@ -28,7 +28,6 @@ from ccd_warp._results.results import HostLaunchResult, MeshResult
 from ccd_warp._scene.input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._camera import direction_to_viewer
-from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista
 from ccd_warp.viz._file import Picture, check_picture_path
 from ccd_warp.viz._scene import check_result, make_scene
@@ -39,7 +38,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Picture",
-    "contact_points",
     "draw_step",
     "drawing_without_display",
     "render_step",
