@@ -11,7 +11,7 @@ at a node goes up).
 
 import warp as wp
 
-from .box_tree import BLOCK_FLOATS, WIDTH, BoxTree, is_needed, node_place
+from .box_tree import BLOCK_CORNERS, BLOCK_FLOATS, WIDTH, BoxTree, is_needed, node_place
 from .half_warp import least_together
 from .lanes import vec8f
 
@@ -201,3 +201,26 @@ def count_large_blocks(
         is_small = is_small and side <= largest
     if not is_small:
         wp.atomic_add(counters, cell, wp.int64(1))
+
+
+@wp.kernel
+def order_places(
+    begin: int,
+    # in
+    order: wp.array[wp.int64],
+    index_mask: wp.int64,
+    ids: wp.array[wp.int32],
+    corners: wp.array[wp.vec3i],
+    # out
+    primitive: wp.array[wp.int32],
+    block_corners: wp.array[wp.int32],
+):
+    """`apply_order` for one place of a block."""
+    place = begin + wp.tid()
+    c = wp.vec3i(-1, -1, -1)
+    if place < ids.shape[0]:
+        i = wp.int32(order[place] & index_mask)
+        c = corners[i]
+        primitive[place] = ids[i]
+    for k in range(3):
+        block_corners[place / WIDTH * BLOCK_CORNERS + place % WIDTH + k * WIDTH] = c[k]

@@ -21,7 +21,7 @@ from ccd_warp._engine.mesh.topology import (
     sorted_keys,
 )
 from ccd_warp._runtime.launch import Execution
-from ccd_warp.kernels.boxes import box_groups, box_tree
+from ccd_warp.kernels.boxes import box_groups, box_tree, half_warp_tree
 from ccd_warp.kernels.boxes import rest_order as kernels
 
 # Bits of a coordinate within a segment: those of a float32.
@@ -155,10 +155,13 @@ def apply_order(
     execution: Execution,
 ) -> Order:
     """The order of a set in arrays of a name, a length and a type, given as that of its indices."""
+    kernel, count = box_tree.apply_order, primitives.num_blocks
+    if execution.is_cuda:
+        kernel, count = half_warp_tree.order_places, WIDTH * primitives.num_blocks
     primitive = allocate(f"{primitives.name} order", primitives.count, wp.int32)
     corners = allocate(f"{primitives.name} corners", primitives.num_blocks * BLOCK_CORNERS, wp.int32)
     inputs = [order, mask, primitives.ids, primitives.corners]
-    execution.launch(box_tree.apply_order, primitives.num_blocks, inputs, [primitive, corners], grain=64)
+    execution.launch(kernel, count, inputs, [primitive, corners], grain=64)
     if topology.groups is None:
         return primitive, corners, None
     levels = level_sizes(primitives.count)
