@@ -25,6 +25,7 @@ from ccd_warp._calls.pipeline import DEFAULT_NUM_ROUNDS, CollisionPipeline
 from ccd_warp._calls.rigid_tois import RigidTois, checked_end
 from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients import jax_calls as calls
+from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
 
 try:
@@ -62,25 +63,19 @@ def toi(
     return found[0] if per == "scene" else found
 
 
+@text_completed_by(toi)
 def collision_free_step(pipeline: CollisionPipeline, vertices_t0: jax.Array, vertices_t1: jax.Array) -> jax.Array:
     """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
 
-    Args:
-        pipeline: As of :func:`toi`.
-        vertices_t0: As of :func:`toi`.
-        vertices_t1: As of :func:`toi`.
-
     Returns:
         An array of float64 of shape [], in [0, t_max].
-
-    Raises:
-        ValueError: As :func:`toi`.
 
     Guarantee: no pair touches before the returned fraction of the step.
     """
     return jax.numpy.minimum(toi(pipeline, vertices_t0, vertices_t1), pipeline._options.t_max)
 
 
+@text_completed_by(toi)
 def line_search(
     pipeline: CollisionPipeline,
     vertices_t0: jax.Array,
@@ -93,8 +88,6 @@ def line_search(
     """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
 
     Args:
-        pipeline: As of :func:`toi`.
-        vertices_t0: As of :func:`toi`.
         vertices_t1: Wished end positions.
         per: As of ``launch_line_search``, and so are ``safety`` and ``num_rounds``. Within ``jax.vmap`` ``"scene"`` is
             the scene of all worlds.
@@ -103,9 +96,6 @@ def line_search(
 
     Returns:
         The positions at the end of the shortened step, an array like ``vertices_t1``.
-
-    Raises:
-        ValueError: As :func:`toi`.
 
     Guarantee: that of ``launch_line_search``; gradients have no part in it.
     """

@@ -26,6 +26,7 @@ from ccd_warp._engine.host.line_search import DEFAULT_SAFETY
 from ccd_warp._gradients.own_tape import launched, play_back
 from ccd_warp._results.device_results import TOIS
 from ccd_warp._runtime.streams import in_order_of_library
+from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.input.arguments import EVERY_PER, Per, check_choice, check_instance
 from ccd_warp._scene.input.interop import as_warp
 
@@ -65,22 +66,14 @@ def toi(
     return found[0] if per == "scene" else found
 
 
+@text_completed_by(toi)
 def collision_free_step(
     pipeline: CollisionPipeline, vertices_t0: torch.Tensor, vertices_t1: torch.Tensor
 ) -> torch.Tensor:
     """Largest fraction of a step that is certain to be free of collisions: the toi, or t_max where there is none.
 
-    Args:
-        pipeline: As of :func:`toi`.
-        vertices_t0: As of :func:`toi`.
-        vertices_t1: As of :func:`toi`.
-
     Returns:
         A tensor of float64 of shape [], in [0, t_max].
-
-    Raises:
-        ValueError: As :func:`toi`.
-        RuntimeError: As :func:`toi`.
 
     Guarantee: no pair touches before the returned fraction of the step.
     """
@@ -88,6 +81,7 @@ def collision_free_step(
 
 
 @torch.compiler.disable
+@text_completed_by(toi)
 def line_search(
     pipeline: CollisionPipeline,
     vertices_t0: torch.Tensor,
@@ -100,8 +94,6 @@ def line_search(
     """Shorten a step until it is certain to be free, as :meth:`ccd_warp.CollisionPipeline.launch_line_search` does.
 
     Args:
-        pipeline: As of :func:`toi`.
-        vertices_t0: As of :func:`toi`.
         vertices_t1: Wished end positions, which stay as they are.
         per: As of ``launch_line_search``, and so are ``safety`` and ``num_rounds``.
         safety: Fraction of its toi by which a vertex in contact may move.
@@ -112,7 +104,6 @@ def line_search(
 
     Raises:
         ValueError: As of ``launch_line_search``.
-        RuntimeError: As :func:`toi`.
 
     Guarantee: that of ``launch_line_search``; gradients have no part in it.
     """

@@ -18,7 +18,7 @@ from ccd_warp._calls.motions import course_of, paths_of, start_of, straight_sent
 from ccd_warp._engine.device.input import LineSearch
 from ccd_warp._engine.host.candidates import Candidates, validated_inflation
 from ccd_warp._engine.host.contact_step import ContactStep
-from ccd_warp._engine.host.course import Ends
+from ccd_warp._engine.host.course import Course, Ends
 from ccd_warp._engine.host.least_toi_step import LeastToiStep
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
@@ -28,7 +28,7 @@ from ccd_warp._engine.host.line_search import (
     validated_line_search,
 )
 from ccd_warp._engine.host.oddities import DistanceInEdges
-from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, of_one_part
+from ccd_warp._engine.host.start_distances import LeastOfParts, StartDistances, in_all_parts, of_one_part
 from ccd_warp._engine.host.step import HostStep
 from ccd_warp._engine.host.workspace import Workspace
 from ccd_warp._engine.mesh.mesh_cache import MeshCache
@@ -614,26 +614,28 @@ class CollisionPipeline:
         motion: RigidMotion | MeshPaths | None = None,
         *,
         any_suffices: bool = False,
+        of_parts: LeastOfParts = of_one_part,
     ) -> float:
         """The earliest toi of a step in which, unless the options say otherwise, what starts close may part.
 
-        Where any toi suffices, what starts close is a contact.
+        Where any toi suffices, what starts close is a contact. Where the mesh is a part of another, it is that of all.
         """
         on_step = partial(self._on_step, LeastToiStep, vertices_t0, vertices_t1, motion=motion)
-        near = None if any_suffices else self._start_distances()
+        near = None if any_suffices else self._start_distances(of_parts)
         if near is None:
-            return on_step(work=lambda step: step.least_toi(any_suffices=any_suffices))
-        toi, pairs = on_step(work=LeastToiStep.earliest)
+            return in_all_parts(of_parts, on_step(work=lambda step: step.least_toi(any_suffices=any_suffices)))
+        of_part, pairs = on_step(work=LeastToiStep.earliest)
+        toi = in_all_parts(of_parts, of_part)
         if toi == np.inf:
             return toi
         # what starts within its distance has toi 0, whichever way it moves; what is a rounding beyond it and slides has
         # any toi
         start = start_of(self.mesh, self._options, vertices_t0, motion)
         end = start if motion is not None or pairs is None else self.mesh.frame(vertices_t1, "vertices_t1")
-        if near.are_near(start, Ends(start, end, motion), pairs):
+        if near.are_near(start, Ends(start, end, motion), pairs, are_first=toi == of_part):
             distances = near.of(start)
             if distances is not None:
-                toi = max(toi, on_step(work=lambda step: step.least_toi(distances)))
+                toi = max(toi, in_all_parts(of_parts, on_step(work=lambda step: step.least_toi(distances))))
         return toi
 
     def _start_distances(self, of_parts: LeastOfParts = of_one_part) -> StartDistances | None:
@@ -691,14 +693,17 @@ class CollisionPipeline:
         frames = self.mesh.frames(vertices_t0, vertices_t1)
         paths = None if motion is None else paths_of(self.mesh, self._options, motion)
         course = course_of(self.mesh, *frames, paths, motion)
+        rounds = self._rounds_of(course, per=per, safety=safety, max_rounds=max_rounds)
+        result = rounds.result(begins_at_rest=self._reaches_neighbours(course.start))
+        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
+
+    def _rounds_of(self, course: Course, of_parts: LeastOfParts = of_one_part, **how: Any) -> LineSearchRounds:
+        """A line search; where the mesh is a part of another, all parts search together."""
 
         def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
             return self._on_step(ContactStep, ends.start, ends.end, work, ends.paths)
 
-        how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-        search = LineSearchRounds(self.mesh, course, on_step, self._start_distances(), **how)
-        result = search.result(begins_at_rest=self._reaches_neighbours(course.start))
-        return replace(result, start=self._checked_start(vertices_t0, motion)) if check_start else result
+        return LineSearchRounds(self.mesh, course, on_step, self._start_distances(of_parts), of_parts=of_parts, **how)
 
     def _reaches_neighbours(self, vertices_t0: ArrayLike) -> bool:
         """Whether pairs count as touching at many times the length of an edge, so that everything may do so already."""

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ccd_warp._files.content import Mesh
+from ccd_warp._scene.input.edges import lowest_linked
 
 _MOST_NAMES = 3  # of the groups of a body, in its name
 
@@ -40,7 +41,7 @@ def parts_of(
 def _groups(names: Sequence[str], group: np.ndarray, faces: np.ndarray, count: int) -> tuple[list[str], np.ndarray]:
     """The parts that groups of faces make, by their first group; ``group`` has the index of that of each face."""
     links = np.concatenate([_pairs(faces), np.stack([faces[:, 0], count + group], axis=1)])
-    root = _roots(count + len(names), links)
+    root = lowest_linked(count + len(names), links)
     used, first = np.unique(group, return_index=True)
     roots, by_group = np.unique(root[faces[first, 0]], return_inverse=True)
     order = np.argsort(np.unique(by_group, return_index=True)[1])
@@ -56,7 +57,7 @@ def _components(
     names: Sequence[str], part: np.ndarray, cells: Sequence[np.ndarray], count: int
 ) -> tuple[list[str], np.ndarray]:
     """The connected components of each part, in the order of its cells."""
-    root = _roots(count, np.concatenate([_pairs(block) for block in cells]))
+    root = lowest_linked(count, np.concatenate([_pairs(block) for block in cells]))
     roots, first = np.unique(root[np.concatenate([block[:, 0] for block in cells])], return_index=True)
     order = np.lexsort((first, part[roots]))
     number = np.full(count, -1)
@@ -79,16 +80,3 @@ def _joined(names: Sequence[str]) -> str:
 def _pairs(cells: np.ndarray) -> np.ndarray:
     """Vertices of a cell that follow one another, shape [n, 2]."""
     return np.concatenate([cells[:, k : k + 2] for k in range(cells.shape[1] - 1)])
-
-
-def _roots(count: int, links: np.ndarray) -> np.ndarray:
-    """The least node of those with which each is connected, shape [count]."""
-    root = np.arange(count)
-    while True:
-        ends = np.sort(root[links], axis=1)
-        links = ends[ends[:, 0] != ends[:, 1]]
-        if not len(links):
-            return root
-        np.minimum.at(root, links[:, 1], links[:, 0])
-        while not np.array_equal(further := root[root], root):
-            root = further

@@ -15,13 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ccd_warp._calls.pipeline import validated_distance, validated_search_radius
 from ccd_warp._engine.host.candidates import validated_inflation
-from ccd_warp._engine.host.contact_step import ContactStep
-from ccd_warp._engine.host.course import Course, Ends
-from ccd_warp._engine.host.least_toi_step import LeastToiStep
+from ccd_warp._engine.host.course import Course
 from ccd_warp._engine.host.line_search import (
     DEFAULT_MAX_ROUNDS,
     DEFAULT_SAFETY,
-    LineSearchRounds,
     check_step_is_whole,
     validated_line_search,
 )
@@ -29,7 +26,6 @@ from ccd_warp._engine.mesh.lengths import add_rounded_up, half_rounded_up
 from ccd_warp._engine.mesh.scene import length_scale_of
 from ccd_warp._engine.mesh.start_distances import keeps_start_distances, largest_start_distance
 from ccd_warp._engine.motion import moved
-from ccd_warp._results.results import MeshResult
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.input.arguments import Per, check_count, check_instance, shown
@@ -141,22 +137,9 @@ class DistributedPipeline:
         Guarantee: as for :func:`ccd_warp.collision_free_step`, for the whole mesh.
         """
         call, check = "collision_free_step", lambda: self._parting_distance
-        with self._called(call, vertices_t0, vertices_t1, check, motion) as of_part:
-            return min(self._least_toi(*of_part), self._options.t_max)
-
-    def _least_toi(self, plan: RankPlan, start: _Floats, end: _Floats) -> float:
-        """The earliest toi of a step in which, unless the options say otherwise, what starts close may part."""
-
-        on_step: Any = partial(plan.pipeline._on_step, LeastToiStep, start, end)
-        toi, pairs = on_step(LeastToiStep.earliest)
-        least, near = self._ranks.agree(toi)[0], plan.pipeline._start_distances(partial(self._least, plan))
-        if near is None or least == np.inf:
-            return least
-        if near.are_near(start, Ends(start, end), pairs, are_first=toi == least):
-            distances = near.of(start)
-            if distances is not None:
-                least = max(least, self._ranks.agree(on_step(lambda step: step.least_toi(distances)))[0])
-        return least
+        with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
+            least = plan.pipeline._least_toi(start, end, of_parts=partial(self._least, plan))
+            return min(least, self._options.t_max)
 
     @text_completed_by(mesh_ccd)
     def is_step_collision_free(self, vertices_t0: ArrayLike, vertices_t1: ArrayLike, *, motion: None = None) -> bool:
@@ -272,14 +255,8 @@ class DistributedPipeline:
 
         call = f"line_search(per={per!r}, safety={safety!r}, max_rounds={max_rounds!r})"
         with self._called(call, vertices_t0, vertices_t1, check, motion) as (plan, start, end):
-
-            def on_step(ends: Ends, work: Callable[[ContactStep], MeshResult]) -> MeshResult:
-                return plan.pipeline._on_step(ContactStep, ends.start, ends.end, work)
-
             how: dict[str, Any] = {"per": per, "safety": safety, "max_rounds": max_rounds}
-            how["of_parts"] = of_parts = partial(self._least, plan)
-            course, near = Course(start, end), plan.pipeline._start_distances(of_parts)
-            result = LineSearchRounds(plan.pipeline.mesh, course, on_step, near, **how).result()
+            result = plan.pipeline._rounds_of(Course(start, end), partial(self._least, plan), **how).result()
             fraction = self._to_owners(plan, result.vertex_fraction)
             self._follow(fraction, per)
             first, last = self._ends
@@ -313,7 +290,9 @@ class DistributedPipeline:
         fraction[mesh.is_unused] = np.where(is_free, least[group], 1.0)[mesh.is_unused]
 
     def _least(self, plan: RankPlan, values: _Floats, per: Per) -> _Floats:
-        """The least of some values over all ranks, of the vertices of a part or of what all ranks have."""
+        """The least over all ranks of a value of the scene, or of each vertex of a part, or of what all have."""
+        if per == "scene":
+            return np.array(self._ranks.agree(*values))
         if per != "vertex":
             return self._ranks.least(values)
         owned = np.full((len(self.mesh.vertex_ids), *values.shape[1:]), np.inf)

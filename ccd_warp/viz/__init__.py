@@ -25,10 +25,10 @@ from numpy.typing import ArrayLike
 
 from ccd_warp._results.contact_place import BodyMotion
 from ccd_warp._results.results import HostLaunchResult, MeshResult
+from ccd_warp._runtime.texts import text_completed_by
 from ccd_warp._scene.input.arguments import check_choice, check_instance, check_items, check_path, check_real, shown
 from ccd_warp._scene.mesh import CollisionMesh
 from ccd_warp.viz._camera import direction_to_viewer
-from ccd_warp.viz._contacts import contact_points
 from ccd_warp.viz._export import to_pyvista
 from ccd_warp.viz._file import Picture, check_picture_path
 from ccd_warp.viz._scene import check_result, make_scene
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Picture",
-    "contact_points",
     "draw_step",
     "drawing_without_display",
     "render_step",
@@ -110,6 +109,7 @@ def draw_step(
     return Picture(drawn((width, height), 3, draw))
 
 
+@text_completed_by(draw_step)
 def render_step(
     mesh: CollisionMesh,
     vertices_t0: ArrayLike,
@@ -126,25 +126,13 @@ def render_step(
     """Write a picture of a step: the scene at t = 0, at its toi and at t = 1, side by side.
 
     Args:
-        mesh: The mesh of the step.
-        vertices_t0: Start positions, as in :func:`draw_step`.
-        vertices_t1: End positions, as in :func:`draw_step`.
-        result: The result of ``mesh_ccd``, or of a launch on the host.
         path: File to write, ``.png``.
-        size: Width and height in pixels.
-        camera: Direction from the scene to the viewer, as in :func:`draw_step`.
-        colour: Colours of the bodies at t = 1, as in :func:`draw_step`.
-        t_max: The ``t_max`` of the step, shown in place of the toi if there is no contact.
-        motion: How rigid bodies turn, as in :func:`draw_step`.
 
     Returns:
         The picture, which a notebook shows, and which stands for its file where a path is expected.
 
     Raises:
-        ImportError: If the extra ``viz`` is not installed.
         OSError: If the file cannot be written.
-        RuntimeError: If the system has no OpenGL that works without a display.
-        ValueError: If an argument is not as described.
     """
     if isinstance(mesh, (str, PathLike)):
         raise ValueError(

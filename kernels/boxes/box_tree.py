@@ -272,6 +272,14 @@ def unite(tree: BoxTree, level: int, n: int, count: int):
 
 
 @wp.func
+def is_needed(only_if: wp.array[wp.int32]) -> bool:
+    """Whether there is no flag, or it is set."""
+    if only_if.shape[0] > 0:
+        return only_if[0] != 0
+    return True
+
+
+@wp.func
 def spread_bits(x: wp.uint64) -> wp.uint64:
     """Put two zeros between the lowest 21 bits."""
     x = (x | (x << wp.uint64(32))) & wp.uint64(0x1F00000000FFFF)
@@ -350,23 +358,6 @@ def apply_order(
             block_corners[b * BLOCK_CORNERS + lane + k * WIDTH] = c[k]
 
 
-@wp.func
-def fill_block(vertex_aabbs: wp.array[wp.float32], num_corners: int, tree: BoxTree, b: int):
-    """Fill block b of level 0 from the AABBs of its vertices, and write its union to level 1."""
-    write_leaves(vertex_aabbs, tree.num_aabbs, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
-    unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
-
-
-@wp.func
-def unite_from(tree: BoxTree, first_level: int, count: int):
-    """Fill all levels from ``first_level``, which has ``count`` boxes, to the top."""
-    n = wp.int32(count)
-    for level in range(first_level, tree.num_levels):
-        for k in range(n):
-            unite(tree, level, k, n)
-        n = (n + WIDTH - 1) / WIDTH
-
-
 @wp.kernel
 def fill_blocks(
     begin: int,
@@ -376,8 +367,10 @@ def fill_blocks(
     # out
     tree: BoxTree,
 ):
-    """Apply `fill_block` to every block."""
-    fill_block(vertex_aabbs, num_corners, tree, begin + wp.tid())
+    """Fill a block of level 0 from the AABBs of its vertices, and write its union to level 1."""
+    b = begin + wp.tid()
+    write_leaves(vertex_aabbs, tree.num_aabbs, tree.corners, num_corners, tree.nodes, b, tree.num_boxes - b * WIDTH)
+    unite(tree, 1, b, (tree.num_boxes + WIDTH - 1) / WIDTH)
 
 
 @wp.kernel
@@ -403,4 +396,8 @@ def unite_levels(
     tree: BoxTree,
 ):
     """Fill all levels from one on in a single thread: they are small, and a launch for each would cost more."""
-    unite_from(tree, first_level, count)
+    n = wp.int32(count)
+    for level in range(first_level, tree.num_levels):
+        for k in range(n):
+            unite(tree, level, k, n)
+        n = (n + WIDTH - 1) / WIDTH

@@ -11,7 +11,7 @@ at a node goes up).
 
 import warp as wp
 
-from .box_tree import BLOCK_CORNERS, BLOCK_FLOATS, WIDTH, BoxTree, node_place
+from .box_tree import BLOCK_CORNERS, BLOCK_FLOATS, WIDTH, BoxTree, is_needed, node_place
 from .half_warp import least_together
 from .lanes import vec8f
 
@@ -112,14 +112,6 @@ def read_box(nodes: wp.array[wp.float32], at: int) -> vec8f:
 def is_last(arrivals: wp.array[wp.int32], place: int, count: int) -> bool:
     """Whether a half warp is the last of ``count`` that arrive at a place, which is then 0 again as it was before."""
     ...
-
-
-@wp.func
-def is_needed(only_if: wp.array[wp.int32]) -> bool:
-    """Whether there is no flag, or it is set."""
-    if only_if.shape[0] > 0:
-        return only_if[0] != 0
-    return True
 
 
 @wp.struct

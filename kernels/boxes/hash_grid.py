@@ -31,7 +31,7 @@ import warp as wp
 
 from ..atomics import set_bits
 from .box_groups import groups_of_block
-from .box_tree import BLOCK_CORNERS, WIDTH, BoxTree, unite
+from .box_tree import BLOCK_CORNERS, WIDTH, BoxTree, is_needed, unite
 from .lanes import united_vertex_aabbs, write_leaves
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -162,19 +162,11 @@ def bucket_of(key: wp.uint64, bucket_bits: int) -> int:
     return wp.int32(row + (key & _IN_ROW)) & ((1 << bucket_bits) - 1)
 
 
-@wp.func
-def is_outdated(is_changed: wp.array[wp.int32]) -> bool:
-    """Whether the boxes have to be sorted: always, or where the caller keeps account, if it says so."""
-    if is_changed.shape[0] > 0:
-        return is_changed[0] != 0
-    return True
-
-
 @wp.kernel
 def fill_cells(
     begin: int,
     # in
-    is_changed: wp.array[wp.int32],
+    only_if: wp.array[wp.int32],
     corners: wp.array[wp.vec3i],
     vertex_aabbs: wp.array[wp.float32],
     num_aabbs: int,
@@ -186,7 +178,7 @@ def fill_cells(
 ):
     """Compute the cell and the bucket of each primitive; an empty box comes after the last bucket."""
     i = begin + wp.tid()
-    if not is_outdated(is_changed):
+    if not is_needed(only_if):
         return
     if i == 0:
         grid.levels[0] = 0
@@ -216,7 +208,6 @@ def fill_cells(
 def sort_range(
     begin: int,
     # in
-    is_changed: wp.array[wp.int32],
     buckets: wp.array[wp.int32],
     num_boxes: int,
     num_ranges: int,
@@ -229,8 +220,6 @@ def sort_range(
     Boxes of one bucket keep their order, so the result does not depend on the number of ranges.
     """
     n = begin + wp.tid()
-    if not is_outdated(is_changed):
-        return
     num_buckets = 1 << grid.bucket_bits
     first = wp.int32(wp.int64(num_buckets) * wp.int64(n) / wp.int64(num_ranges))
     last = wp.int32(wp.int64(num_buckets) * wp.int64(n + 1) / wp.int64(num_ranges))
@@ -267,7 +256,7 @@ def sort_range(
 def find_buckets(
     begin: int,
     # in
-    is_changed: wp.array[wp.int32],
+    only_if: wp.array[wp.int32],
     buckets: wp.array[wp.int32],  # ascending
     num_boxes: int,
     # out
@@ -275,7 +264,7 @@ def find_buckets(
 ):
     """Find the first place of each bucket among sorted ones by bisection."""
     b = begin + wp.tid()
-    if not is_outdated(is_changed):
+    if not is_needed(only_if):
         return
     low = int(0)
     high = wp.int32(num_boxes)
@@ -318,7 +307,6 @@ def place_box(
 def fill_grid(
     begin: int,
     # in
-    is_changed: wp.array[wp.int32],
     order: wp.array[wp.int32],
     cells: wp.array[wp.uint64],
     ids: wp.array[wp.int32],
@@ -332,8 +320,6 @@ def fill_grid(
 ):
     """Fill a block with the primitives that the order puts there, their boxes and cells, and unite the boxes."""
     b = begin + wp.tid()
-    if not is_outdated(is_changed):
-        return
     levels = int(0)
     for lane in range(WIDTH):
         levels = levels | place_box(b * WIDTH + lane, order, cells, ids, corners, boxes, grid)
@@ -348,7 +334,7 @@ def fill_grid(
 def fill_places(
     begin: int,
     # in
-    is_changed: wp.array[wp.int32],
+    only_if: wp.array[wp.int32],
     order: wp.array[wp.int32],
     cells: wp.array[wp.uint64],
     ids: wp.array[wp.int32],
@@ -359,5 +345,5 @@ def fill_places(
 ):
     """Fill a place of a block with the primitive that the order puts there, and its cell, on CUDA."""
     place = begin + wp.tid()
-    if is_outdated(is_changed):
+    if is_needed(only_if):
         set_bits(grid.levels, 0, place_box(place, order, cells, ids, corners, boxes, grid))

@@ -7,16 +7,7 @@ world, and lists have a fixed capacity. A pair beyond the capacity lowers its to
 import warp as wp
 
 from ..atomics import atomic_min_int64
-from ..boxes.box_tree import (
-    WIDTH,
-    BoxTree,
-    Quantization,
-    Worlds,
-    fill_block,
-    unite_from,
-    vertex_aabb,
-    write_vertex_aabb,
-)
+from ..boxes.box_tree import Quantization, Worlds, vertex_aabb, write_vertex_aabb
 from .minima import FOUND, INVALID_INPUT, MOST_FOUND, MOST_LISTED, STATIC_MOVED, STRUCK, Minima, world_of
 
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -27,7 +18,7 @@ PER_WORLD = wp.constant(1)
 PER_BODY = wp.constant(2)
 PER_VERTEX = wp.constant(3)
 
-# Vertices and blocks of static bodies that one item processes on the CPU.
+# Vertices of static bodies that one item reads on the CPU.
 CHUNK = wp.constant(64)
 
 _INFINITY_BITS = wp.constant(wp.int64(0x7FF0000000000000))
@@ -165,61 +156,16 @@ def refresh_vertex_aabbs(
     box_radius: wp.array[wp.float64],
     quantization: Quantization,
     num_aabbs: int,
-    chunk: int,  # vertices of an item: neighbouring threads of CUDA are to read neighbouring vertices
     # out
     vertex_aabbs: wp.array[wp.float32],
 ):
-    """`fill_vertex_aabbs` for a chunk of static vertices, if any static vertex has changed its position or radius."""
+    """`fill_vertex_aabbs` for static vertices, if any has changed its position or radius."""
     if is_moved[0] != 0:
-        first = (begin + wp.tid()) * chunk
-        for k in range(first, wp.min(first + chunk, vertices.shape[0])):
-            v = vertices[k]
-            for n in range(num_aabbs):
-                aabb = vertex_aabb(
-                    v,
-                    worlds,
-                    x,
-                    x,
-                    wp.float64(1.0),
-                    inflation,
-                    box_radius,
-                    quantization,
-                    num_aabbs,
-                    n,
-                )
-                write_vertex_aabb(vertex_aabbs, v * num_aabbs + n, aabb)
-
-
-@wp.kernel
-def refresh_blocks(
-    begin: int,
-    # in
-    is_moved: wp.array[wp.int32],
-    vertex_aabbs: wp.array[wp.float32],
-    num_corners: int,
-    # out
-    tree: BoxTree,
-):
-    """`fill_blocks` for a chunk of blocks of a static tree, if any static vertex has changed its position or radius."""
-    if is_moved[0] != 0:
-        count = (tree.num_boxes + WIDTH - 1) / WIDTH
-        first = (begin + wp.tid()) * CHUNK
-        for b in range(first, wp.min(first + CHUNK, count)):
-            fill_block(vertex_aabbs, num_corners, tree, b)
-
-
-@wp.kernel
-def refresh_levels(
-    begin: int,
-    # in
-    is_moved: wp.array[wp.int32],
-    count: int,
-    # out
-    tree: BoxTree,
-):
-    """`unite_levels` under the same condition; a single item."""
-    if is_moved[0] != 0:
-        unite_from(tree, 2, count)
+        v = vertices[begin + wp.tid()]
+        for n in range(num_aabbs):
+            one = wp.float64(1.0)
+            aabb = vertex_aabb(v, worlds, x, x, one, inflation, box_radius, quantization, num_aabbs, n)
+            write_vertex_aabb(vertex_aabbs, v * num_aabbs + n, aabb)
 
 
 @wp.kernel

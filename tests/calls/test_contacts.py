@@ -12,7 +12,7 @@ from laws.calls import on_device
 from scenes import TRIANGLE, named_cloth_and_ball
 
 import ccd_warp as ccd
-from ccd_warp import viz
+from ccd_warp._results.contact_place import MovingVertices, points_at_toi
 
 NAMES = ("points", "vertices", "weights", "bodies", "world")
 
@@ -69,7 +69,7 @@ def test_points_are_those_of_the_step_whatever_becomes_of_the_callers_arrays(num
     mesh = ccd.CollisionMesh.from_arrays(bodies, static=[1])
     start, end = np.vstack([start, far]), np.vstack([end, far])
     contacts = ccd.mesh_ccd(mesh, start, end).contacts
-    expected = viz.contact_points(mesh, start, end, contacts)
+    expected = points_at_toi(MovingVertices(mesh, start.copy(), end.copy()), contacts)
     start[:] = end[:] = 0.0
     assert len(expected) and np.array_equal(contacts.points, expected)
     assert np.allclose(contacts.relative_velocity[:, :2], 0.0) and (abs(contacts.relative_velocity[:, 2]) > 0.5).all()

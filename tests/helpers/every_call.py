@@ -46,7 +46,7 @@ VALUES = {
     **{"points_t0": POINTS_T0, "points_t1": POINTS_T1, "progress": False},
     **{"surface": False, "split": False, "displacement": None},
     **{"result": RESULT, "camera": None, "colour": "body", "size": (900, 300)},
-    **{"displacements": None, "contacts": RESULT.contacts, "k": 0},
+    **{"displacements": None, "k": 0},
 }
 
 
@@ -133,7 +133,7 @@ def _every_call(folder):
     add(PIPELINE.find_proximity, PIPELINE.displacement_bounds)
     add(launched.to_host, launched.contacts.to_host, launched.contacts.points_at)
     add(viz.render_step, viz.Picture(np.zeros((2, 3, 3), dtype=np.uint8)).save, path=folder / "a.png")
-    add(viz.draw_step, viz.to_pyvista, viz.contact_points)
+    add(viz.draw_step, viz.to_pyvista)
     add(ccd.read_frames, ccd.read_sequence, **of_files)
     return calls
 

@@ -96,7 +96,7 @@ ARGUMENTS = {
     "t of to_pyvista": (r"a number in \[0, 1\]", [1.5], ZERO),
     "points": (r"(shape )?\(n, 3\)|\(0,\), as many as points", [], ()),
     **{"body": (r"\(3,\), as many as points|shape \(n,\)", [], ()), "result": ("a MeshResult", [], ())},
-    **{"result of to_pyvista": ("a MeshResult", [], NONE), "contacts": ("a Contacts", [], ())},
+    "result of to_pyvista": ("a MeshResult", [], NONE),
     "camera": ("three finite numbers, not all 0", [(0, 0, 0), "left"], NONE),
     "size": (r"width and height in \[150, 4000\] pixels", [(10, 10), 7], ()),
     **dict.fromkeys(["vertices_t0", "positions", "vertices"], (ROWS, [], ())),

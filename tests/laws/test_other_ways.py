@@ -446,8 +446,7 @@ def test_the_device_changes_no_bit_of_pairs(kind, options, precision, other_devi
 
 
 # Kernels of modules for CUDA that the CPU alone launches, each in place of another.
-CPU_ALONE = "sort_range fill_grid fill_blocks refresh_blocks apply_order unite_blocks unite_levels refresh_levels"
-CPU_ALONE += " split_segments"
+CPU_ALONE = "sort_range fill_grid fill_blocks apply_order unite_blocks unite_levels split_segments"
 # Of modules for distances, ends of the names of those that are not run, as others run what is theirs: a precision, the
 # norm of boxes, and of radii with lists of excluded pairs and without one search each.
 _LIKE_OTHERS = ("float32 euclidean", "float32 arc_box", "float32 arc_ball", "own_box", "measure_pairs box")

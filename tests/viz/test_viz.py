@@ -176,7 +176,6 @@ def test_bodies_that_turn_are_placed_on_their_arcs():
         c, s = np.cos(4.0 * t), np.sin(4.0 * t)
         return bar.vertices @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + [0, 0, 0.3 * t]
 
-    assert np.array_equal(viz.contact_points(*step, result.contacts, motion=motion), result.contacts.points)
     scene = make_scene(*step, result, motion)
     # the picture is moved and scaled, so distances between two of its times are compared
     unit = np.linalg.norm(scene.start[1] - scene.start[0]) / np.linalg.norm(mesh.vertices[1] - mesh.vertices[0])

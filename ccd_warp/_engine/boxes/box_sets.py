@@ -116,7 +116,8 @@ class BoxSet(ABC):
             vertex_aabbs: AABBs of the vertices.
             launcher: Where to launch, or to record.
             structs_of: The structs of a set, in place of which a recording may take slots.
-            only_if: The flag on the device without which the boxes stay as they are, int32, shape [1]; None for always.
+            only_if: On CUDA the flag without which boxes stay as they are, int32, shape [1]; None for always. On the
+                CPU a recording asks it (`Recording.only_if`), and the kernels need not.
         """
 
     @staticmethod

@@ -99,7 +99,7 @@ class Grid(BoxSet):
         """Compute and sort the boxes of spatial hashes from the vertex AABBs."""
         grids = list(sets)
         device = launcher.device
-        if only_if is None:
+        if only_if is None or not launcher.is_cuda:
             only_if = wp.empty(0, dtype=wp.int32, device=device)
         with launcher.at_once():
             for grid in grids:
@@ -110,8 +110,10 @@ class Grid(BoxSet):
                     inputs=[only_if, primitives.corners, vertex_aabbs, grid.arrays.num_aabbs],
                     outputs=[structs_of(grid)[1], grid.unsorted_cells, grid.buckets, grid.order],
                 )
-        sort_and_fill = _sort_and_fill_places if launcher.is_cuda else _sort_and_fill_blocks
-        sort_and_fill(grids, vertex_aabbs, launcher, structs_of, only_if)
+        if launcher.is_cuda:
+            _sort_and_fill_places(grids, vertex_aabbs, launcher, structs_of, only_if)
+        else:
+            _sort_and_fill_blocks(grids, vertex_aabbs, launcher, structs_of)
         with launcher.at_once():
             for grid in grids:
                 if len(grid.vertex_group):
@@ -150,23 +152,19 @@ _StructsOf = Callable[[Grid], tuple[Any, ...]]
 
 
 def _sort_and_fill_blocks(
-    grids: list[Grid],
-    vertex_aabbs: wp.array | Slot,
-    launcher: Execution | Recording,
-    structs_of: _StructsOf,
-    only_if: wp.array,
+    grids: list[Grid], vertex_aabbs: wp.array | Slot, launcher: Execution | Recording, structs_of: _StructsOf
 ) -> None:
     """Sort the boxes by bucket and fill their blocks on the CPU, an item for each block."""
     with launcher.at_once():
         for grid in grids:
             count = grid.primitives.count
             ranges = max(1, min(launcher.num_threads, count // _WORTH_SORTING))
-            inputs = [only_if, grid.buckets, count, ranges]
+            inputs = [grid.buckets, count, ranges]
             launcher.launch(hash_grid.sort_range, ranges, inputs, [structs_of(grid)[1], grid.order], grain=1)
     with launcher.at_once():
         for grid in grids:
             primitives = grid.primitives
-            inputs = [only_if, grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
+            inputs = [grid.order, grid.unsorted_cells, primitives.ids, primitives.corners]
             inputs += [primitives.num_corners, vertex_aabbs, grid.vertex_group]
             launcher.launch(hash_grid.fill_grid, primitives.num_blocks, inputs, [*structs_of(grid)], grain=256)
 

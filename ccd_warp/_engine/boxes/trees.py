@@ -21,9 +21,7 @@ from ccd_warp.kernels.boxes import box_tree as kernels
 from ccd_warp.kernels.boxes import half_warp_tree
 from ccd_warp.kernels.pair.norm import Norm
 from ccd_warp.kernels.search import search_types
-from ccd_warp.kernels.step import device_step
 
-_CHUNK = int(device_step.CHUNK)
 _DIAGONAL = float(np.nextafter(np.sqrt(3.0), 2.0))  # of a cube with a side of 1, and more
 # A level of no more boxes than this is united in one launch with all levels above.
 _FEW_BOXES = 2048
@@ -112,10 +110,8 @@ class Tree(BoxSet):
         trees = list(dict.fromkeys(sets))
         if launcher.is_cuda:
             fill_in_half_warps(trees, vertex_aabbs, launcher, structs_of, only_if)
-        elif only_if is None:
-            _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
         else:
-            _refresh(trees, vertex_aabbs, launcher, structs_of, only_if)
+            _fill_in_blocks(trees, vertex_aabbs, launcher, structs_of)
 
 
 _StructsOf = Callable[[Tree], tuple[Any, ...]]
@@ -149,22 +145,6 @@ def _fill_in_blocks(
             if level < len(tree.levels):
                 inputs = [level, tree.levels[level - 1]]
                 launcher.launch(kernels.unite_levels, 1, inputs, list(structs_of(tree)), grain=2)
-
-
-def _refresh(
-    trees: list[Tree],
-    vertex_aabbs: wp.array | Slot,
-    launcher: Execution | Recording,
-    structs_of: _StructsOf,
-    only_if: wp.array,
-) -> None:
-    """Compute the boxes on the CPU where a flag on the device is set."""
-    for tree in trees:
-        inputs = [only_if, vertex_aabbs, tree.primitives.num_corners]
-        count = -(-tree.levels[0] // _CHUNK)
-        launcher.launch(device_step.refresh_blocks, count, inputs, list(structs_of(tree)), grain=64)
-        if len(tree.levels) > 2:
-            launcher.launch(device_step.refresh_levels, 1, [only_if, tree.levels[1]], list(structs_of(tree)))
 
 
 _TreeToFill = fields_of(half_warp_tree.TreeToFill)

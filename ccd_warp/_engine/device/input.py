@@ -271,7 +271,7 @@ class DeviceInput:
         with recording.only_if(self.is_moved):
             recording.launch(
                 kernels.refresh_vertex_aabbs,
-                -(-len(topology.static_vertices) // self._chunk),
+                len(topology.static_vertices),
                 inputs=[
                     self.is_moved,
                     topology.static_vertices,
@@ -281,10 +281,8 @@ class DeviceInput:
                     stages.box_radius,
                     stages.quantization,
                     stages.num_aabbs,
-                    self._chunk,
                 ],
                 outputs=[stages.vertex_aabbs],
-                grain=64,
             )
             stages.fill_boxes(recording, static_trees, self.is_moved)
             recording.launch(kernels.settle, 1, inputs=[], outputs=[self.is_moved])

@@ -20,9 +20,14 @@ def of_one_part(values: NDArray[np.float64], per: Per) -> NDArray[np.float64]:
     return values
 
 
+def in_all_parts(of_parts: LeastOfParts, value: float) -> float:
+    """The least of a number over all parts of a mesh."""
+    return float(of_parts(np.array([value]), "scene")[0])
+
+
 def in_any_part(of_parts: LeastOfParts, flag: bool) -> bool:
     """Whether a flag is set in any part of a mesh."""
-    return bool(of_parts(np.array([0.0 if flag else 1.0]), "scene")[0] == 0.0)
+    return in_all_parts(of_parts, 0.0 if flag else 1.0) == 0.0
 
 
 class StartDistances:

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ccd_warp._scene.input.edges import lowest_linked
+
 if TYPE_CHECKING:
     from ccd_warp._scene.mesh import CollisionMesh
 
@@ -86,29 +88,13 @@ def _walked_rings(mesh: "CollisionMesh") -> tuple[NDArray[np.int64], NDArray[np.
 
 def _whole_components(mesh: "CollisionMesh") -> tuple[NDArray[np.int64], NDArray[np.int32]]:
     """The length of each row, and the rows, each of which is a whole connected component."""
-    label = _components(mesh)
+    label = lowest_linked(mesh.num_vertices, mesh.edges)
     order = np.argsort(label, kind="stable")
     size = np.bincount(label, minlength=mesh.num_vertices)
     lengths = size[label]
     _check_total(mesh, sum(lengths.tolist()))
     members = np.split(order.astype(np.int32), np.cumsum(size)[:-1])
     return lengths, np.concatenate([np.zeros(0, dtype=np.int32), *(members[k] for k in label)])
-
-
-def _components(mesh: "CollisionMesh") -> NDArray[np.int64]:
-    """The lowest vertex of the connected component of each vertex."""
-    label = np.arange(mesh.num_vertices)
-    a, b = mesh.edges.T
-    while True:
-        lower = label.copy()
-        least = np.minimum(label[a], label[b])
-        np.minimum.at(lower, label[a], least)
-        np.minimum.at(lower, label[b], least)
-        while not np.array_equal(lower, lower[lower]):
-            lower = lower[lower]
-        if np.array_equal(lower, label):
-            return label
-        label = lower
 
 
 def _check_total(mesh: "CollisionMesh", total: int) -> None:

@@ -1,4 +1,4 @@
-"""The unique edges of a mesh: those of its faces, and codimensional edges."""
+"""The unique edges of a mesh: those of its faces, and codimensional edges; and what they connect."""
 
 from collections.abc import Sequence
 
@@ -33,3 +33,16 @@ def _unique_edge_keys(pairs: Sequence[tuple[NDArray[np.integer], NDArray[np.inte
     first[1:] = keys[1:] != keys[:-1]
     keys = keys[first]
     return keys[(keys >> 32) != (keys & 0xFFFFFFFF)]
+
+
+def lowest_linked(count: int, links: NDArray[np.integer]) -> NDArray[np.int64]:
+    """The lowest node of those with which each is connected by links, shape [count]."""
+    lowest = np.arange(count)
+    while True:
+        ends = np.sort(lowest[links], axis=1)
+        links = ends[ends[:, 0] != ends[:, 1]]
+        if not len(links):
+            return lowest
+        np.minimum.at(lowest, links[:, 1], links[:, 0])
+        while not np.array_equal(further := lowest[lowest], lowest):
+            lowest = further
