@@ -61,7 +61,7 @@ def body_lines(frames: Frames, tois: Sequence[str] = ()) -> list[str]:
     mesh = frames.mesh
     vertices, faces = np.diff(mesh.body_vertex_range), np.bincount(mesh.face_body, minlength=mesh.num_bodies)
     lines = [
-        f"  {name}  {_kind_of_body(mesh, b)}, {counted(int(vertices[b]), 'vertex', 'vertices')}, "
+        f"  {name}  {mesh._kind_of_body(b)}, {counted(int(vertices[b]), 'vertex', 'vertices')}, "
         f"{counted(int(faces[b]), 'face', 'faces')}{f', toi {tois[b]}' if tois else ''}"
         for b, name in enumerate(mesh.names[:_MOST_BODIES])
     ]
@@ -157,7 +157,3 @@ def _outcome(step: SolvedStep) -> list[str]:
             "late; raise --max-iterations or --max-work to refine them"
         )
     return [*lines, *end, *scope_lines(step.mesh, step.options, step.ignored)]
-
-
-def _kind_of_body(mesh: CollisionMesh, body: int) -> str:
-    return "static" if mesh.static[body] else "kinematic" if mesh.kinematic[body] else "moving"

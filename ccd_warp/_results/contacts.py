@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.pairs import ClosePairs, pair_corners
 from ccd_warp._results.placed import Placed
-from ccd_warp._runtime.display import counted, kind_name, point_text, shortened
+from ccd_warp._runtime.display import MOST_ROWS, counted, html_table, kind_name, point_text, shortened
 from ccd_warp._runtime.status import CCDStatus, PairKind
 from ccd_warp._runtime.texts import text_completed_by
 
@@ -77,6 +77,18 @@ class Contacts(Placed, ClosePairs):
 
     def __repr__(self) -> str:
         return f"Contacts({counted(len(self), 'contact', 'contacts')}{_by_kind(self.kind)})"
+
+    def _repr_html_(self) -> str:
+        return self._table(repr(self))
+
+    def _table(self, title: str) -> str:
+        """A table of the earliest contacts for a notebook; empty if the mesh is not known."""
+        if self._place is None:
+            return html_table(title, (), [])
+        earliest = np.argsort(self.toi, kind="stable")[:MOST_ROWS].tolist()
+        rows = [(k, *self[k]._cells()) for k in earliest]
+        header = ("", "kind", "bodies", "toi", "point", "status")
+        return html_table(f"{title}, the earliest first" if rows else title, header, rows, len(self))
 
     @property
     def points(self) -> NDArray[np.float64]:
@@ -273,6 +285,12 @@ class Contact:
         text += f" of {a} and {b}" if len({*self.bodies.tolist()}) == 2 else f" of {a} and itself"
         return text if not place.has_points else f"{text} at {point_text(self.point)}"
 
+    def _cells(self) -> tuple[str, ...]:
+        """The cells of a table that holds this contact."""
+        place = self._row._known_place()
+        point = point_text(self.point) if place.has_points else ""
+        return kind_name(self.kind), ", ".join(self.body_names), repr(self.toi), point, self.status.name.lower()
+
 
 def _by_kind(kinds: NDArray[np.int32]) -> str:
     """How many contacts there are of each kind, where there are any."""
@@ -316,6 +334,9 @@ class Outcome:
             parts.append(f"{np.isfinite(self.world_toi).sum():,} of {len(self.world_toi):,} worlds")
         parts.append(counted(len(self.contacts), "contact", "contacts"))
         return ", ".join(parts) + (f", first: {self.first._described()}" if self.first else "")
+
+    def _repr_html_(self) -> str:
+        return self.contacts._table(repr(self))
 
 
 def first_contacts(

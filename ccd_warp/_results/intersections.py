@@ -1,13 +1,14 @@
 """What intersects at one time: the pairs, where they meet, and what follows from the mesh."""
 
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ccd_warp._results.pairs import PairTable, bodies_of, vertices_of
-from ccd_warp._runtime.display import counted, named_counts, pairs_of_bodies
+from ccd_warp._runtime.display import counted, html_table, kind_name, named_counts, pairs_of_bodies, point_text
 from ccd_warp._runtime.status import IntersectionKind
 from ccd_warp._scene.mesh import CollisionMesh
 
@@ -94,6 +95,18 @@ class Intersections(Crossings, PairTable):
 
     def __repr__(self) -> str:
         return f"Intersections({self.describe()})"
+
+    def _repr_html_(self) -> str:
+        names = self.mesh.names
+        rows = [
+            (kind_name(kind), f"{i}, {j}", f"{names[a]}, {names[b]}", point_text(point))
+            for kind, (i, j), (a, b), point in self._rows()
+        ]
+        return html_table(repr(self), ("kind", "primitives", "bodies", "point"), rows)
+
+    def _rows(self) -> Iterator[tuple[IntersectionKind, list[int], list[int], list[float]]]:
+        kinds = map(IntersectionKind, self.kind.tolist())
+        return zip(kinds, self.primitives.tolist(), self.bodies.tolist(), self.points.tolist(), strict=True)
 
 
 def located(

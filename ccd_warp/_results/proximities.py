@@ -1,6 +1,6 @@
 """What is near at one time: the pairs, where they are nearest, and what follows from the mesh."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.pairs import ClosePairs, radii_of_pairs
 from ccd_warp._results.shared_features import unique_rows
-from ccd_warp._runtime.display import counted, named_counts, pairs_of_bodies
+from ccd_warp._runtime.display import counted, html_table, kind_name, named_counts, pairs_of_bodies
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.texts import text_completed_by
@@ -130,3 +130,12 @@ class Proximities(ClosePairs):
         named = ", ".join(named_counts(pairs_of_bodies(self.mesh.names, self.bodies)))
         pairs = counted(len(self), "pair", "pairs")
         return f"Proximities({pairs}: {named}; the least distance is {self.distance.min():.6g})"
+
+    def _repr_html_(self) -> str:
+        return html_table(repr(self), ("kind", "primitives", "bodies", "distance"), list(self._rows()))
+
+    def _rows(self) -> Iterator[tuple[str, str, str, float]]:
+        names = self.mesh.names
+        columns = (self.kind, self.primitives, self.bodies, self.distance)
+        for kind, (i, j), (a, b), distance in zip(*(column.tolist() for column in columns), strict=True):
+            yield kind_name(PairKind(kind)), f"{i}, {j}", f"{names[a]}, {names[b]}", distance

@@ -1,7 +1,7 @@
 """Results of the mesh functions."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ccd_warp._results.contacts import Contact, Contacts, Outcome, first_contacts
 from ccd_warp._results.intersections import Intersections, crossing_at_start
-from ccd_warp._runtime.display import counted, pairs_of_bodies, start_sentence
+from ccd_warp._runtime.display import counted, html_table, kind_name, pairs_of_bodies, start_sentence
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.status import CCDStatus, LaunchFlag, PairKind
 
@@ -73,6 +73,15 @@ class Counts:
         text = ", ".join(f"{count:,} {name}" for name, count in shown.items())
         bodies, vertices = counted(self.num_bodies, "body", "bodies"), f"{self.num_vertices:,} vertices"
         return f"Counts({bodies}, {vertices}, {self.num_edges:,} edges, {self.num_faces:,} faces; {text})"
+
+    def _repr_html_(self) -> str:
+        rows: list[tuple[str, str]] = []
+        for entry in fields(self):
+            value, name = getattr(self, entry.name), entry.name.removeprefix("num_").replace("_", " ")
+            by_kind = value.items() if isinstance(value, dict) else ()
+            rows += [(f"{kind_name(kind)} {name}", f"{count:,}") for kind, count in by_kind]
+            rows += [] if isinstance(value, dict) else [(name, f"{value:,}")]
+        return html_table("Counts", ("", ""), rows)
 
 
 @dataclass(frozen=True, repr=False)

@@ -1,15 +1,18 @@
-"""How objects show themselves: in a line or two."""
+"""How objects show themselves: in a line or two as text, and as a table in a notebook."""
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from enum import Enum
+from html import escape
 from math import isfinite
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 _MOST_LISTED = 4
 _MOST_LETTERS = 32  # of a name
+MOST_ROWS = 30
 _MOST_PAIRS = 5  # pairs of bodies that a sentence names
 
 
@@ -71,3 +74,15 @@ def point_text(point: Iterable[float]) -> str:
     values = [float(x) for x in point]
     rounding = 1e-12 * max((abs(x) for x in values if isfinite(x)), default=0.0)
     return f"({', '.join('0' if abs(x) <= rounding else f'{x:.6g}' for x in values)})"
+
+
+def html_table(title: str, header: Sequence[str], rows: Sequence[Sequence[Any]], total: int | None = None) -> str:
+    """A table for a notebook: its first rows, and how many more there are; ``total`` where not all are given."""
+    total = len(rows) if total is None else total
+
+    def line(cells: Iterable[Any], tag: str) -> str:
+        return f"<tr>{''.join(f'<{tag}>{escape(str(cell))}</{tag}>' for cell in cells)}</tr>"
+
+    body = "".join(line(row, "td") for row in rows[:MOST_ROWS])
+    more = f"<p>… {total - MOST_ROWS:,} more</p>" if total > MOST_ROWS else ""
+    return f"<p>{escape(title)}</p><table><thead>{line(header, 'th')}</thead><tbody>{body}</tbody></table>{more}"

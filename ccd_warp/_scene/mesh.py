@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ccd_warp._runtime.display import counted, listed, shown_range
+from ccd_warp._runtime.display import counted, html_table, listed, shown_range
 from ccd_warp._runtime.lazy import lazy_property
 from ccd_warp._runtime.read_only import ReadOnly
 from ccd_warp._runtime.texts import text_completed_by
@@ -219,6 +219,17 @@ class CollisionMesh(ReadOnly):
         parts += [f"{sum(map(len, self.exclude_pairs.values()))} excluded pairs"] if self.exclude_pairs else []
         parts += [shown_range("radius", self.radius)] if self.radius is not None and self.num_vertices else []
         return f"CollisionMesh({', '.join(parts)})"
+
+    def _repr_html_(self) -> str:
+        counts = [np.bincount(body, minlength=self.num_bodies) for body in (self.vertex_body, self.face_body)]
+        rows = [
+            (name, self._kind_of_body(b), *(f"{of_body[b]:,}" for of_body in counts))
+            for b, name in enumerate(self.names)
+        ]
+        return html_table(repr(self), ("body", "", "vertices", "faces"), rows)
+
+    def _kind_of_body(self, body: int) -> str:
+        return "static" if self.static[body] else "kinematic" if self.kinematic[body] else "moving"
 
     def _sizes(self) -> list[tuple[str, int]]:
         """What the mesh is made of: the numbers that its text shows, codimensional primitives where there are any."""

@@ -144,7 +144,7 @@ def test_a_floor_that_rises_meets_what_is_at_rest_in_each_world_its_own():
     mesh, start = lift()
     assert mesh.num_vertices == 5 and mesh.static.tolist() == [False, True, False]
     assert mesh.kinematic.tolist() == [False, False, True] and mesh.planes.vertices.tolist() == [-1, 4]
-    assert mesh.length_scale == 6.0  # a length of the particles alone
+    assert mesh.length_scale == 6.0 and "kinematic" in mesh._repr_html_()  # a length of the particles alone
     rise = np.outer([0, 0, 0, 0, 2], UP)
     result = ccd.mesh_ccd(mesh, start, start + rise)
     assert result.vertex_toi[:4].tolist() == pytest.approx([0.25, np.inf, 0.25, 0.0], abs=1e-15)

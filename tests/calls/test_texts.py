@@ -5,6 +5,7 @@ import math
 import pydoc
 import re
 from dataclasses import fields, is_dataclass
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -80,7 +81,7 @@ def public():
     return [*objects, ccd.RigidMotion(poses, poses, path="screw")]
 
 
-def test_every_public_object_shows_itself_in_a_line_or_two(public):
+def test_every_public_object_shows_itself_in_a_line_or_two_and_tables_are_short_and_well_formed(public):
     named, start, end = named_cloth_and_ball()
     bodies = [(start, named.faces), (TRIANGLE, FACE)]
     mesh = ccd.CollisionMesh.from_arrays(bodies, names=["c" * 500, "<script>"])  # of which texts are cut
@@ -89,6 +90,12 @@ def test_every_public_object_shows_itself_in_a_line_or_two(public):
     for text, value in zip(map(repr, objects), objects, strict=True):
         assert text.startswith(f"{type(value).__name__}(") and text.endswith(")")
         assert len(text) < 240 and text.count("\n") <= 1 and "array(" not in text and "object at" not in text, text
+    assert "<script>" not in mesh._repr_html_() and "&lt;script&gt;" in mesh._repr_html_()
+    tables = [value._repr_html_() for value in public if hasattr(value, "_repr_html_")]
+    assert len(tables) >= 6
+    for html in tables:
+        table = ElementTree.fromstring(f"<div>{html}</div>").find("table")
+        assert table is not None and 1 <= len(table.find("tbody")) <= 30 and len(html) < 10_000
 
 
 def test_results_say_toi_contacts_and_the_first_by_name():

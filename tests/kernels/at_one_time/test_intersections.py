@@ -94,6 +94,7 @@ def test_what_intersections_say():
     )
     sentence = "1 pair passes through each other: 1 of sheet and blade; 6 pairs touch: 6 of sheet and blade"
     assert found.describe() == sentence and repr(found) == f"Intersections({sentence})"
+    assert "edge-face" in found._repr_html_() and "sheet" in found._repr_html_()
     assert len(found[found.is_crossing]) == 1 and len(found[:0]) == len(found[[]]) == 0
     empty = ccd.find_intersections(single(TRIANGLE, FACE), TRIANGLE)
     assert empty.points.shape == (0, 3) and repr(empty) == "Intersections(nothing touches or passes through another)"

@@ -138,7 +138,7 @@ def test_a_choice_of_pairs_a_copy_and_the_text():
     chosen, points = found[found.distance < 0.11], found.points.copy()
     check_same(pickle.loads(pickle.dumps(chosen)), chosen)
     assert repr(found).startswith(f"Proximities({len(found)} pairs: {len(found)} of body 0 and body 1; the least dist")
-    assert repr(found[:0]) == "Proximities(no pair)"
+    assert repr(found[:0]) == "Proximities(no pair)" and "vertex-face" in found._repr_html_()
     x += 1.0  # the caller's positions may change afterwards
     np.testing.assert_array_equal(found.points, points)
     with pytest.raises(AttributeError, match="no attribute 'kinds'"):
