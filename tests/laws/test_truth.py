@@ -71,7 +71,8 @@ def check_places(scene, mesh, start, end, contacts, unit):
     velocity -= plane_moves(contacts, mesh, start, end)
     assert np.abs(velocity - contacts.relative_velocity).max(initial=0.0) <= limit
     length = np.linalg.norm(gap, axis=1, keepdims=True)
-    is_clear = length[:, 0] > scene.delta + 2**14 * unit * sizes(x, y) + limit
+    # what is within the tolerance along each axis has the normal of its motion
+    is_clear = length[:, 0] > 2 * scene.delta + 2**14 * unit * sizes(x, y) + limit
     assert np.abs(gap - length * of_pairs.normal)[is_clear].max(initial=0.0) <= 4 * limit
     along = np.einsum("md,md->m", of_pairs.normal, velocity[contacts.kind != PLANE])
     assert (along[length[:, 0] == 0] <= limit).all()  # where there is no gap, the normal is against the velocity
