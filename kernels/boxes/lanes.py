@@ -158,15 +158,16 @@ def _of_queries(overlap: dict[str, str]) -> dict[str, str]:
     """Versions of a loop over queries, from those of the overlap test of one."""
     return {
         name: f"""
-    const int with_open = 0;
+    const int with_open = 1;
     const auto overlapping = [&](int query_lane) -> unsigned {{{test}}};
     const auto sharing = [&](int query_lane) -> unsigned {{{_SHARED["scalar" if name == "scalar" else "vector"]}}};
     unsigned masks[16], found = 0;  // with stores to an array in between, the block would be loaded for each query
     for (unsigned left = queries; left != 0; left &= left - 1) {{
         const int lane = __builtin_ctz(left);
         const unsigned after = block == own_block ? 0xFFFEu << lane : 0xFFFFu;
-        masks[lane] = overlapping(lane) & targets & after & ~sharing(lane);
-        found |= (unsigned)(masks[lane] != 0) << lane;
+        const unsigned both = overlapping(lane), mask = both & targets & after & ~sharing(lane);
+        masks[lane] = mask | (both & 0xFFFF0000u);
+        found |= (unsigned)(mask != 0) << lane;
     }}
     for (unsigned left = found; left != 0; left &= left - 1)
         partners.data[begin + __builtin_ctz(left)] = masks[__builtin_ctz(left)];
@@ -374,7 +375,8 @@ def partner_masks(
         targets: Lanes of the targets.
         own_block: The block in which only those after a query in it are its partners, or -1.
         num_aabbs: AABBs of a box; here one.
-        partners: Receives a mask for each query that has partners, at ``begin`` and its lane.
+        partners: Receives a mask for each query that has partners, at ``begin`` and its lane; its upper sixteen bits
+            are the mask of all boxes that overlap its own as open boxes.
         begin: See ``partners``.
 
     Returns:
@@ -400,7 +402,7 @@ def moving_partner_masks(
     partners: wp.array[wp.int32],
     begin: int,
 ) -> wp.uint32:
-    """Find partners, as `partner_masks`, by boxes that no axis separates in the same order at both ends."""
+    """Find partners, as `partner_masks` but for the upper bits, by boxes that no axis separates at both ends alike."""
     ...
 
 

@@ -167,7 +167,7 @@ def partners_of(search: Search, q: int, block: int, partners: wp.uint32) -> wp.u
 
 
 @wp.func
-def keep(search: Search, q: int, block: int, partners: wp.uint32) -> int:
+def keep(search: Search, q: int, block: int, partners: wp.uint32, undecided: wp.uint32) -> int:
     """Keep the partners of a query whose boxes overlap its own in float64; returns their number.
 
     Args:
@@ -175,10 +175,9 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32) -> int:
         q: Place of the query.
         block: Block of the partners.
         partners: Their lanes.
+        undecided: Lanes of partners for which the exact float64 test decides.
     """
     mask = wp.uint32(partners)
-    both = overlap_mask(search.target.nodes, block, search.query.nodes, q / WIDTH, q % WIDTH, 1)
-    undecided = mask & ~(both >> wp.uint32(WIDTH))
     if undecided != _NONE:
         mask = mask & ~boxes_apart(search, q, block, undecided)
     if mask == _NONE:
@@ -235,13 +234,14 @@ def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, befo
         query_lane = lowest_bit(left)
         left = left & (left - _ONE)
         q = query_block * WIDTH + query_lane
-        mask = partners_of(search, q, block, wp.uint32(item.collected[partners_at + query_lane]))
+        both = wp.uint32(item.collected[partners_at + query_lane])
+        mask = partners_of(search, q, block, both & _EVERY)
         if mask != _NONE:
             if wp.static(with_cull):
                 num_candidates += number_of_bits(mask)
                 collect(search, q, block, mask, item.collected)
             else:
-                num_candidates += keep(search, q, block, mask)
+                num_candidates += keep(search, q, block, mask, mask & ~(both >> wp.uint32(WIDTH)))
     return num_candidates
 
 
