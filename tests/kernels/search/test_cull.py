@@ -115,7 +115,8 @@ def test_every_width_gives_one_answer(flags, kind):
 @pytest.mark.parametrize("width", [4, 8])
 def test_what_an_item_collects_is_as_long_as_its_array(width):
     collected = specialised("search.collected", width=width)
-    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
+    assert collected.number_at + 1 == collected.partners_at == 6 * collected.capacity + 1
+    assert collected.num_collected == collected.partners_at + 16
 
 
 @every_kind
