@@ -25,13 +25,16 @@ _LANES = """
         return (unsigned)mask;
     };
 """
-# Comparison codes of Intel's manual, whether signalling on NaN or not: <= (2), >= (13), < (1), > (14).
+# Comparison codes of Intel's manual, whether signalling on NaN or not: <= (2), >= (13), < (1), > (14), not <= (6), not
+# >= (9).
 _COMPARE = """
     typedef float Lanes __attribute__((vector_size(64)));
     typedef float Row __attribute__((vector_size(64), aligned(4)));
     const auto row = [](const float* x) { return (Lanes)*(const Row*)x; };
     const auto all = [](float x) { return (Lanes){x, x, x, x, x, x, x, x, x, x, x, x, x, x, x, x}; };
-#define CCD_COMPARE(a, b, how) (unsigned)__builtin_ia32_cmpps512_mask(row(a), all(b), how, (unsigned short)0xFFFF, 4)
+#define CCD_AMONG(lanes, a, b, how) \\
+    (unsigned)__builtin_ia32_cmpps512_mask(row(a), all(b), how, (unsigned short)(lanes), 4)
+#define CCD_COMPARE(a, b, how) CCD_AMONG(0xFFFF, a, b, how)
 """
 
 OVERLAP = {
@@ -70,6 +73,7 @@ OVERLAP = {
     unsigned open = CCD_COMPARE(b, q[48], 1) & CCD_COMPARE(b + 16, q[64], 1) & CCD_COMPARE(b + 32, q[80], 1);
     open &= CCD_COMPARE(b + 48, q[0], 14) & CCD_COMPARE(b + 64, q[16], 14) & CCD_COMPARE(b + 80, q[32], 14);
 #undef CCD_COMPARE
+#undef CCD_AMONG
     return closed | open << 16;
 """,
 }
@@ -114,14 +118,12 @@ MOVING_OVERLAP = {
     const float* c = b + end;
     const float* q = query_nodes.data + (long long)query_block * (end + 96) + query_lane;
     const float* r = q + end;
-    unsigned mask = CCD_COMPARE(b, q[48], 2) | CCD_COMPARE(c, r[48], 2);
-    mask &= CCD_COMPARE(b + 16, q[64], 2) | CCD_COMPARE(c + 16, r[64], 2);
-    mask &= CCD_COMPARE(b + 32, q[80], 2) | CCD_COMPARE(c + 32, r[80], 2);
-    mask &= CCD_COMPARE(b + 48, q[0], 13) | CCD_COMPARE(c + 48, r[0], 13);
-    mask &= CCD_COMPARE(b + 64, q[16], 13) | CCD_COMPARE(c + 64, r[16], 13);
-    mask &= CCD_COMPARE(b + 80, q[32], 13) | CCD_COMPARE(c + 80, r[32], 13);
+    // lanes that an axis separates in one order at both ends: a comparison among lanes is an "and" that costs nothing
+    const auto after = [&](int n) { return CCD_AMONG(CCD_COMPARE(b + n, q[48 + n], 6), c + n, r[48 + n], 6); };
+    const auto before = [&](int n) { return CCD_AMONG(CCD_COMPARE(b + 48 + n, q[n], 9), c + 48 + n, r[n], 9); };
 #undef CCD_COMPARE
-    return mask;
+#undef CCD_AMONG
+    return 0xFFFFu & ~(after(0) | after(16) | after(32) | before(0) | before(16) | before(32));
 """,
 }
 

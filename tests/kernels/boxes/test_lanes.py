@@ -91,8 +91,10 @@ def blocks(rng, count, num_aabbs=1):
 
 
 def with_corners(rng, count, num_aabbs, num_corners):
-    """Boxes, vertices of their primitives, and how many these are."""
-    return blocks(rng, count, num_aabbs), rng.integers(0, 30, (count, 3, 16)), num_corners
+    """Boxes, of which some sides are no number, vertices of their primitives, and how many these are."""
+    boxes = blocks(rng, count, num_aabbs)
+    boxes[rng.random(boxes.shape) < 0.02] = np.nan
+    return boxes, rng.integers(0, 30, (count, 3, 16)), num_corners
 
 
 def on_lattice(rng):
