@@ -25,13 +25,16 @@ _LANES = """
         return (unsigned)mask;
     };
 """
-# Comparison codes of Intel's manual, whether signalling on NaN or not: <= (2), >= (13), < (1), > (14).
+# Comparison codes of Intel's manual, whether signalling on NaN or not: <= (2), >= (13), < (1), > (14), not <= (6), not
+# >= (9).
 _COMPARE = """
     typedef float Lanes __attribute__((vector_size(64)));
     typedef float Row __attribute__((vector_size(64), aligned(4)));
     const auto row = [](const float* x) { return (Lanes)*(const Row*)x; };
     const auto all = [](float x) { return (Lanes){x, x, x, x, x, x, x, x, x, x, x, x, x, x, x, x}; };
-#define CCD_COMPARE(a, b, how) (unsigned)__builtin_ia32_cmpps512_mask(row(a), all(b), how, (unsigned short)0xFFFF, 4)
+#define CCD_AMONG(lanes, a, b, how) \\
+    (unsigned)__builtin_ia32_cmpps512_mask(row(a), all(b), how, (unsigned short)(lanes), 4)
+#define CCD_COMPARE(a, b, how) CCD_AMONG(0xFFFF, a, b, how)
 """
 
 OVERLAP = {
@@ -70,6 +73,7 @@ OVERLAP = {
     unsigned open = CCD_COMPARE(b, q[48], 1) & CCD_COMPARE(b + 16, q[64], 1) & CCD_COMPARE(b + 32, q[80], 1);
     open &= CCD_COMPARE(b + 48, q[0], 14) & CCD_COMPARE(b + 64, q[16], 14) & CCD_COMPARE(b + 80, q[32], 14);
 #undef CCD_COMPARE
+#undef CCD_AMONG
     return closed | open << 16;
 """,
 }
@@ -114,41 +118,68 @@ MOVING_OVERLAP = {
     const float* c = b + end;
     const float* q = query_nodes.data + (long long)query_block * (end + 96) + query_lane;
     const float* r = q + end;
-    unsigned mask = CCD_COMPARE(b, q[48], 2) | CCD_COMPARE(c, r[48], 2);
-    mask &= CCD_COMPARE(b + 16, q[64], 2) | CCD_COMPARE(c + 16, r[64], 2);
-    mask &= CCD_COMPARE(b + 32, q[80], 2) | CCD_COMPARE(c + 32, r[80], 2);
-    mask &= CCD_COMPARE(b + 48, q[0], 13) | CCD_COMPARE(c + 48, r[0], 13);
-    mask &= CCD_COMPARE(b + 64, q[16], 13) | CCD_COMPARE(c + 64, r[16], 13);
-    mask &= CCD_COMPARE(b + 80, q[32], 13) | CCD_COMPARE(c + 80, r[32], 13);
+    // lanes that an axis separates in one order at both ends: a comparison among lanes is an "and" that costs nothing
+    const auto after = [&](int n) { return CCD_AMONG(CCD_COMPARE(b + n, q[48 + n], 6), c + n, r[48 + n], 6); };
+    const auto before = [&](int n) { return CCD_AMONG(CCD_COMPARE(b + 48 + n, q[n], 9), c + 48 + n, r[n], 9); };
 #undef CCD_COMPARE
-    return mask;
+#undef CCD_AMONG
+    return 0xFFFFu & ~(after(0) | after(16) | after(32) | before(0) | before(16) | before(32));
 """,
 }
 
-SHARED_VERTEX = {
+# Of a query, the lanes of a block that share a vertex with it.
+_SHARED = {
     "scalar": """
-    const int* b = corners.data + (long long)block * 48;
+    const int* c = corners.data + (long long)block * 48;
     const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
     unsigned mask = 0;
     for (int i = 0; i < num_query_corners; ++i)
         for (int j = 0; j < num_corners; ++j)
             for (int k = 0; k < 16; ++k)
-                mask |= (unsigned)(b[16 * j + k] == q[16 * i]) << k;
+                mask |= (unsigned)(c[16 * j + k] == q[16 * i]) << k;
     return mask;
 """,
     "vector": _LANES
     + """
     typedef int Row __attribute__((ext_vector_type(16), aligned(4)));
-    const Row* b = (const Row*)(corners.data + (long long)block * 48);
+    const Row* c = (const Row*)(corners.data + (long long)block * 48);
     const int* q = query_corners.data + (long long)query_block * 48 + query_lane;
-    Mask m = (Mask)0;
-    for (int i = 0; i < num_query_corners; ++i)
-        for (int j = 0; j < num_corners; ++j)
-            m |= b[j] == (Row)q[16 * i];
-    return bits(m);
+    const int last = num_query_corners * num_corners - 1;
+    const auto pair = [=](int n) { return c[n % num_corners] == (Row)q[16 * (n / num_corners)]; };
+    const auto least = [=](int n) { return n < last ? n : last; };
+    // four pairs of vertices without a branch, the last one again where there are fewer; at one time there are more
+    unsigned mask = bits(pair(0) | pair(least(1)) | pair(least(2)) | pair(least(3)));
+    for (int n = 4; n <= last; ++n)
+        mask |= bits(pair(n));
+    return mask;
 """,
 }
 
+
+def _of_queries(overlap: dict[str, str]) -> dict[str, str]:
+    """Versions of a loop over queries, from those of the overlap test of one."""
+    return {
+        name: f"""
+    const int with_open = 1;
+    const auto overlapping = [&](int query_lane) -> unsigned {{{test}}};
+    const auto sharing = [&](int query_lane) -> unsigned {{{_SHARED["scalar" if name == "scalar" else "vector"]}}};
+    unsigned masks[16], found = 0;  // with stores to an array in between, the block would be loaded for each query
+    for (unsigned left = queries; left != 0; left &= left - 1) {{
+        const int lane = __builtin_ctz(left);
+        const unsigned after = block == own_block ? 0xFFFEu << lane : 0xFFFFu;
+        const unsigned both = overlapping(lane), mask = both & targets & after & ~sharing(lane);
+        masks[lane] = mask | (both & 0xFFFF0000u);
+        found |= (unsigned)(mask != 0) << lane;
+    }}
+    for (unsigned left = found; left != 0; left &= left - 1)
+        partners.data[begin + __builtin_ctz(left)] = masks[__builtin_ctz(left)];
+    return found;
+"""
+        for name, test in overlap.items()
+    }
+
+
+PARTNERS, MOVING_PARTNERS = _of_queries(OVERLAP), _of_queries(MOVING_OVERLAP)
 
 UNITED_VERTEX_AABBS = {
     "scalar": """
@@ -193,27 +224,49 @@ LEAVES = {
             }
         }
 """,
-    "vector": """
+    "vector": _LANES
+    + """
     typedef float Aabb __attribute__((ext_vector_type(8), aligned(4)));
     const int* c = corners.data + (long long)block * 48;
-    for (int f = 0; f < num_aabbs; ++f)
-        for (int k = 0; k < 16; ++k) {
-            float* p = nodes.data + ((long long)block * num_aabbs + f) * 96 + k;
-            Aabb r = (Aabb)__builtin_inff();
-            if (k < count) {
-                r = *(const Aabb*)(vertex_aabbs.data + 8 * ((long long)num_aabbs * c[k] + f));
-                for (int n = 1; n < num_corners; ++n) {
-                    const Aabb s = *(const Aabb*)(vertex_aabbs.data + 8 * ((long long)num_aabbs * c[16 * n + k] + f));
-                    r = s < r ? s : r;
+    const auto aabb = [=](int v) { return (const Aabb*)(vertex_aabbs.data + 8LL * v); };
+    const auto least = [](Aabb a, Aabb b) { return b < a ? b : a; };
+    if (count > 16)  // there is another block, whose vertices the memory may bring
+        for (int k = 0; k < 16 * num_corners; ++k)
+            __builtin_prefetch(aabb(num_aabbs * c[48 + k]));
+    for (int f = 0; f < num_aabbs; ++f) {
+        Aabb rows[12];  // six rows of the first eight boxes, and then of the others
+        for (int half = 0; half < 2; ++half) {
+            Aabb r[8], s[8], t[8];
+            for (int n = 0; n < 8; ++n) {
+                const int k = 8 * half + n;
+                r[n] = (Aabb)__builtin_inff();
+                if (k < count) {
+                    r[n] = *aabb(num_aabbs * c[k] + f);
+                    if (num_corners > 1)
+                        r[n] = least(r[n], *aabb(num_aabbs * c[16 + k] + f));
+                    if (num_corners > 2)
+                        r[n] = least(r[n], *aabb(num_aabbs * c[32 + k] + f));
                 }
             }
-            p[0] = r[0];
-            p[16] = r[1];
-            p[32] = r[2];
-            p[48] = -r[4];
-            p[64] = -r[5];
-            p[80] = -r[6];
+            // three rounds, of which each doubles the boxes in a vector
+            for (int n = 0; n < 8; n += 2) {
+                s[n] = __builtin_shufflevector(r[n], r[n + 1], 0, 8, 1, 9, 4, 12, 5, 13);
+                s[n + 1] = __builtin_shufflevector(r[n], r[n + 1], 2, 10, 3, 11, 6, 14, 7, 15);
+            }
+            for (int n = 0; n < 8; n += 4) {
+                t[n] = __builtin_shufflevector(s[n], s[n + 2], 0, 1, 8, 9, 4, 5, 12, 13);
+                t[n + 1] = __builtin_shufflevector(s[n], s[n + 2], 2, 3, 10, 11, 6, 7, 14, 15);
+                t[n + 2] = __builtin_shufflevector(s[n + 1], s[n + 3], 0, 1, 8, 9, 4, 5, 12, 13);
+            }
+            for (int m = 0; m < 3; ++m) {
+                rows[6 * half + m] = __builtin_shufflevector(t[m], t[m + 4], 0, 1, 2, 3, 8, 9, 10, 11);
+                rows[6 * half + m + 3] = -__builtin_shufflevector(t[m], t[m + 4], 4, 5, 6, 7, 12, 13, 14, 15);
+            }
         }
+        Lanes* p = (Lanes*)(nodes.data + ((long long)block * num_aabbs + f) * 96);
+        for (int m = 0; m < 6; ++m)
+            p[m] = __builtin_shufflevector(rows[m], rows[m + 6], 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15);
+    }
 """,
 }
 
@@ -290,17 +343,68 @@ def moving_overlap_mask(
     ...
 
 
-@wp.func_native(chosen(SHARED_VERTEX))
-def shared_vertex_mask(
+@wp.func_native(chosen(PARTNERS))
+def partner_masks(
+    nodes: wp.array[wp.float32],
     corners: wp.array[wp.int32],
     block: int,
     num_corners: int,
+    query_nodes: wp.array[wp.float32],
     query_corners: wp.array[wp.int32],
     query_block: int,
-    query_lane: int,
     num_query_corners: int,
+    queries: wp.uint32,
+    targets: wp.uint32,
+    own_block: int,
+    num_aabbs: int,
+    partners: wp.array[wp.int32],
+    begin: int,
 ) -> wp.uint32:
-    """Mask of the sixteen primitives of a block that share a vertex with a query primitive."""
+    """Find partners of some queries of a block: those of some targets whose boxes overlap, and that share no vertex.
+
+    All queries at once, as the boxes of the targets then stay in registers, and seven in ten queries have no partner.
+
+    Args:
+        nodes: Boxes of the targets.
+        corners: Vertices of the targets.
+        block: Block of the targets.
+        num_corners: Number of vertices of a target.
+        query_nodes: Boxes of the queries.
+        query_corners: Vertices of the queries.
+        query_block: Block of the queries.
+        num_query_corners: Number of vertices of a query.
+        queries: Lanes of the queries.
+        targets: Lanes of the targets.
+        own_block: The block in which only those after a query in it are its partners, or -1.
+        num_aabbs: AABBs of a box; here one.
+        partners: Receives a mask for each query that has partners, at ``begin`` and its lane; its upper sixteen bits
+            are the mask of all boxes that overlap its own as open boxes.
+        begin: See ``partners``.
+
+    Returns:
+        The lanes of queries that have partners.
+    """
+    ...
+
+
+@wp.func_native(chosen(MOVING_PARTNERS))
+def moving_partner_masks(
+    nodes: wp.array[wp.float32],
+    corners: wp.array[wp.int32],
+    block: int,
+    num_corners: int,
+    query_nodes: wp.array[wp.float32],
+    query_corners: wp.array[wp.int32],
+    query_block: int,
+    num_query_corners: int,
+    queries: wp.uint32,
+    targets: wp.uint32,
+    own_block: int,
+    num_aabbs: int,
+    partners: wp.array[wp.int32],
+    begin: int,
+) -> wp.uint32:
+    """Find partners, as `partner_masks` but for the upper bits, by boxes that no axis separates at both ends alike."""
     ...
 
 

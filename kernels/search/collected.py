@@ -1,8 +1,9 @@
 """The candidates that an item of a search collects until there is one for each lane of the cull.
 
 In lanes, an item has an array of `num_collected` numbers: four rows of vertices, those of the points of a pair, two
-rows of primitives, and the number of candidates collected. With a width of 1 each candidate is culled as it is found,
-and all stays in registers. The pairs that the cull leaves open are the same; their order depends on the width.
+rows of primitives, and the number of candidates collected; from `partners_at` on, a mask of partners for each query.
+With a width of 1 each candidate is culled as it is found, and only these masks are in memory. The pairs that the cull
+leaves open are the same; their order depends on the width.
 """
 
 import warp as wp
@@ -137,4 +138,6 @@ else:
         """Nothing is left, since each candidate is culled as it is found."""
 
 
-num_collected = wp.constant(6 * (width - 1 + WIDTH) + 1 if width > 1 else 1)
+_num_numbers = 6 * (width - 1 + WIDTH) + 1 if width > 1 else 0
+partners_at = wp.constant(_num_numbers)
+num_collected = wp.constant(_num_numbers + WIDTH)

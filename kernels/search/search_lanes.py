@@ -12,19 +12,19 @@ from ..boxes.box_tree import WIDTH, box_corners
 from ..boxes.exact_boxes import boxes_apart
 from ..boxes.hash_grid import Extent
 from ..boxes.lanes import (
-    lanes_after,
     lanes_before,
     lowest_bit,
     moving_overlap_mask,
+    moving_partner_masks,
     number_of_bits,
     overlap_mask,
-    shared_vertex_mask,
+    partner_masks,
 )
 from ..boxes.pair_lanes import append_keys
 from ..pair.simd import build_options, fingerprint
 from ..parameters import end, is_thick, width, with_lists
 from ..step.minima import CANDIDATES, FOUND
-from .collected import collect, cull_rest
+from .collected import collect, cull_rest, partners_at
 from .hash_lanes import corners_of, in_cells
 from .search_filter import groups_of, is_left_out
 from .search_types import BOXES, Search
@@ -68,11 +68,10 @@ def overlaps(
     query_nodes: wp.array[wp.float32],
     query_block: int,
     query_lane: int,
-    with_open: int,
 ) -> wp.uint32:
-    """Mask of the sixteen boxes of a block that overlap a query box; ``with_open`` is for a search that ends there."""
+    """Mask of the sixteen boxes of a block that overlap a query box."""
     if wp.static(end == BOXES):
-        return overlap_mask(nodes, block, query_nodes, query_block, query_lane, with_open)
+        return overlap_mask(nodes, block, query_nodes, query_block, query_lane, 0)
     else:
         return moving_overlap_mask(nodes, block, query_nodes, query_block, query_lane, num_aabbs)
 
@@ -138,7 +137,7 @@ def lanes_of(item: Item) -> wp.uint32:
 def overlapping(search: Search, item: Item, block: int) -> wp.uint32:
     """The lanes of a block whose boxes overlap the box around the item."""
     num_aabbs, query = search.target.num_aabbs, item.around
-    return overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query / WIDTH, query % WIDTH, 0)
+    return overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query / WIDTH, query % WIDTH)
 
 
 @wp.func
@@ -152,10 +151,9 @@ def extent_of(search: Search, item: Item) -> Extent:
 
 
 @wp.func
-def partners_of(search: Search, q: int, block: int, overlapping: wp.uint32) -> wp.uint32:
-    """Those of the boxes of a block that exist and that the mesh does not exclude as partners of a query."""
-    # an empty place overlaps only a box that is infinite in quantized coordinates
-    mask = overlapping & lanes_before(search.target.num_boxes - block * WIDTH)
+def partners_of(search: Search, q: int, block: int, partners: wp.uint32) -> wp.uint32:
+    """Those of the partners of a query, boxes of a block, that the mesh does not exclude."""
+    mask = wp.uint32(partners)
     if search.collision_filter.applies != 0:
         a = box_corners(search.query, q)
         left = wp.uint32(mask)
@@ -177,11 +175,11 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, undecided: wp.
         q: Place of the query.
         block: Block of the partners.
         partners: Their lanes.
-        undecided: Lanes of boxes for which the exact float64 test decides.
+        undecided: Lanes of partners for which the exact float64 test decides.
     """
     mask = wp.uint32(partners)
-    if (mask & undecided) != _NONE:
-        mask = mask & ~boxes_apart(search, q, block, mask & undecided)
+    if undecided != _NONE:
+        mask = mask & ~boxes_apart(search, q, block, undecided)
     if mask == _NONE:
         return 0
     return append_keys(
@@ -200,6 +198,9 @@ def keep(search: Search, q: int, block: int, partners: wp.uint32, undecided: wp.
     )
 
 
+masks_of = partner_masks if end == BOXES else moving_partner_masks
+
+
 @wp.func
 def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, before: int) -> int:
     """Search some boxes of a block for partners of the queries; returns the number of candidates with those before."""
@@ -210,33 +211,37 @@ def search_leaf(search: Search, item: Item, block: int, targets: wp.uint32, befo
     if item.is_block != 0:
         parent = search.target.block_begin[1] + block / WIDTH
         lane = block % WIDTH
-        left = left & overlaps(num_aabbs, search.query.nodes, query_block, search.target.nodes, parent, lane, 0)
+        left = left & overlaps(num_aabbs, search.query.nodes, query_block, search.target.nodes, parent, lane)
+    if left != _NONE:
+        left = masks_of(
+            search.target.nodes,
+            search.target.corners,
+            block,
+            search.tree_pair.num_target_corners,
+            search.query.nodes,
+            search.query.corners,
+            query_block,
+            search.tree_pair.num_query_corners,
+            left,
+            # an empty place overlaps only a box that is infinite in quantized coordinates
+            targets & lanes_before(search.target.num_boxes - block * WIDTH),
+            item.after >> 4,  # WIDTH is 16
+            num_aabbs,
+            item.collected,
+            partners_at,
+        )
     while left != _NONE:
         query_lane = lowest_bit(left)
         left = left & (left - _ONE)
-        both = overlaps(num_aabbs, search.target.nodes, block, search.query.nodes, query_block, query_lane, 1)
-        mask = both & targets
-        if block == item.after >> 4:  # WIDTH is 16
-            mask = mask & lanes_after(query_lane)
+        q = query_block * WIDTH + query_lane
+        both = wp.uint32(item.collected[partners_at + query_lane])
+        mask = partners_of(search, q, block, both & _EVERY)
         if mask != _NONE:
-            mask = mask & ~shared_vertex_mask(
-                search.target.corners,
-                block,
-                search.tree_pair.num_target_corners,
-                search.query.corners,
-                query_block,
-                query_lane,
-                search.tree_pair.num_query_corners,
-            )
-        if mask != _NONE:
-            q = query_block * WIDTH + query_lane
-            mask = partners_of(search, q, block, mask)
             if wp.static(with_cull):
-                if mask != _NONE:
-                    num_candidates += number_of_bits(mask)
-                    collect(search, q, block, mask, item.collected)
+                num_candidates += number_of_bits(mask)
+                collect(search, q, block, mask, item.collected)
             else:
-                num_candidates += keep(search, q, block, mask, ~(both >> wp.uint32(WIDTH)))
+                num_candidates += keep(search, q, block, mask, mask & ~(both >> wp.uint32(WIDTH)))
     return num_candidates
 
 

@@ -18,7 +18,7 @@ class MeshCache:
         idle_workspaces: Workspaces that no call uses, by name of the device.
         parts: Under "parts" the positions for which bodies have last been divided, and their parts; under "last" those
             of the last call that had others; under "pairs" a bound on the number of pairs of whole bodies; under "idle"
-            searches for those that are near, which no call uses.
+            searches for those that are near, which no call uses. Under "planes" what all calls ask of half-spaces.
     """
 
     topologies: dict[str, Any] = field(default_factory=dict)

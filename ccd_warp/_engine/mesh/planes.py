@@ -11,6 +11,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.lengths import next_above
+from ccd_warp._engine.mesh.mesh_cache import MeshCache
 from ccd_warp._scene.half_space import unit_normals
 
 if TYPE_CHECKING:
@@ -164,13 +165,16 @@ def plane_candidates(
     radius more where there are any. So they overlap where f of the vertex is at most the sum of both, and f is least at
     one of both ends of the step. Float64 decides where f is beyond its error, and rational arithmetic elsewhere.
     """
-    scaled, of_plane, keys = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
-    pairs_by_plane = []
+    kept = MeshCache.of(mesh).parts
+    if "planes" not in kept:
+        kept["planes"] = scaled_planes(mesh), meets(mesh), excluded_keys(mesh)
+    scaled, of_plane, excluded = kept["planes"]
+    near_by_plane = []
     with np.errstate(over="ignore", under="ignore"):
         for k in range(len(mesh.planes)):
             tested = _in_world_of(mesh, k, vertices[of_plane[k, mesh.vertex_body[vertices]]])
             radius = box_radius[tested] if len(box_radius) else np.zeros(len(tested))
-            is_near, normal = np.zeros(len(tested), dtype=bool), _exact(mesh.planes.normals[k])
+            is_near = np.zeros(len(tested), dtype=bool)
             for x in positions:
                 p = _point_at(mesh, scaled, k, x)
                 f, error, s = _values(x[tested], p, scaled, k)
@@ -178,24 +182,24 @@ def plane_candidates(
                 error += _ABSOLUTE * (reach > 0.0)
                 is_open = ~is_near & (np.abs(f - reach) <= error + _REACH * reach) & (error > 0.0)
                 is_near |= f <= reach
-                for row in np.flatnonzero(is_open).tolist():
+                for row in is_open.nonzero()[0].tolist():
                     between = [a - b for a, b in zip(_exact(x[tested[row]]), _exact(p), strict=False)]
                     length = 2 * Fraction(inflation) + Fraction(float(radius[row]))
+                    normal = _exact(mesh.planes.normals[k])
                     is_near[row] = sum(map(mul, between, normal)) <= length * sum(map(abs, normal))
-            pairs_by_plane.append(_pairs_with(tested[is_near], k))
-    pairs = np.concatenate(pairs_by_plane)
-    if len(keys):
-        pairs = pairs[~np.isin(pairs[:, 0] << 32 | pairs[:, 1], keys)]
-    return pairs[np.lexsort(pairs.T[::-1])].astype(np.int32)
+            near_by_plane.append(tested[is_near].astype(np.int64) << 32 | k)
+    near = np.concatenate(near_by_plane)
+    if len(excluded):
+        near = near[~np.isin(near, excluded)]
+    near.sort()
+    pairs = np.empty((len(near), 2), dtype=np.int32)
+    pairs[:, 0], pairs[:, 1] = near >> 32, near & 0xFFFFFFFF
+    return pairs
 
 
 def vertices_in_half_spaces(mesh: "CollisionMesh", x: NDArray[np.float64]) -> NDArray[np.int32]:
     """Vertices of free bodies in half-spaces or on their planes, exactly, with the planes, in lexicographic order."""
     return plane_candidates(mesh, mesh._free_surface_vertices, [x], 0.0, np.zeros(0))
-
-
-def _pairs_with(vertices: NDArray[np.int32], k: int) -> NDArray[np.int64]:
-    return np.stack([vertices.astype(np.int64), np.full(len(vertices), k, dtype=np.int64)], axis=1)
 
 
 def _in_world_of(mesh: "CollisionMesh", k: int, vertices: NDArray[np.int32]) -> NDArray[np.int32]:

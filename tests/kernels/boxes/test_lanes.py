@@ -20,10 +20,14 @@ def of_boxes(f):
     return run
 
 
-def of_corners(f):
-    def run(a: INTS, n: int, b: INTS, m: int, out: MASKS):
+def of_partners(f):
+    def run(a: FLOATS, c: INTS, n: int, b: FLOATS, d: INTS, m: int, num_aabbs: int, masks: INTS, out: MASKS):
         i, j = wp.tid()
-        out[i, j] = f(a, j, n, b, i / 16, i % 16, m)
+        begin = 16 * (20 * i + j)
+        queries, targets = wp.uint32(0xF7FF), wp.uint32(0xFFEF)
+        out[i, 17 * j] = f(a, c, j, n, b, d, i, m, queries, targets, i, num_aabbs, masks, begin)
+        for k in range(16):
+            out[i, 17 * j + 1 + k] = wp.uint32(masks[begin + k])
 
     return run
 
@@ -86,6 +90,13 @@ def blocks(rng, count, num_aabbs=1):
     return np.concatenate([np.where(empty, np.inf, lower), np.where(empty, -np.inf, upper)], axis=2)
 
 
+def with_corners(rng, count, num_aabbs, num_corners):
+    """Boxes, of which some sides are no number, vertices of their primitives, and how many these are."""
+    boxes = blocks(rng, count, num_aabbs)
+    boxes[rng.random(boxes.shape) < 0.02] = np.nan
+    return boxes, rng.integers(0, 30, (count, 3, 16)), num_corners
+
+
 def on_lattice(rng):
     """Vertices on a coarse lattice and next to it, so that boxes touch exactly, or miss by one rounding."""
     x = 0.25 * rng.integers(-5, 5, (40, 3))
@@ -108,14 +119,24 @@ def are_apart(x, y, inflation, *sides):
 
 
 SIDES = (1, 3), (2, 2), (3, 1)
+ALL_SIDES = *SIDES, (1, 1), (1, 2), (2, 3), (3, 3)
+NO_MASKS = np.zeros(4 * 20 * 16, dtype=int)
 # The function and its versions, a kernel, the shape of what it fills, and the inputs of each launch.
 FUNCTIONS = {
     "overlap": (lanes.overlap_mask, lanes.OVERLAP, of_boxes, (64, 20), wp.uint32)
     + (lambda rng: [(blocks(rng, 20), blocks(rng, 4), with_open) for with_open in (0, 1)],),
     "moving overlap": (lanes.moving_overlap_mask, lanes.MOVING_OVERLAP, of_boxes, (64, 20), wp.uint32)
     + (lambda rng: [(blocks(rng, 20, n), blocks(rng, 4, n), n) for n in (1, 2)],),
-    "shared vertex": (lanes.shared_vertex_mask, lanes.SHARED_VERTEX, of_corners, (64, 10), wp.uint32)
-    + (lambda rng: [(rng.integers(0, 30, (10, 3, 16)), m, rng.integers(0, 30, (4, 3, 16)), n) for n, m in SIDES],),
+    "partners": (lanes.partner_masks, lanes.PARTNERS, of_partners, (4, 340), wp.uint32)
+    + (lambda rng: [(*with_corners(rng, 20, 1, n), *with_corners(rng, 4, 1, m), 1, NO_MASKS) for n, m in ALL_SIDES],),
+    "moving partners": (lanes.moving_partner_masks, lanes.MOVING_PARTNERS, of_partners, (4, 340), wp.uint32)
+    + (
+        lambda rng: [
+            (*with_corners(rng, 20, k, n), *with_corners(rng, 4, k, m), k, NO_MASKS)
+            for n, m in ALL_SIDES
+            for k in (1, 2)
+        ],
+    ),
     "apart": (pair_lanes.separated_mask, pair_lanes.SEPARATED, of_moving_corners, (192, 12), wp.uint32)
     + (
         lambda rng: [
@@ -170,7 +191,7 @@ def test_every_version_does_the_same(name):
         answers.append([])
         for inputs in draw(np.random.default_rng(1)):
             out = wp.zeros(shape, dtype=dtype, device="cpu")
-            dim = (shape[0], 4) if make is of_leaves else (1, 12) if make is of_unions else shape
+            dim = {of_leaves: (1, 4), of_unions: (1, 12), of_partners: (4, 20)}.get(make, shape)
             wp.launch(run, dim=dim, inputs=[*map(on_cpu, inputs)], outputs=[out], device="cpu")
             answers[-1].append(out.numpy())
     for inputs, scalar, *others in zip(draw(np.random.default_rng(1)), *answers, strict=True):
