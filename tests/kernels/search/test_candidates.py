@@ -212,4 +212,5 @@ def test_a_block_whose_pairs_no_batch_can_hold_is_an_error_and_no_loop(monkeypat
 @pytest.mark.parametrize("width", [4, 8])
 def test_what_an_item_collects_is_as_long_as_its_array(width):
     collected = specialised("search.collected", width=width)
-    assert collected.number_at + 1 == collected.num_collected == 6 * collected.capacity + 1
+    assert collected.number_at + 1 == collected.partners_at == 6 * collected.capacity + 1
+    assert collected.num_collected == collected.partners_at + 16
