@@ -9,9 +9,9 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.buffers import Buffers
-from ccd_warp._engine.host.contacts import sort_places
+from ccd_warp._engine.host.contacts import sort_places, sorted_places
 from ccd_warp._engine.mesh.topology import Topology, sort_in_place
-from ccd_warp._results.shared_features import SharedFeatures
+from ccd_warp._results.shared_features import SharedFeatures, index_bits
 from ccd_warp._runtime.launch import Execution
 from ccd_warp._runtime.structs import dtypes_of, on_host, struct_of
 from ccd_warp._runtime.written import Written
@@ -103,14 +103,15 @@ class ProximityStore:
         if unique:
             rows, shared_by = self._unique_rows(keys)
             keys.assign(np.resize(keys.numpy()[rows], len(keys)))
-            count = len(rows)
+            count, bits = len(rows), (0, 0)
         else:
-            self._execution.launch(kernels.proximity_keys, count, inputs=[pairs], outputs=[keys])
+            bits = self._key_bits()
+            self._execution.launch(kernels.proximity_keys, count, inputs=[pairs, *bits], outputs=[keys])
         self._list, self._capacity = None, 0
         for name in PROXIMITY_DTYPES:
             self._buffers.release(f"pair {name}")
         alone = Execution(device, self._execution.num_threads)  # what is read later is no part of this call
-        order = cache(lambda: _order(keys, count, alone))
+        order = cache(lambda: _order(keys, count, alone, bits))
 
         def column(name: str) -> NDArray[Any]:
             places = order() if rows is None else rows.take(order())
@@ -119,6 +120,14 @@ class ProximityStore:
 
         columns = {name: partial(column, name) for name in PROXIMITY_DTYPES}
         return count, columns | ({} if shared_by is None else {"shared_by": lambda: shared_by.take(order())})
+
+    def _key_bits(self) -> tuple[int, int]:
+        """Bits of an index in a key, and of the place behind it: 0 on CUDA, and where there is no room for it."""
+        mesh = self._topology.mesh
+        of_index = index_bits(max(mesh.num_vertices, len(mesh.edges), len(mesh.faces)))
+        of_place = index_bits(self.total)
+        has_room = not self._execution.is_cuda and 3 + 2 * of_index + of_place < 64
+        return of_index, of_place if has_room else 0
 
     def _unique_rows(self, pair_keys: wp.array) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
         """The first pair of each two features, ascending by their places in the list, and how many pairs have these.
@@ -151,8 +160,10 @@ def _in_order(values: NDArray[Any], order: Callable[[], NDArray[np.intp]]) -> ND
     return values.take(order(), axis=0)
 
 
-def _order(keys: wp.array, count: int, execution: Execution) -> NDArray[np.intp]:
+def _order(keys: wp.array, count: int, execution: Execution, bits: tuple[int, int]) -> NDArray[np.intp]:
     """The places of so many keys in ascending order."""
+    if not execution.is_cuda:
+        return sorted_places(keys.numpy()[:count], execution, bits[1]).astype(np.intp, copy=False)
     places: wp.array = wp.empty(count, dtype=wp.int32, device=execution.device)
-    sort_places(keys, places, count, execution)
+    sort_places(keys, places, count)
     return places.numpy().astype(np.intp)

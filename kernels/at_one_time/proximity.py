@@ -146,15 +146,31 @@ def note_inflation(
         of_static[0] = inflation
 
 
+@wp.func
+def key_and_place(kind: int, pair: wp.vec2i, n: int, index_bits: int, place_bits: int) -> wp.int64:
+    """A key in the order of `sort_key`, without the bits that no index needs, and a place behind it.
+
+    Such numbers are sorted in half of the time that a sort takes which moves places along with keys.
+    """
+    bits = wp.int64(index_bits)
+    key = (wp.int64(kind) << bits | wp.int64(pair[0])) << bits | wp.int64(pair[1])
+    return key << wp.int64(place_bits) | wp.int64(n)
+
+
 @wp.kernel
 def proximity_keys(
     begin: int,
     # in
     proximities: ProximityList,
+    index_bits: int,
+    place_bits: int,
     # out
     keys: wp.array[wp.int64],
 ):
-    """Keys that order pairs by kind, then lexicographically; as those of contacts."""
+    """Keys that order pairs by kind, then lexicographically; with their places if there is room: ``place_bits``."""
     n = begin + wp.tid()
     if n < proximities.count[0]:
-        keys[n] = sort_key(proximities.kind[n], proximities.primitives[n])
+        if place_bits == 0:
+            keys[n] = sort_key(proximities.kind[n], proximities.primitives[n])
+        else:
+            keys[n] = key_and_place(proximities.kind[n], proximities.primitives[n], n, index_bits, place_bits)
