@@ -44,6 +44,9 @@ def test_a_misspelled_option_is_told_with_the_right_name(name):
     for option in ccd.MeshOptions.__optional_keys__ - set(taken):
         with pytest.raises(TypeError, match=rf"^{name}\(\) does not take the option '{option}'; mesh_ccd\(\) does$"):
             call(name, **{option: None})
+    for option, right in {"radius": "radius", "thickness": "radius", "static": "static"}.items():
+        with pytest.raises(TypeError, match=rf"'{option}'; a mesh does: CollisionMesh.from_arrays\(…, {right}=…\)$"):
+            call(name, **{option: None})
 
 
 def test_a_flag_is_no_number_even_after_that_number_was_taken():

@@ -16,6 +16,7 @@ from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.status import PairKind
 from ccd_warp._runtime.threads import default_num_threads
 from ccd_warp._scene.input.arguments import check_choice, check_count, check_items, check_real, shown
+from ccd_warp._scene.input.body_options import BodyOptions
 from ccd_warp._scene.input.option_types import BroadPhase, MeshOptions, Method, PairKindName, Precision
 from ccd_warp.kernels.pair import query
 from ccd_warp.kernels.pair.norm import Norm
@@ -284,6 +285,9 @@ def _why_not_taken(function: str, name: str, names: Collection[str]) -> str:
     """A message for an option that a function does not take."""
     if name in MeshOptions.__optional_keys__:
         return f"{function}() does not take the option {name!r}; mesh_ccd() does"
+    of_mesh = "radius" if name == "thickness" else name
+    if of_mesh in BodyOptions.__optional_keys__:
+        return f"{function}() does not take the option {name!r}; a mesh does: CollisionMesh.from_arrays(…, {of_mesh}=…)"
     closest = difflib.get_close_matches(name, sorted(names), n=1)
     hint = f"did you mean {closest[0]!r}?" if closest else f"expected one of {', '.join(sorted(names))}"
     return f"{function}() got an unexpected option {shown(name)}; {hint}"
