@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 # Distances of so many edges, and of more than exclusion_rings leaves out, have all neighbours of a vertex within them;
 # three, whatever the rounding of both.
 _MANY_EDGES = 3.0 - 1e-6
-# Vertices of a body from which on some are so near each other and share no edge.
-_LEAST_VERTICES = 16
 # Pairs left by the cull, in total and for each primitive, above which there are suspiciously many overlaps.
 _MANY_PAIRS = 1_000_000
 _MANY_PAIRS_EACH = 16
@@ -110,20 +108,20 @@ class DistanceInEdges(NamedTuple):
             rings: Of neighbours that are excluded; a distance that does not reach beyond these is none, either.
         """
         mesh = topology.mesh
-        radius = mesh.radius if radius is None else radius
-        is_thick = radius is not None and bool((radius > 0.0).any())
+        is_thick = (mesh._largest_radius if radius is None else float(radius.max(initial=0.0))) > 0.0
         if len(mesh.edges) == 0 or not (distance > 0.0 or is_thick):
             return None
-        edges = topology.samples[1].T
-        body = mesh.vertex_body[edges[:, 0]]
-        has_neighbours = mesh.self_collision & ~mesh.static & (np.diff(mesh.body_vertex_range) >= _LEAST_VERTICES)
-        edges = edges[has_neighbours[body]]
+        edges = topology.edges_with_neighbours
         if len(edges) == 0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            edge = float(np.median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)))
-            if radius is not None:
-                distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
+            length = np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)
+            length.partition(len(length) // 2)
+            edge = float(length[len(length) // 2])
+        if radius is not None:
+            distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
+        else:
+            distance += 2.0 * topology.radius_with_neighbours
         return cls(distance, edge, is_thick) if distance > max(_MANY_EDGES, rings) * edge > 0.0 else None
 
     def described(self) -> str:

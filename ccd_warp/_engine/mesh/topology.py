@@ -45,6 +45,8 @@ NUM_SAMPLES = 128
 _MIDDLE, _MARGIN = NUM_SAMPLES // 2, NUM_SAMPLES // 20
 # Of sorted samples those at the ends of the middle nine tenths, and two in the middle.
 _RANKS = np.array([_MARGIN, _MIDDLE - 1, _MIDDLE, NUM_SAMPLES - 1 - _MARGIN])
+# Vertices of a body from which on some are so near each other and share no edge.
+_MANY_VERTICES = 16
 # Positions at the start and at the end of a step, each of shape [V, 3].
 Positions = tuple[NDArray[np.float64], NDArray[np.float64]]
 # Largest number of vertices whose positions are copied, which costs less than to record where they are.
@@ -248,6 +250,20 @@ class Topology:
         primitives = mesh.edges if len(mesh.edges) else np.arange(mesh.num_vertices)[:, None]
         sampled = primitives[uneven_samples(len(primitives), NUM_SAMPLES)]
         return uneven_samples(mesh.num_vertices, NUM_SAMPLES), sampled.T.astype(np.intp, order="C")
+
+    @lazy_property
+    def edges_with_neighbours(self) -> NDArray[np.intp]:
+        """Sampled edges of bodies with vertices that are near each other and share none, shape [n, 2]."""
+        mesh = self.mesh
+        edges = self.samples[1].T
+        is_large = np.diff(mesh.body_vertex_range) >= _MANY_VERTICES
+        return edges[(mesh.self_collision & ~mesh.static & is_large)[mesh.vertex_body[edges[:, 0]]]]
+
+    @lazy_property
+    def radius_with_neighbours(self) -> float:
+        """The median radius of these edges."""
+        radius = self.mesh.radius
+        return 0.0 if radius is None else float(np.median(radius[self.edges_with_neighbours].max(axis=1)))
 
     def sampled(self, positions: Positions) -> NDArray[np.float64]:
         """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
