@@ -107,7 +107,7 @@ def tests_of(file: str) -> list[str]:
     of_cpu = [*of_host.PLANTED, *of_each_file.PLANTED]
     found += [finder.partition("::")[0] for fault in of_cpu if fault.file == file for finder in fault.finders]
     found += _TESTS.get(folder, (folder.strip("_"),))
-    found += [] if folder in _WITHOUT_LAWS else ["input", *_LAWS[:-1], "calls", "engine", *_LAWS]
+    found += [] if folder in _WITHOUT_LAWS else [*_LAWS[:-1], "input", "calls", "engine", *_LAWS]
     return [test for test in dict.fromkeys(found) if (tests / test).exists() and "emulated" not in test]
 
 
