@@ -137,6 +137,14 @@ def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, 
     step = ccd.collision_free_step(*scene.step, **options)
     assert step == least or (is_held and step > least)
     assert ccd.is_step_collision_free(*scene.step, **options) == (result.toi == np.inf)
+    with pytest.MonkeyPatch.context() as patch:  # of the parts that come near, as of a large mesh
+        patch.setattr(motion_worlds, "_LARGE_ALONE", 0)
+        patch.setattr(motion_worlds, "_FEW", np.inf)
+        whole, of_parts = (
+            outputs_of(replace(each, counts=None)) for each in (result, ccd.mesh_ccd(*scene.step, **options))
+        )
+        assert different(of_parts, whole) == [] and ccd.collision_free_step(*scene.step, **options) == step
+        assert ccd.is_step_collision_free(*scene.step, **options) == (result.toi == np.inf)
     motion = options.pop("motion")
     pipeline = ccd.CollisionPipeline(scene.mesh, **options)
     moving = scene.mesh.moving_vertices
