@@ -32,9 +32,12 @@ def test_object_that_passes_through_another_is_found_without_self_collision(tmp_
     paths = [tmp_path / f"{name}.obj" for name in ("start", "end")]
     for path, height in zip(paths, (1.0, -1.0), strict=True):
         path.write_text(_obj(("o lower plate", TRIANGLE), ("o drop", 0.1 * TRIANGLE + [0.2, 0.2, height])))
-    frames = ccd.read_frames(*paths, static=paths[1:], self_collision=False)
-    assert frames.mesh.names == ("lower plate", "drop", "lower plate (2)", "drop (2)")
-    assert frames.mesh.static.tolist() == [False, False, True, True]
+    obstacles = [str(paths[0]), *paths[1:]]
+    frames = ccd.read_frames(*paths, static=obstacles, kinematic=["drop"], self_collision=False)
+    assert frames.mesh.names == tuple(f"{name}{k}" for k in ("", " (2)", " (3)") for name in ("lower plate", "drop"))
+    assert frames.mesh.static.tolist() == [False] * 2 + [True] * 4 and not frames.mesh.self_collision.any()
+    assert frames.mesh.kinematic.tolist() == [False, True] + [False] * 4
+    assert repr(frames).startswith("Frames(CollisionMesh(6 bodies (lower plate, drop, ")
     frames = ccd.read_frames(*paths, self_collision=False)
     result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
     assert result.toi == pytest.approx(0.5, abs=1e-5) and result.toi <= 0.5

@@ -179,30 +179,6 @@ def test_strips_and_pixels_are_polygons(tmp_path):
 
 # ---- Frames of a step ------------------------------------------------------------------------------------------------
 
-START = 3.0 * (BALL - np.pi) + [0.1, 0.2, 3.0]  # of a radius of 1
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """A ball that falls on a box, as PLY in double precision."""
-    box = trimesh.creation.box(extents=(4.0, 4.0, 1.0))
-    for name, x in (("start", START), ("end", START - [0, 0, 3.0])):
-        (tmp_path / f"{name}.ply").write_bytes(ply(x, BALL_FACES))
-    (tmp_path / "box.ply").write_bytes(ply(box.vertices, box.faces))
-    return tmp_path
-
-
-def test_frames_go_to_every_function(folder):
-    paths, box = (folder / "start.ply", str(folder / "end.ply")), folder / "box.ply"
-    frames = ccd.read_frames(*paths, static=[box, box], kinematic=["start.ply"], self_collision=False)
-    assert frames.mesh.names == ("start.ply", "box.ply", "box.ply (2)")
-    assert frames.mesh.static.tolist() == [False, True, True]
-    assert frames.mesh.kinematic.tolist() == [True, False, False] and not frames.mesh.self_collision.any()
-    assert repr(frames).startswith("Frames(CollisionMesh(3 bodies (start.ply, box.ply, box.ply (2)), 58 vertices")
-    frames = ccd.read_frames(*paths, static=[box])
-    result = ccd.mesh_ccd(frames.mesh, frames.vertices_t0, frames.vertices_t1)
-    assert 0.49 < result.toi < 0.51 and {*result.first.body_names} <= {*frames.mesh.names}
-
 
 def test_vertices_of_a_file_that_are_in_no_face_meet_nothing(tmp_path):
     """One that would fly through the table, and one that is no number."""

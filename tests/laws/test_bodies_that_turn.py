@@ -134,9 +134,18 @@ def test_steps_launches_and_candidates_say_what_the_list_of_contacts_does(seed, 
     }
     assert different(outputs_of(result), outputs_of(ccd.mesh_ccd(*scene.step, **options | others))) == []
     least, is_held = min(result.toi, t_max), options["start_gap_fraction"] == "hold"
-    step = ccd.collision_free_step(*scene.step, **options)
-    assert step == least or (is_held and step > least)
+    held = {name: value for name, value in options.items() if name != "minimum_separation"}
+    held |= {"minimum_distance": 0.3 * scene.drawn.size, "start_gap_fraction": "hold", "length_scale": None}
+    steps = [ccd.collision_free_step(*scene.step, **given) for given in (options, held)]
+    assert steps[0] == least or (is_held and steps[0] > least)
     assert ccd.is_step_collision_free(*scene.step, **options) == (result.toi == np.inf)
+    with pytest.MonkeyPatch.context() as patch:  # of the parts that come near, as of a large mesh
+        patch.setattr(motion_worlds, "_LARGE_ALONE", 0)
+        patch.setattr(motion_worlds, "_FEW", np.inf)
+        of_parts = ccd.mesh_ccd(*scene.step, **options)
+        assert different(*(outputs_of(replace(each, counts=None)) for each in (of_parts, result))) == []
+        assert [ccd.collision_free_step(*scene.step, **given) for given in (options, held)] == steps
+        assert ccd.is_step_collision_free(*scene.step, **options) == (result.toi == np.inf)
     motion = options.pop("motion")
     pipeline = ccd.CollisionPipeline(scene.mesh, **options)
     moving = scene.mesh.moving_vertices

@@ -280,53 +280,38 @@ import sys
 
 from ccd_warp._runtime import every_module
 
-step = -1 if sys.argv[2] == "backwards" else 1
+is_backwards = sys.argv[2] == "backwards"
+step = -1 if is_backwards else 1
 for name in ("_REALS", "_NORMS"):
     setattr(every_module, name, getattr(every_module, name)[::step])
 import warp as wp
 
-from ccd_warp._runtime.target import set_flags
-from ccd_warp._runtime.quiet import start_warp
-
-start_warp()
-modules = every_module.every_module(int(sys.argv[1]))
-for module in [*modules.values()][::step]:
-    set_flags(module, wp.get_device("cpu"))
-    module.get_module_hash(1)
-print(json.dumps({name: module.get_module_hash(1).hex() for name, module in modules.items()}))
-"""
-
-
-def _hashes(folder, program, *arguments):
-    """What a program prints in its last line."""
-    status, shown, error = begun(folder, "-P", "-c", program, *arguments)
-    assert status == 0, error
-    return json.loads(shown.splitlines()[-1])
-
-
-def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_before_and_calls_ask_for_it(tmp_path):
-    hashes = [_hashes(tmp_path, HASHES, cpu_lanes(), order) for order in ("forwards", "backwards")]
-    assert hashes[0] == hashes[1] and len(hashes[0]) > 50
-    assert set(_hashes(tmp_path, AS_CALLS_ASK)) <= set(hashes[0].values())
-
-
-AS_CALLS_ASK = """
-import json
-
-import warp as wp
-
 from ccd_warp._engine.stages import measure_pairs_in
 from ccd_warp._runtime.lanes import narrow_phase_on, search_on
-from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.target import set_flags
+from ccd_warp._runtime.quiet import start_warp
 from ccd_warp.kernels.pair.norm import Norm
 
 start_warp()
-cpu = wp.get_device("cpu")
-kernels = [measure_pairs_in(norm, cpu) for norm in (Norm.MAXIMUM, Norm.EUCLIDEAN)]
-kernels += [narrow_phase_on(cpu, real, Norm.EUCLIDEAN).solve_pairs for real in (wp.float32, wp.float64)]
-kernels += [search_on(cpu, "search_trees", end, False, is_cuda=False) for end in ("boxes", "cull")]
-for kernel in kernels:
-    set_flags(kernel.module, cpu)
-print(json.dumps([kernel.module.get_module_hash(1).hex() for kernel in kernels]))
+cpu, asked = wp.get_device("cpu"), []
+if is_backwards:  # as calls do, before all others
+    asked += [measure_pairs_in(norm, cpu) for norm in (Norm.MAXIMUM, Norm.EUCLIDEAN)]
+    asked += [narrow_phase_on(cpu, real, Norm.EUCLIDEAN).solve_pairs for real in (wp.float32, wp.float64)]
+    asked += [search_on(cpu, "search_trees", end, False, is_cuda=False) for end in ("boxes", "cull")]
+modules = every_module.every_module(int(sys.argv[1]))
+hashes = []
+for module in [kernel.module for kernel in asked] + [*modules.values()][::step]:
+    set_flags(module, cpu)
+    hashes.append(module.get_module_hash(1).hex())
+print(json.dumps([hashes[: len(asked)], {name: module.get_module_hash(1).hex() for name, module in modules.items()}]))
 """
+
+
+def test_the_hash_of_a_module_does_not_depend_on_what_the_process_has_built_before_and_calls_ask_for_it(tmp_path):
+    found = []
+    for order in ("forwards", "backwards"):
+        status, shown, error = begun(tmp_path, "-P", "-c", HASHES, cpu_lanes(), order)
+        assert status == 0, error
+        found.append(json.loads(shown.splitlines()[-1]))
+    (_, hashes), (asked, others) = found
+    assert hashes == others and len(hashes) > 50 and len(asked) == 6 and set(asked) <= set(hashes.values())
