@@ -19,19 +19,6 @@ TETRAHEDRON = (np.eye(4, 3), [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]])
 COPIERS = [copy.copy, copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))]
 
 
-def test_bodies_are_joined_in_order():
-    mesh = CollisionMesh.from_arrays([TRIANGLE, TETRAHEDRON], static=[1], self_collision=[True, False])
-    assert mesh.num_bodies == 2 and mesh.vertices.shape == (7, 3)
-    assert mesh.vertices.dtype == np.float64 and mesh.faces.dtype == mesh.edges.dtype == np.int32
-    assert mesh.faces[1].tolist() == [3, 4, 5] and mesh.body_vertex_range.tolist() == [0, 3, 7]
-    assert mesh.vertex_body.tolist() == [0] * 3 + [1] * 4
-    assert mesh.edge_body.tolist() == [0] * 3 + [1] * 6 and mesh.face_body.tolist() == [0] + [1] * 4
-    assert mesh.static.tolist() == [False, True] and mesh.self_collision.tolist() == [True, False]
-    assert mesh.moving_vertices.tolist() == [0, 1, 2]
-    assert mesh.codimensional_edges.tolist() == mesh.codimensional_points.tolist() == []
-    assert "codimensional" not in repr(mesh)
-
-
 def test_edges_are_unique_pairs_sorted_by_max_then_min():
     rng = np.random.default_rng(0)
     faces = rng.integers(0, 30, (200, 3))
@@ -84,7 +71,10 @@ def test_codimensional_edges_are_added_to_the_edges_of_faces_and_points_only_whe
     mesh = CollisionMesh.from_arrays([TRIANGLE, cable, (np.zeros((2, 3)), [], [[1, 0]])])
     # [1, 0] of the second body is an edge of its face, [2, 3] comes twice, and [4, 4] is no edge
     assert mesh.edges.tolist() == [[0, 1], [0, 2], [1, 2], [3, 4], [3, 5], [4, 5], [5, 6], [6, 7], [8, 9]]
-    assert mesh.edges.dtype == mesh.codimensional_edges.dtype == mesh.codimensional_points.dtype == np.int32
+    names = ("faces", "edges", "codimensional_edges", "codimensional_points", "vertex_body", "edge_body", "face_body")
+    assert {getattr(mesh, name).dtype.name for name in names} == {"int32"} and mesh.vertices.dtype == np.float64
+    assert mesh.body_vertex_range.tolist() == [0, 3, 8, 10] and mesh.vertex_body.tolist() == [0] * 3 + [1] * 5 + [2] * 2
+    assert mesh.face_body.tolist() == [0, 1] and mesh.faces[1].tolist() == [3, 4, 5]
     assert mesh.edges[mesh.codimensional_edges].tolist() == [[5, 6], [6, 7], [8, 9]]
     assert mesh.edge_body.tolist() == [0] * 3 + [1] * 5 + [2] and "3 codimensional edges" in repr(mesh)
     body = (np.zeros((7, 3)), [[0, 1, 2], [6, 6, 6]], [[3, 4], [2, 2]])  # nothing uses vertex 5
