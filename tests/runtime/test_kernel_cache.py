@@ -6,17 +6,13 @@ from types import SimpleNamespace
 
 import pytest
 import warp as wp
+from one_kernel import DAMAGE, double, load_anew
 from shared_objects import SharedObjects
 from warp._src import build
 
 from ccd_warp._runtime import kernel_cache
 from ccd_warp._runtime.kernel_cache import is_current, load_or_repair
 from ccd_warp._runtime.quiet import start_warp
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def fill(begin: int, values: wp.array[float]):
-    values[begin + wp.tid()] = 1.0
 
 
 @pytest.fixture(scope="module")
@@ -27,25 +23,8 @@ def cache(tmp_path_factory):
         objects = SharedObjects(Path(wp.config.kernel_cache_dir) / "ccd_warp_objects")
         patch.setattr(build, "build_cpu", objects.build_cpu)
         patch.setattr(wp.config, "kernel_cache_dir", str(tmp_path_factory.mktemp("cache")))
-        _load_anew()
+        load_anew()
         yield Path(wp.config.kernel_cache_dir)
-
-
-def _load_anew():
-    """Load the kernel as a new process does, and launch it."""
-    fill.module.unload()
-    with wp.ScopedDevice("cpu"):
-        load_or_repair(fill, wp.get_device("cpu"), None)
-        values = wp.zeros(2, dtype=float)
-        wp.launch(fill, dim=1, inputs=[1], outputs=[values])
-        assert values.numpy().tolist() == [0.0, 1.0]
-
-
-DAMAGE = {
-    "half an object file": (".o", lambda content: content[: len(content) // 2]),
-    "an object file of zeros": (".o", lambda content: bytes(len(content))),
-    "no metadata": (".meta", lambda content: b""),
-}
 
 
 @pytest.mark.parametrize("name", DAMAGE)
@@ -54,11 +33,11 @@ def test_a_damaged_file_is_named_and_compiled_again_and_a_whole_one_is_not_touch
     (path,) = cache.rglob(f"*{ending}")
     path.write_bytes(damage(path.read_bytes()))
     with pytest.warns(RuntimeWarning, match=f"Warp's kernel cache is damaged in {path.parent} "):
-        _load_anew()
+        load_anew()
     times = {path: path.stat().st_mtime_ns for path in cache.rglob("*") if path.is_file()}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        _load_anew()
+        load_anew()
     assert times == {path: path.stat().st_mtime_ns for path in times}
 
 
@@ -82,14 +61,14 @@ def test_a_cache_that_cannot_be_written_is_named(cache, tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path / "file"))
     with pytest.raises(OSError, match=rf"Warp's kernel cache cannot be written in {tmp_path}/file.*WARP_CACHE_PATH"):
-        _load_anew()
+        load_anew()
 
 
 def test_a_first_compilation_is_told_once_in_a_line_where_there_is_no_terminal(cache, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))
     monkeypatch.setattr(kernel_cache, "_is_said", False)
     monkeypatch.setattr(wp.config, "log_level", wp.LOG_WARNING)
-    _load_anew()
+    load_anew()
     kernel_cache._say_once(wp.get_device("cpu"))
     shown = capsys.readouterr()
     assert (shown.out, shown.err.count("\n")) == ("", 1)
@@ -97,12 +76,12 @@ def test_a_first_compilation_is_told_once_in_a_line_where_there_is_no_terminal(c
 
 
 def test_what_is_loaded_on_the_cpu_stays_where_it_is_compiled_for_a_gpu(cache, tmp_path, monkeypatch):
-    _load_anew()
-    module, cpu = fill.module, wp.get_device("cpu")
+    load_anew()
+    module, cpu = double.module, wp.get_device("cpu")
     loaded = module.load(cpu, 1)
     monkeypatch.setattr(wp.config, "kernel_cache_dir", str(tmp_path))  # an empty one
     monkeypatch.setattr(wp, "load_module", lambda **how: None)
-    load_or_repair(fill, SimpleNamespace(is_cpu=False, is_cuda=True, arch=90, context=None), 256)
+    load_or_repair(double, SimpleNamespace(is_cpu=False, is_cuda=True, arch=90, context=None), 256)
     assert module.load(cpu, 1) is loaded and is_current(module, cpu)
 
 

@@ -7,10 +7,12 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import one_kernel
 import pytest
 import warp as wp
 from ccd_warp.kernels.kept_code import codes
 from ccd_warp.kernels.later import sources
+from one_kernel import double, load_anew
 from programs import begun
 from scenes import sheet_over_floor
 from shared_objects import SharedObjects
@@ -26,11 +28,6 @@ from ccd_warp._runtime.kernel_cache import load_or_repair
 from ccd_warp._runtime.lanes import cpu_lanes
 from ccd_warp._runtime.quiet import start_warp
 from ccd_warp._runtime.target import cpu_target, set_flags
-
-
-@wp.kernel(module="unique", enable_backward=False)
-def double(begin: int, values: wp.array[float]):
-    values[begin + wp.tid()] *= 2.0
 
 
 @pytest.fixture
@@ -66,13 +63,8 @@ def _fill(modules):
 
 
 def _load_anew():
-    """Load the kernel as a new process does, and launch it; whether it was compiled."""
-    double.module.unload()
-    with wp.ScopedDevice("cpu"):
-        load_or_repair(double, wp.get_device("cpu"), None)
-        values = wp.full(2, 1.0, dtype=float)
-        wp.launch(double, dim=1, inputs=[1], outputs=[values])
-        assert values.numpy().tolist() == [1.0, 2.0]
+    """Load the kernel and launch it; whether it was compiled."""
+    load_anew()
     return any(Path(wp.config.kernel_cache_dir).iterdir())
 
 
@@ -83,11 +75,8 @@ def test_a_kernel_of_the_package_is_loaded_from_there_and_nothing_is_written(pac
     assert files == {path: path.stat() for path in package.iterdir()}
 
 
-DAMAGE = {
-    "half an object": (".o", lambda content: content[: len(content) // 2]),
+DAMAGE = one_kernel.DAMAGE | {
     "another object of its length": (".o", lambda content: content[::-1]),
-    "an object of zeros": (".o", lambda content: bytes(len(content))),
-    "no metadata": (".meta", lambda content: b""),
     "an object that is gone": (".o", None),
 }
 
