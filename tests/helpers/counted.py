@@ -223,13 +223,8 @@ def _extreme(relation: Callable) -> Callable:
 
 
 # What the files know as Warp, beside its types; of anything else no function that is executed makes use.
-_WARP = {
-    "func": _function,
-    "kernel": _function,
-    "func_native": _native,
-    "struct": lambda _: SimpleNamespace,
-    "where": choose,
-}
+_WARP = {"func": _function, "kernel": _function, "func_native": _native}
+_WARP |= {"struct": lambda _: SimpleNamespace, "where": choose}
 _WARP |= dict.fromkeys(("constant", "static", "cast"), lambda x, *_: x) | {"inf": np.inf, "nan": np.nan}
 _WARP |= dict.fromkeys(("int32", "int64", "uint64"), int) | {"uint32": np.uint32, "bool": np.bool_}
 _WARP |= {"dot": dot, "cross": cross, "sqrt": lambda x: x**0.5, "length": lambda x: dot(x, x) ** 0.5, "abs": abs}
