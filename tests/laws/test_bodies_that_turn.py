@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning")
 
 SEEDS = range(24)
 # Scenes by their seeds, and those whose bodies are beside their paths.
-SCENES = [*product(SEEDS, [False]), *product(SEEDS[::2], [True])]
+SCENES = [*product(SEEDS, [False]), *product(SEEDS[::2], [True]), (50002, True)]
 LIMITS = [ccd.CCDStatus.ITERATION_LIMIT, ccd.CCDStatus.RESOLUTION_LIMIT, ccd.CCDStatus.ROUNDING_LIMIT]
 MEDIAN_ERROR = {"float64": 1e-12, "float32": 1e-5}
 

@@ -186,9 +186,10 @@ def check_sides(found, pairs: Pairs) -> None:
 
 def halfway(contacts, mesh: ccd.CollisionMesh, places: np.ndarray) -> np.ndarray:
     """The middle between the surfaces of two primitives, whose vertices are in these places, [n, 4, dimension]."""
-    between = 0.5 * np.einsum("mk,mkd->md", np.abs(contacts.weights), places)
+    sides = first_sides(contacts), ~first_sides(contacts)
+    # of a point a rounding outside of its face a weight has the other sign
+    between = 0.5 * np.einsum("mk,mkd->md", np.where(sides[0], 1, -1) * contacts.weights, places)
     if mesh.radius is not None:
-        sides = first_sides(contacts), ~first_sides(contacts)
         first, second = ((mesh.radius[contacts.vertices] * side).max(axis=1) for side in sides)
         between += 0.5 * (second - first)[:, None] * contacts.normal
     return between
