@@ -48,7 +48,9 @@ def near_on_the_way(scene, start, end, pairs, holds, is_asked):
         if isinstance(scene.options["start_gap_fraction"], float):
             lost = 1e-3 * distances + 2.0**-16 * sizes(x, y)
         if at.any():
-            keep = np.where(distances < scene.distance + pairs.radii(kind, of_kind), distances - lost, distances)[at]
+            is_held = np.isfinite(holds[corners, 0]).any(axis=1)  # also by a vertex that starts just at its distance
+            is_held |= distances < scene.distance + pairs.radii(kind, of_kind)
+            keep = np.where(is_held, distances - lost, distances)[at]
             times = first_times(NAMES[kind], x[at], y[at], np.maximum(keep, 0.0), scene.is_euclidean, 1.0)
             found |= {(kind, *pair): t for pair, t in zip(of_kind[at].tolist(), times, strict=True) if t.hit}
     return found
