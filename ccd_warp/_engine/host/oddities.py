@@ -7,6 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.scene import length_scale_of
+from ccd_warp._engine.mesh.topology import middle_of_all
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._runtime.display import shortened
 from ccd_warp._scene.input.mesh_checks import vertices_without_primitive
@@ -115,13 +116,9 @@ class DistanceInEdges(NamedTuple):
         if len(edges) == 0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            length = np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1)
-            length.partition(len(length) // 2)
-            edge = float(length[len(length) // 2])
-        if radius is not None:
-            distance += 2.0 * float(np.median(radius[edges].max(axis=1)))
-        else:
-            distance += 2.0 * topology.radius_with_neighbours
+            edge = middle_of_all(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1))
+        typical = topology.radius_with_neighbours if radius is None else middle_of_all(radius[edges].max(axis=1))
+        distance += 2.0 * typical
         return cls(distance, edge, is_thick) if distance > max(_MANY_EDGES, rings) * edge > 0.0 else None
 
     def described(self) -> str:

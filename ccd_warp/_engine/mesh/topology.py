@@ -263,7 +263,7 @@ class Topology:
     def radius_with_neighbours(self) -> float:
         """The median radius of these edges."""
         radius = self.mesh.radius
-        return 0.0 if radius is None else float(np.median(radius[self.edges_with_neighbours].max(axis=1)))
+        return 0.0 if radius is None else middle_of_all(radius[self.edges_with_neighbours].max(axis=1))
 
     def sampled(self, positions: Positions) -> NDArray[np.float64]:
         """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
@@ -602,6 +602,12 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         wp.utils.radix_sort_pairs(keys, wp.empty(2 * count, dtype=wp.int32, device=execution.device), count)
     else:
         keys.numpy()[:count].sort()
+
+
+def middle_of_all(values: NDArray[np.float64]) -> float:
+    """The middle one of some values, or of an even number the one above it; their array is in another order then."""
+    values.partition(len(values) // 2)
+    return float(values[len(values) // 2])
 
 
 class Quantization(NamedTuple):
