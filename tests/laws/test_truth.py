@@ -61,6 +61,17 @@ def check_gaps(scene, start, end, pairs, contacts, unit):
         assert (chosen.gap <= scene.delta + rounding).all()
 
 
+def check_normals(touches, corners, lost):
+    """The normal where there is no gap is across two sides of the face, or both edges, unless these are parallel."""
+    ends = np.where(touches.kind[:, None] == 0, [2, 1, 3, 1], [1, 0, 3, 2])
+    p = np.take_along_axis(corners, ends[..., None], axis=1)
+    sides = np.stack([p[:, 0] - p[:, 1], p[:, 2] - p[:, 3]], axis=1)
+    lengths = np.linalg.norm(sides, axis=2)
+    is_regular = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 1e-3 * lengths.prod(axis=1)
+    across = np.abs(np.einsum("md,msd->ms", touches.normal, sides))
+    assert (across <= 1e-9 * lengths + lost)[is_regular].all()
+
+
 def check_places(scene, mesh, start, end, contacts, unit):
     """The normal of a contact is along the gap between its primitives, its point halfway between their surfaces."""
     of_pairs, limit = contacts[contacts.kind != PLANE], np.abs([start, end]).max(initial=0.0) * 2.0**-44
@@ -76,6 +87,9 @@ def check_places(scene, mesh, start, end, contacts, unit):
     assert np.abs(gap - length * of_pairs.normal)[is_clear].max(initial=0.0) <= 4 * limit
     along = np.einsum("md,md->m", of_pairs.normal, velocity[contacts.kind != PLANE])
     assert (along[length[:, 0] == 0] <= limit).all()  # where there is no gap, the normal is against the velocity
+    if mesh.dimension == 3:
+        touches = (length[:, 0] <= limit / 16) & (of_pairs.kind <= int(ccd.PairKind.EDGE_EDGE))
+        check_normals(of_pairs[touches], at_toi[touches], limit)
     lengths = np.linalg.norm(contacts.normal, axis=1)
     assert np.all((np.abs(lengths - 1) < 1e-12) | (lengths == 0))
     assert np.abs(halfway(of_pairs, mesh, at_toi) - of_pairs.points).max(initial=0.0) <= limit

@@ -269,6 +269,8 @@ PLANTED = [
     Fault("a normal along the velocity", "kernels/step/contact_sides.py",
           "    n = simd.select(simd.is_less(zero, simd.dot(n, to_unit_size(s.velocity))), simd.minus(n), n)\n", "",
           (_TRUTH,)),
+    Fault("a side of a face as a sum", "kernels/step/contact_sides.py",
+          "s.r = position(x0.p3, x1.p3, t) - p1", "s.r = position(x0.p3, x1.p3, t) + p1", (_TRUTH,)),
     Fault("a vertex of a contact in a lane keeps its toi", "kernels/narrow_phase/lane_contacts.py",
           "    lower(minima.vertex, i.i3, t, count)\n", "", (_TRUTH,)),
     Fault("a gap in a lane taken for rounding", "kernels/narrow_phase/lane_contacts.py",
