@@ -179,6 +179,8 @@ def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
     given = case.options | {"precision": precision_of(scene)}
     away = 300.0 * case.size
     ends = [(start, end), (start, end), (end, start), (start + away, end + away), (start, start + 0.5 * (end - start))]
+    flies = np.arange(len(end))[:, None] == mesh.moving_vertices[-1:]  # so far that rounding hides gaps
+    ends.append((start, np.where(flies, 1e12 * case.size, end)))
     ends = [(x, with_static_at_rest(mesh, x, y)) for x, y in ends]
     used, found, truth = ccd.CollisionPipeline(mesh, **given), {}, {}
     searches, distance = ("find_candidates", "find_proximity"), 0.05 * case.size
@@ -189,7 +191,7 @@ def test_steps_repeated_and_after_others_change_no_bit_nor_one_another(scene):
         pipeline = ccd.CollisionPipeline(mesh, **given | more, memory_limit=1 << 40)
         return calls.on_host(name, pipeline, *ends[k], distance), pipeline.counts
 
-    in_turn = ("mesh_ccd",) * 5 + ("collision_free_step",) * 5 + ("mesh_ccd", *searches) * 2
+    in_turn = ("mesh_ccd",) * 6 + ("collision_free_step",) * 6 + ("mesh_ccd", *searches) * 2
     for k, name in enumerate((*in_turn, "collision_free_step", "is_step_collision_free", "mesh_ccd", "mesh_ccd")):
         n, shorter = k % len(ends), given | {"t_max": 0.7}
         found[k], truth[k] = (calls.on_host(name, used, *ends[n], distance), used.counts), alone(name, n)

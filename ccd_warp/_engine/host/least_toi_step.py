@@ -132,12 +132,14 @@ class LeastToiStep(ImpactStep):
             if self._suffices(best):
                 return best
         t_end, is_straight = self.motion.t_end, not self.motion.on_arcs
-        for of_sample in (True, False) if self.topology.samples_queries and is_straight else (False,):
-            if is_straight and best <= _WORTH_SHORTENING * t_end:
+        # the next step is played whole, not up to the toi of a half-space, and phantoms tell where a search has ended
+        is_sampled = is_straight and bool(plan.sampled_pairs)
+        for of_sample in (True, False) if is_sampled else (False,):
+            if is_sampled and best <= _WORTH_SHORTENING * t_end:
                 t_end = best
                 with self.timed("boxes"):
                     plan.shorten_boxes(t_end)
-            plan.set_search(min(best, t_end) if is_straight else t_end, self.inflation, self.separation)
+            plan.set_search(min(best, t_end) if is_sampled else t_end, self.inflation, self.separation)
             plan.counters.set_least(best)
             plan.begin_candidates(num_with_planes)
             open_pairs: _OpenPairs = {}
