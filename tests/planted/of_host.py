@@ -331,6 +331,8 @@ PLANTED = [
     Fault("work for pairs that come after a closed one", "ccd_warp/_engine/host/least_toi_step.py",
           "is_earlier = toi < bound", "is_earlier = toi < np.inf",
           ("engine/test_max_work.py::test_pairs_that_come_after_a_closed_one_take_no_share_of_the_work",)),
+    Fault("a first step up to the toi of a half-space", "ccd_warp/_engine/host/least_toi_step.py",
+          "is_sampled = is_straight and bool(plan.sampled_pairs)", "is_sampled = is_straight", (_REPEATED,)),
     Fault("no more places for contacts than in the step before", "ccd_warp/_engine/host/contacts.py",
           "is_complete = self.total <= self._capacity\n        if not", "is_complete = True\n        if not",
           (_REPEATED,)),
