@@ -9,7 +9,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.host.buffers import Buffers
-from ccd_warp._engine.host.contacts import sort_places, sorted_places
+from ccd_warp._engine.host.contacts import sort_places
 from ccd_warp._engine.mesh.topology import Topology, sort_in_place
 from ccd_warp._results.shared_features import SharedFeatures, index_bits
 from ccd_warp._runtime.launch import Execution
@@ -103,15 +103,16 @@ class ProximityStore:
         if unique:
             rows, shared_by = self._unique_rows(keys)
             keys.assign(np.resize(keys.numpy()[rows], len(keys)))
-            count, bits = len(rows), (0, 0)
+            count, place_bits = len(rows), 0
         else:
-            bits = self._key_bits()
-            self._execution.launch(kernels.proximity_keys, count, inputs=[pairs, *bits], outputs=[keys])
+            of_index, place_bits = self._key_bits()
+            inputs = [pairs, of_index, place_bits]
+            self._execution.launch(kernels.proximity_keys, count, inputs, [keys])
         self._list, self._capacity = None, 0
         for name in PROXIMITY_DTYPES:
             self._buffers.release(f"pair {name}")
         alone = Execution(device, self._execution.num_threads)  # what is read later is no part of this call
-        order = cache(lambda: _order(keys, count, alone, bits))
+        order = cache(lambda: _order(keys, count, alone, place_bits))
 
         def column(name: str) -> NDArray[Any]:
             places = order() if rows is None else rows.take(order())
@@ -122,12 +123,12 @@ class ProximityStore:
         return count, columns | ({} if shared_by is None else {"shared_by": lambda: shared_by.take(order())})
 
     def _key_bits(self) -> tuple[int, int]:
-        """Bits of an index in a key, and of the place behind it: 0 on CUDA, and where there is no room for it."""
+        """Bits of an index in a key, and of the place behind it: 0 on CUDA, and where all do not fit into a number."""
         mesh = self._topology.mesh
-        of_index = index_bits(max(mesh.num_vertices, len(mesh.edges), len(mesh.faces)))
+        of_index = index_bits(max(mesh.num_vertices, len(mesh.edges), len(mesh.faces), len(mesh.planes)))
         of_place = index_bits(self.total)
-        has_room = not self._execution.is_cuda and 3 + 2 * of_index + of_place < 64
-        return of_index, of_place if has_room else 0
+        fits = not self._execution.is_cuda and 3 + 2 * of_index + of_place < 64
+        return of_index, of_place if fits else 0
 
     def _unique_rows(self, pair_keys: wp.array) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
         """The first pair of each two features, ascending by their places in the list, and how many pairs have these.
@@ -160,10 +161,8 @@ def _in_order(values: NDArray[Any], order: Callable[[], NDArray[np.intp]]) -> ND
     return values.take(order(), axis=0)
 
 
-def _order(keys: wp.array, count: int, execution: Execution, bits: tuple[int, int]) -> NDArray[np.intp]:
+def _order(keys: wp.array, count: int, execution: Execution, place_bits: int) -> NDArray[np.intp]:
     """The places of so many keys in ascending order."""
-    if not execution.is_cuda:
-        return sorted_places(keys.numpy()[:count], execution, bits[1]).astype(np.intp, copy=False)
     places: wp.array = wp.empty(count, dtype=wp.int32, device=execution.device)
-    sort_places(keys, places, count)
+    sort_places(keys, places, count, execution, place_bits)
     return places.numpy().astype(np.intp)

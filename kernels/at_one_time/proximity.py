@@ -167,7 +167,7 @@ def proximity_keys(
     # out
     keys: wp.array[wp.int64],
 ):
-    """Keys that order pairs by kind, then lexicographically; with their places if there is room: ``place_bits``."""
+    """Keys that order pairs by kind, then lexicographically; with their places behind them where these have bits."""
     n = begin + wp.tid()
     if n < proximities.count[0]:
         if place_bits == 0:

@@ -186,11 +186,11 @@ def check_sides(found, pairs: Pairs) -> None:
 
 def halfway(contacts, mesh: ccd.CollisionMesh, places: np.ndarray) -> np.ndarray:
     """The middle between the surfaces of two primitives, whose vertices are in these places, [n, 4, dimension]."""
-    sides = first_sides(contacts), ~first_sides(contacts)
+    is_first = first_sides(contacts)
     # of a point a rounding outside of its face a weight has the other sign
-    between = 0.5 * np.einsum("mk,mkd->md", np.where(sides[0], 1, -1) * contacts.weights, places)
+    between = 0.5 * np.einsum("mk,mkd->md", np.where(is_first, 1, -1) * contacts.weights, places)
     if mesh.radius is not None:
-        first, second = ((mesh.radius[contacts.vertices] * side).max(axis=1) for side in sides)
+        first, second = ((mesh.radius[contacts.vertices] * side).max(axis=1) for side in (is_first, ~is_first))
         between += 0.5 * (second - first)[:, None] * contacts.normal
     return between
 

@@ -110,11 +110,7 @@ class _Ordered:
 
     def sort(self, count: int, execution: Execution) -> None:
         """Find the order of ``count`` contacts from their keys."""
-        if execution.is_cuda:
-            sort_places(self.keys, self.order, count)
-        else:
-            keys, order = self.keys.numpy(), self.order.numpy()
-            order[:count] = sorted_places(keys[:count], execution)
+        sort_places(self.keys, self.order, count, execution)
 
     def fill(self, launcher: Execution | Recording, contacts: ContactList) -> None:
         """Copy the contacts in order, and find the first of every vertex, body and world."""
@@ -311,18 +307,21 @@ class _FewOrdered:
         return sort
 
 
-def sort_places(keys: wp.array, order: wp.array, count: int) -> None:
-    """Write the permutation that sorts the first ``count`` keys on CUDA, which have capacity for twice as many."""
-    places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=keys.device)
-    wp.utils.radix_sort_pairs(keys, places, count)
-    wp.copy(order, places, count=count)
+def sort_places(keys: wp.array, order: wp.array, count: int, execution: Execution, place_bits: int = 0) -> None:
+    """Write the permutation that sorts the first ``count`` keys; on CUDA they have capacity for twice as many.
 
-
-def sorted_places(keys: NDArray[np.int64], execution: Execution, place_bits: int = 0) -> NDArray[np.intp]:
-    """The permutation that sorts keys on the host; threads sort ranges between pivots taken from a sample.
-
-    Keys that have their place behind them, in so many bits, are memory afterwards.
+    On the CPU keys may end with their places, in so many bits; they are not kept then.
     """
+    if execution.is_cuda:
+        places: wp.array = wp.array(np.arange(2 * count, dtype=np.int32), dtype=wp.int32, device=keys.device)
+        wp.utils.radix_sort_pairs(keys, places, count)
+        wp.copy(order, places, count=count)
+    else:
+        order.numpy()[:count] = _sorted_places(keys.numpy()[:count], execution, place_bits)
+
+
+def _sorted_places(keys: NDArray[np.int64], execution: Execution, place_bits: int) -> NDArray[np.int64]:
+    """The permutation that sorts the keys; threads sort ranges between pivots taken from a sample."""
     if len(keys) < _WORTH_THREADS or execution.num_threads == 1:
         return _in_order(keys, None, place_bits)
     sample = np.sort(keys[:: len(keys) // _SAMPLES])
@@ -330,7 +329,7 @@ def sorted_places(keys: NDArray[np.int64], execution: Execution, place_bits: int
     pivots = sample[[len(sample) * k // pieces for k in range(1, pieces)]]
     bounds = [None, *pivots.tolist(), None]
 
-    def sort(low: int | None, high: int | None) -> NDArray[np.intp]:
+    def sort(low: int | None, high: int | None) -> NDArray[np.int64]:
         is_in_piece = np.ones(len(keys), dtype=bool) if low is None else keys >= low
         if high is not None:
             is_in_piece &= keys < high
@@ -340,7 +339,7 @@ def sorted_places(keys: NDArray[np.int64], execution: Execution, place_bits: int
     return np.concatenate(execution.run(tasks))
 
 
-def _in_order(keys: NDArray[np.int64], chosen: NDArray[np.bool_] | None, place_bits: int) -> NDArray[np.intp]:
+def _in_order(keys: NDArray[np.int64], chosen: NDArray[np.bool_] | None, place_bits: int) -> NDArray[np.int64]:
     """The places of chosen keys, or of all, in the order of these."""
     of_chosen = keys if chosen is None else keys[chosen]
     if place_bits == 0:
@@ -348,4 +347,4 @@ def _in_order(keys: NDArray[np.int64], chosen: NDArray[np.bool_] | None, place_b
         return order if chosen is None else np.flatnonzero(chosen)[order]
     of_chosen.sort()
     of_chosen &= (1 << place_bits) - 1
-    return of_chosen.astype(np.intp, copy=False)
+    return of_chosen

@@ -7,7 +7,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from ccd_warp._engine.mesh.scene import length_scale_of
-from ccd_warp._engine.mesh.topology import middle_of_all
+from ccd_warp._engine.mesh.topology import upper_median
 from ccd_warp._results.pairs import pair_corners
 from ccd_warp._runtime.display import shortened
 from ccd_warp._scene.input.mesh_checks import vertices_without_primitive
@@ -109,16 +109,16 @@ class DistanceInEdges(NamedTuple):
             rings: Of neighbours that are excluded; a distance that does not reach beyond these is none, either.
         """
         mesh = topology.mesh
-        is_thick = (mesh._largest_radius if radius is None else float(radius.max(initial=0.0))) > 0.0
+        is_thick = mesh._largest_radius > 0.0 if radius is None else bool((radius > 0.0).any())
         if len(mesh.edges) == 0 or not (distance > 0.0 or is_thick):
             return None
         edges = topology.edges_with_neighbours
         if len(edges) == 0:
             return None
         with np.errstate(over="ignore", invalid="ignore"):
-            edge = middle_of_all(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1))
-        typical = topology.radius_with_neighbours if radius is None else middle_of_all(radius[edges].max(axis=1))
-        distance += 2.0 * typical
+            edge = upper_median(np.linalg.norm(start[edges[:, 1]] - start[edges[:, 0]], axis=1))
+        typical_radius = topology.median_edge_radius if radius is None else upper_median(radius[edges].max(axis=1))
+        distance += 2.0 * typical_radius
         return cls(distance, edge, is_thick) if distance > max(_MANY_EDGES, rings) * edge > 0.0 else None
 
     def described(self) -> str:

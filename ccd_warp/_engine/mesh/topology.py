@@ -260,10 +260,10 @@ class Topology:
         return edges[(mesh.self_collision & ~mesh.static & is_large)[mesh.vertex_body[edges[:, 0]]]]
 
     @lazy_property
-    def radius_with_neighbours(self) -> float:
-        """The median radius of these edges."""
+    def median_edge_radius(self) -> float:
+        """The upper median of the radii of these edges, 0 without radii."""
         radius = self.mesh.radius
-        return 0.0 if radius is None else middle_of_all(radius[self.edges_with_neighbours].max(axis=1))
+        return 0.0 if radius is None else upper_median(radius[self.edges_with_neighbours].max(axis=1))
 
     def sampled(self, positions: Positions) -> NDArray[np.float64]:
         """Coordinates of the samples at both ends of a step, in a new array, shape [2, 3, 1 + k, n].
@@ -604,8 +604,8 @@ def sort_in_place(keys: wp.array, count: int, execution: Execution) -> None:
         keys.numpy()[:count].sort()
 
 
-def middle_of_all(values: NDArray[np.float64]) -> float:
-    """The middle one of some values, or of an even number the one above it; their array is in another order then."""
+def upper_median(values: NDArray[np.float64]) -> float:
+    """The median of some values, of an even number the upper one; their array is in another order then."""
     values.partition(len(values) // 2)
     return float(values[len(values) // 2])
 

@@ -179,3 +179,12 @@ def test_a_coordinate_that_is_not_finite_costs_its_world_alone():
                 np.testing.assert_array_equal(found, np.where(mesh.vertex_world == 1, 0.0, bounds))
         with pytest.raises(ValueError, match=r"^positions"):
             ccd.find_proximity(mesh, bad, 0.1)
+
+
+def test_particles_among_more_half_spaces_than_vertices_are_listed_in_order():
+    particles, normals = np.random.default_rng(0).normal(size=(2, 1000, 3))
+    bodies = [(particles[:20], []), *(ccd.HalfSpace(-3.0 * n / np.linalg.norm(n), n) for n in normals)]
+    mesh = ccd.CollisionMesh.from_arrays(bodies, codimensional_points=True)
+    found = ccd.find_proximity(mesh, mesh.vertices, 10.0)
+    rows = np.column_stack([found.kind, found.primitives]).tolist()
+    assert len(rows) == 20 * 1000 + 20 * 19 // 2 and rows == sorted(rows)
